@@ -40,7 +40,7 @@ _T = TypeVar("_T")
 
 
 def check_finite(name: str, value: object) -> float:
-    """Return a value as a finite float.
+    """Return an argument as a float; raise an error if it is no finite real number.
 
     Args:
         name: Name of the argument, for the message.
@@ -78,10 +78,11 @@ def match_names(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return a new array of real numbers of any shape; infinite values and NaN are accepted.
+    """Convert an argument to a new array of floats of any shape; raise an error for other values.
 
-    Texts, Booleans and complex numbers are rejected, also as single elements of a list: NumPy would
-    convert them silently. Masked arrays with a masked element are also rejected.
+    Infinite values and NaN are accepted. Texts, Booleans and complex numbers are rejected, also as
+    single elements of a list: NumPy would convert them silently. Masked arrays with a masked
+    element are also rejected.
 
     Args:
         name: Name of the argument, for the message.
@@ -124,7 +125,7 @@ def _contains_boolean(values: object) -> bool:
 
 
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """Return a vector (size,) of finite numbers.
+    """Convert an argument to a vector (size,) of finite numbers; raise an error for other contents.
 
     Args:
         name: Name of the argument, for the message.
@@ -132,8 +133,8 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
         size: Required number of elements.
 
     Raises:
-        ConfigurationError: If the values are no real numbers (`real_array`), the shape differs, or
-            an element is not finite.
+        ConfigurationError: If the values are no real numbers (`real_array`), the shape is not
+            ``(size,)``, or an element is not finite.
     """
     vector = real_array(name, values)
     if vector.shape != (size,):
@@ -172,10 +173,10 @@ def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
-    """Return an iterable of names as a tuple; the elements are not checked.
+    """Return an iterable of names as a tuple; raise an error for a single text.
 
-    The caller checks the elements: an element that is no text is an unknown name
-    (`UnknownNameError`).
+    The elements are not checked. If an element is no known name, the caller raises
+    `UnknownNameError`.
 
     Args:
         name: Name of the argument, for the message.
@@ -196,15 +197,15 @@ prevents overflow in later computations. Chosen, not tuned: no robot is larger."
 
 
 def check_length(name: str, value: object) -> float:
-    """Return a length or a coordinate [m].
+    """Return a length or a coordinate [m] as a float; raise an error beyond `MAX_LENGTH`.
 
     Args:
         name: Name of the argument, for the message.
         value: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is no finite number (`check_finite`), or the absolute
-            value exceeds ``MAX_LENGTH``.
+        ConfigurationError: If the value is no finite number (`check_finite`), or the absolute value
+            exceeds ``MAX_LENGTH``.
     """
     number = check_finite(name, value)
     if abs(number) > MAX_LENGTH:
@@ -216,16 +217,16 @@ def check_length(name: str, value: object) -> float:
 
 
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Decorate a public function with a check of the arguments against the type hints.
+    """Decorate a public function, so that each call checks the arguments against the type hints.
 
-    Some types are not checked, for example arrays, tuples, literals, and unions with an enum (see
-    `_make_type_test`). Of a mapping, only the keys are checked. Elements are checked in sequences
-    and arrays, but not in sets and iterators. Defaults and the arguments of ``*args`` are not
-    checked. The function itself must check these arguments. It must also check the values (not the
-    types) of all arguments.
+    Only types are checked; the function itself must check the values, and the parts listed below.
+    Elements of sequences and arrays and keys of mappings are checked. Not checked are values of
+    mappings, elements of sets and iterators, defaults, and the arguments of ``*args``.
+    `_make_type_test` accepts any value for some type hints, for example arrays, tuples, literals,
+    and unions with an enum.
 
     Raises:
-        ConfigurationError: In the call, if an argument has another type.
+        ConfigurationError: In the call, if the type of an argument does not match the type hint.
     """
     positional = tuple(
         name
@@ -248,10 +249,10 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def check_fields(instance: Any) -> None:
-    """Check the fields of a dataclass instance against the type hints.
+    """Check the types of the fields of a dataclass instance against the type hints of the class.
 
     Raises:
-        ConfigurationError: If a field has another type.
+        ConfigurationError: If the type of a field does not match the type hint.
     """
     dataclass_type: Any = type(instance)
     hints = _get_type_hints(dataclass_type)
@@ -262,7 +263,7 @@ def check_fields(instance: Any) -> None:
 def check_type(name: str, value: object, hint: Any) -> None:
     """Check a value against a type hint; accept any value if the hint is not supported.
 
-    `check_arguments` lists types that are not supported.
+    `check_arguments` describes type hints that are not supported.
 
     Args:
         name: Name of the argument, for the message.
@@ -270,7 +271,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
         hint: Type hint.
 
     Raises:
-        ConfigurationError: If the value has another type.
+        ConfigurationError: If the type of the value does not match the hint.
     """
     if _make_type_test(hint)(value):
         return
@@ -288,13 +289,13 @@ def check_type(name: str, value: object, hint: Any) -> None:
 
 @cache
 def _get_type_hints(described: Any) -> dict[str, Any]:
-    """Return {argument or field: type} of a function or class, from resolved annotations."""
+    """Return {argument or field: type} of a function or class; text annotations are resolved."""
     return typing.get_type_hints(described)
 
 
 @cache
 def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
-    """Return {argument: test of whether a value has the annotated type} of a function."""
+    """Return {argument: function that tests a value against the type hint} of a function."""
     return {name: _make_type_test(hint) for name, hint in _get_type_hints(function).items()}
 
 
@@ -303,8 +304,9 @@ _MAX_DOUBLE = int(sys.float_info.max)
 conversion of larger integers may overflow."""
 
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
-"""{annotated type: abstract type of the accepted numbers, which includes NumPy's}. Booleans, and
-integers beyond `_MAX_DOUBLE` for a float, are rejected separately."""
+"""{type in an annotation: abstract type of the accepted numbers}. The abstract types include
+numbers of NumPy. Booleans, and integers beyond `_MAX_DOUBLE` for a float, are rejected
+separately."""
 
 _REMEDIES = {
     "Robot": "pa.load_robot",
@@ -329,7 +331,7 @@ contains the translations."""
 
 
 _BOOLEAN_TYPES = (bool, np.bool_)
-"""Types of Booleans, which are not accepted as numbers."""
+"""Types of Booleans. Arguments that require a number reject values of these types."""
 
 
 def _union_members(hint: Any) -> tuple[Any, ...]:
@@ -380,20 +382,20 @@ def _make_type_test(hint: Any) -> Callable[[Any], bool]:
 
 
 def _accept_anything(_: Any) -> bool:
-    """Return True, for types that are not checked."""
+    """Return True; test for type hints whose values are not checked."""
     return True
 
 
 def _make_elements_test(
     element: Callable[[Any], bool], *, of_known_length: bool
 ) -> Callable[[Any], bool]:
-    """Return a function that tests whether a value is an iterable of valid elements.
+    """Return a function that tests whether a value is an iterable whose elements pass a test.
 
     Only the elements of sequences and arrays are tested.
 
     Args:
-        element: Test of an element.
-        of_known_length: Whether the value must be a sequence or an array.
+        element: Function that tests an element.
+        of_known_length: Whether the value must be a sequence or an array, not just an iterable.
     """
 
     def has_valid_elements(value: Any) -> bool:
@@ -418,7 +420,7 @@ def _make_elements_test(
 
 
 def _describe_type(option: Any) -> Diagnostic | Term:
-    """Return the name of a type for an error message."""
+    """Return the name of a type for error messages, such as "a number" or "a mapping of names"."""
     kind, inner = typing.get_origin(option), typing.get_args(option)
     name = getattr(option, "__name__", str(option))
     if kind in (Sequence, Iterable):

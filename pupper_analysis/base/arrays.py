@@ -21,8 +21,8 @@ INERTIA_ENTRIES = {
     "ixz": (0, 2),
     "iyz": (1, 2),
 }
-"""{name in a URDF: (row, column)} of the six independent entries of an inertia tensor. The order is
-that of MJCF's ``fullinertia``."""
+"""{name in a URDF: (row, column)} of the six independent entries of an inertia tensor, in the order
+of MJCF's ``fullinertia``."""
 
 
 def inertia_entries(tensor: Array) -> Array:
@@ -63,15 +63,16 @@ def quaternion_from_rotation(rotation: Array) -> Array:
 
 
 def make_placement(quaternion: Array, position: Array) -> pin.SE3:
-    """Return the placement with a unit quaternion (w, x, y, z) and a position (3,) [m]."""
+    """Return the SE(3) placement of a unit quaternion (w, x, y, z) and a position (3,) [m]."""
     return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))
 
 
 def make_inertia(mass: float, com: Array, tensor: Array) -> pin.Inertia:
-    """Return the spatial inertia of a body, without checking that the values are physical.
+    """Return the spatial inertia of a body, even if the values are not physical.
 
     Pinocchio's constructor rejects a tensor that is not symmetric, or has a negative diagonal
-    element. A model file may contain such a tensor.
+    element. A model file may contain such a tensor, so the attributes are set without the
+    constructor.
 
     Args:
         mass: Mass [kg].

@@ -13,18 +13,18 @@ from collections.abc import Iterable
 from typing import Final
 
 _FORMULA_START: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""Pattern of the first character of a cell that spreadsheets may execute, with full-width forms
-(OWASP, CSV Injection)."""
+"""Pattern of the first character of a text that spreadsheets may execute as a formula. The last
+four are full-width forms (OWASP, CSV Injection)."""
 
 _TEXT_MARK: Final = "'"
-"""Prefix by which spreadsheets take a cell as text."""
+"""Apostrophe at the start of a cell, with which spreadsheets display the cell as text."""
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV, a record per row. A cell with line breaks takes several lines.
+    """Format rows as CSV, one record per row, and mark texts that spreadsheets may execute.
 
-    A text that a spreadsheet may execute gets a leading apostrophe. Numbers, also as text, stay
-    unchanged: ``-0.1``.
+    A text that a spreadsheet may execute as a formula gets a leading apostrophe. Numbers, also as
+    text, stay unchanged: ``-0.1``. A cell with line breaks takes several lines.
     """
     return "".join(map(_line, rows))
 

@@ -24,7 +24,7 @@ class _MuJoCoLoader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
         """Execute the module ``mujoco``; if its OpenGL backend fails, again without OpenGL.
 
-        An ImportError is passed on: MuJoCo itself ignores that of a backend.
+        An ImportError is passed on. MuJoCo itself ignores an ImportError of the backend.
         """
         try:
             super().exec_module(module)
@@ -55,10 +55,10 @@ class _MuJoCoFinder(MetaPathFinder):
 
 
 def guard_mujoco_import() -> None:
-    """Let a later ``import mujoco`` succeed although the backend in MUJOCO_GL fails.
+    """Let a later ``import mujoco`` succeed if the OpenGL backend named in MUJOCO_GL fails.
 
     MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
-    because MuJoCo then selects an available backend. Nothing is done, too, if MuJoCo is already
+    because MuJoCo then selects an available backend. Nothing is done either if MuJoCo is already
     imported. If MuJoCo is not installed, the first module that needs MuJoCo reports the error.
     """
     guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)
@@ -67,10 +67,10 @@ def guard_mujoco_import() -> None:
 
 
 def import_without_opengl() -> None:
-    """Import MuJoCo without OpenGL, because GLFW starts a process while loading.
+    """Import MuJoCo without OpenGL, for commands that do not render.
 
-    MUJOCO_GL has the old value afterwards, because ``present.pictures`` starts a process that
-    renders with this value.
+    With OpenGL, the library GLFW would start a process while loading. MUJOCO_GL has the old value
+    afterwards, because ``present.pictures`` starts a process that renders with this value.
     """
     with _disabled_opengl():
         import_module("mujoco")
@@ -98,7 +98,7 @@ _BLAS_VARIABLES = (_BLAS_THREADS, "GOTO_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def use_one_blas_thread() -> None:
-    """Let NumPy and SciPy, imported later, use one thread unless the user chose a number.
+    """Limit NumPy and SciPy, if imported later, to one BLAS thread, unless the user set a number.
 
     Several threads of OpenBLAS waste processor time, because they wait actively for each other.
     Measured on two cores beside other processes: eigenvalues of a 100 x 100 matrix take 82 ms of
@@ -111,9 +111,10 @@ def use_one_blas_thread() -> None:
 
 @contextmanager
 def no_mujoco_log() -> Iterator[None]:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the current folder, in the whole process.
+    """Disable MuJoCo's log file MUJOCO_LOG.TXT in a ``with`` block, in the whole process.
 
-    For commands, whose process does nothing else. Warnings still go to standard error.
+    Commands use this function, because MuJoCo would write the file into the current folder.
+    Warnings still go to standard error.
     """
     log: Any = import_module("mujoco").MjLogConfig
     before = log.get().logto_file

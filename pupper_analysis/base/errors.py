@@ -25,7 +25,7 @@ Problem: TypeAlias = Diagnostic | str
 """Description of a problem: a diagnostic, or the message of another program."""
 
 _E = TypeVar("_E", bound="PupperAnalysisError")
-"""Type of an exception of this package."""
+"""Type of an exception that `_restore_error` creates."""
 
 
 class PupperAnalysisError(Exception):
@@ -36,8 +36,8 @@ class PupperAnalysisError(Exception):
 
     Attributes:
         diagnostic: Code, values with units, and message texts in both languages.
-        where: Part of a longer computation with the error ("at 0.50 s, ..."); empty unless set by
-            `with_location`.
+        where: Part of a longer computation in which the error occurred ("at 0.50 s, ..."); empty
+            unless set by `with_location`.
     """
 
     diagnostic: Diagnostic
@@ -64,17 +64,17 @@ class PupperAnalysisError(Exception):
 
 
 def as_diagnostic(problem: Problem) -> Diagnostic:
-    """Return a diagnostic unchanged; return a text, such as a message of MuJoCo, as a diagnostic.
+    """Convert a text, such as a message of MuJoCo, to a diagnostic; keep a diagnostic unchanged.
 
-    The diagnostic has the code ``problem`` and contains the text as a value.
+    The new diagnostic has the code ``problem`` and contains the text as a value.
     """
     return problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
 
 
 def _restore_error(error_type: type[_E], args: tuple[Any, ...], attributes: dict[str, Any]) -> _E:
-    """Create an error from attributes, without the constructor.
+    """Create an error from message and attributes, for unpickling and copying.
 
-    The constructor would build a new message.
+    The constructor is not called, because it would build a new message.
     """
     error = error_type.__new__(error_type, *args)
     error.__dict__.update(attributes)
@@ -138,8 +138,8 @@ class InputError(PupperAnalysisError):
 
 
 MAX_LISTED_NAMES = 16
-"""Largest number of valid names that the message about an unknown name lists completely: the joints
-of a quadruped with four joints per leg. Chosen, not tuned."""
+"""Largest number of valid names that the message about an unknown name lists completely. Chosen:
+number of joints of a quadruped with four joints per leg."""
 
 NUM_CLOSE_NAMES = 5
 """Number of valid names that the message of `UnknownNameError` lists if there are more than
@@ -193,10 +193,9 @@ class ConfigurationError(PupperAnalysisError):
 
 
 _MIN_RELATIVE_FOOT_ERROR = 1e-3
-"""Threshold of a foot's position error, as a fraction of the largest error of a foot. The message
-about an unreachable stance omits a foot with a smaller error. Such an error is a residual of the
-search. Chosen, not tuned.
-"""
+"""Smallest position error of a foot, relative to the largest position error of all feet, that the
+message about an unreachable stance lists. A smaller error is a residual of the search. Chosen, not
+tuned."""
 
 
 class StanceUnreachableError(PupperAnalysisError):
@@ -206,10 +205,10 @@ class StanceUnreachableError(PupperAnalysisError):
         shortfall: {foot or contact point: remaining distance [m] to the target}, for each target
             that is not reached.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
-        possible: {requirement: diagnostic of its feasible value}, for each requirement whose
-            relaxation alone makes the task feasible. If no single requirement suffices, the keys
-            are small sets of requirements that must be relaxed together ("height and roll"). Empty
-            if no relaxation was found or requested.
+        possible: {requirement: diagnostic of its feasible value}. A requirement is a value that the
+            task prescribes, such as the height. An entry alone makes the task feasible. If no
+            single requirement suffices, the keys are small sets of requirements that must be
+            relaxed together ("height and roll"). Empty if no relaxation was found or requested.
         limits: The feasible values as fields of the task, for example {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is feasible.
         nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if ``limits``
@@ -274,7 +273,7 @@ class StanceUnreachableError(PupperAnalysisError):
 
 
 class PostureUnreachableError(PupperAnalysisError):
-    """Posture whose tasks no configuration found within the joint limits satisfies.
+    """Posture for whose tasks no solution within the joint limits was found.
 
     Attributes:
         task: Required task with the largest residual in the best configuration found.
@@ -283,7 +282,7 @@ class PostureUnreachableError(PupperAnalysisError):
         residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
         conflicting: Tasks and kept contacts whose residuals increase if the residual of ``task``
             decreases.
-        at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
+        at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
         blocking: {joint: limit [rad, m]} of the joints at a limit that a motion of ``task`` towards
             its target moves beyond this limit.
         out_of_reach: Whether no motion reduces the residual of ``task``, even without limits and
@@ -424,7 +423,7 @@ class NoStiffnessError(PupperAnalysisError):
 
 
 class NotSettlingError(PupperAnalysisError):
-    """Fixed-point iteration of interdependent quantities that does not converge.
+    """Fixed-point iteration of quantities that depend on each other did not converge.
 
     Attributes:
         change: Largest change in the last iteration, in the unit of the quantities.
@@ -492,7 +491,7 @@ class FitError(PupperAnalysisError):
 
 
 def __dir__() -> list[str]:
-    """Return the classes, functions and type variables of this module, and the special names."""
+    """Return the names for ``dir``: objects that this module defines, and special names."""
     return sorted(
         name
         for name, value in globals().items()

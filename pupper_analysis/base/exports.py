@@ -18,11 +18,11 @@ from typing import Any
 def make_lazy_exports(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with a stub.
+    """Create ``__getattr__``, ``__dir__`` and ``__all__`` of a package from its stub file (.pyi).
 
     The stub contains ``from .module import name as name``, or ``from . import module as module``.
-    For a module with another name, the stub contains ``from . import module as _module`` and ``name
-    = _module``. Names of missing modules, and of tools without a folder, are left out.
+    For a module with another name, the stub contains ``from . import module as _module`` and
+    ``name = _module``. Names of missing modules, and of tools without a folder, are left out.
 
     Args:
         package: ``__name__`` of the package.
@@ -88,7 +88,7 @@ def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) ->
 
 
 def _import_name(module_name: str, name: str) -> Any:
-    """Return an attribute of a module, or the submodule of that name."""
+    """Return an attribute of a module; import the submodule of that name if no attribute exists."""
     module = import_module(module_name)
     if not hasattr(module, name):
         return import_module(f"{module_name}.{name}")

@@ -34,7 +34,10 @@ from pupper_analysis.base.runs import current_run
 
 @cache
 def _machine_hash() -> str:
-    """Return a hash of host and process-ID namespace. Process IDs are unique only within both."""
+    """Return a hash of the host name and the process-ID namespace (eight hexadecimal digits).
+
+    A process ID is unique only on one host and in one namespace.
+    """
     space = ""
     with suppress(OSError):
         space = Path("/proc/self/ns/pid").readlink().name
@@ -54,7 +57,7 @@ _cleaned_folders: Final[set[tuple[int, Path]]] = set()
 
 
 def hidden_beside(target: Path) -> Path:
-    """Return a random name for a hidden temporary file in the folder of a file.
+    """Return a random path for a hidden temporary file in the folder of a file.
 
     The first call of a process for this folder also removes old temporary files; see
     `remove_stale_files`.
@@ -64,9 +67,9 @@ def hidden_beside(target: Path) -> Path:
 
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
-"""Age [s] after which `remove_stale_files` removes a temporary file, also if its process may still
-run. Chosen: one day, since no write takes that long. Process ids are reused, and ids of another
-container cannot be looked up."""
+"""Age [s] after which `remove_stale_files` removes a temporary file, even if its process seems to
+run. Such a process may be another one: process IDs are reused, and processes of another container
+cannot be tested. Chosen: one day, since no write takes that long."""
 
 
 def remove_stale_files(folder: Path) -> None:
@@ -96,7 +99,7 @@ def remove_stale_files(folder: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """Return True if a process with this id exists."""
+    """Return True if a process with an ID exists on this machine, in the same namespace."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -107,7 +110,7 @@ def _is_running(process: int) -> bool:
 
 
 def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) -> None:
-    """Create a file, and return after the content has reached the disk (``fsync``).
+    """Create a file with a content, and return after the content has reached the disk (``fsync``).
 
     A later rename may reach the disk before unsynchronised content: after a power failure the
     renamed file would be empty.
@@ -115,8 +118,8 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
     Args:
         path: Path of the new file; must not exist.
         data: Content.
-        like: Status of the file whose mode is copied, and owner if permitted. By default, owner and
-            mode of any new file.
+        like: Status of an existing file, whose mode and (if permitted) owner are copied. By
+            default, the operating system sets mode and owner.
 
     Raises:
         OSError: If the file exists, or cannot be created or written.
@@ -134,7 +137,7 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
 
 
 STANDARD_OUTPUT: Final = Path("-")
-"""Path that represents standard output. A file with this name must be given with a folder
+"""Path that represents standard output. A file that is named ``-`` must be given with its folder
 (``./-``)."""
 
 
@@ -151,7 +154,7 @@ _result_streams: list[TextIO] = []
 
 @contextmanager
 def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> Iterator[io.BytesIO]:
-    """Yield a buffer whose content is written to the file if the block succeeds.
+    """Yield a buffer whose content is written to a file if the ``with`` block succeeds.
 
     A regular file is replaced atomically, and keeps its mode. A new file has the mode given by the
     umask. Links are followed. A pipe or device is written in place. A file is also written in place
@@ -182,11 +185,12 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 
 
 def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None:
-    """Check that a file may be written, and register an existing file as an output of the run.
+    """Check that a file may be written, and register an existing file as output of the run.
 
-    Afterwards the run must not read the registered file. A file is not registered if its kind is
-    edited in place. The function does not write the file, but removes old temporary files in its
-    folder. For ``-``, only standard output is checked.
+    The run is the current command (`runs.current_run`). If the run reads the registered file before
+    writing, an error is raised. A file is not registered if its kind is edited in place. The
+    function does not write the file, but removes old temporary files in its folder. For ``-``, only
+    standard output is checked.
 
     Args:
         path: Output file.
@@ -278,7 +282,10 @@ def check_folder(folder: Path) -> None:
 
 
 def is_replaceable(status: os.stat_result) -> bool:
-    """Return True if a file is regular and is not the target of standard output or error."""
+    """Return True if a rename can replace a file: regular, and not standard output or error.
+
+    Standard output or error may be redirected to the file that ``status`` describes.
+    """
     if not stat.S_ISREG(status.st_mode):
         return False
     return _standard_stream(status) is None
@@ -310,7 +317,7 @@ def _nearest_existing(folder: Path) -> Path:
 
 
 def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
-    """Return a path with links resolved, and the status of the file there (None if missing).
+    """Resolve the links of a path, and read the status of the file there.
 
     Returns:
         Path of the file behind all links; status of this file, None if it does not exist.
@@ -326,9 +333,9 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
 
 
 def _standard_stream(status: os.stat_result) -> int | None:
-    """Return 1 (standard output) or 2 (standard error) if the stream is the file of a status.
+    """Return the standard stream that is redirected to the file of a status: 1, 2 or None.
 
-    None if neither stream is this file.
+    1 is standard output, 2 is standard error. ``status`` describes the file.
     """
     for number in (1, 2):
         with suppress(OSError):
@@ -387,7 +394,10 @@ def _write_bytes(stream: TextIO, data: bytes) -> None:
 
 
 def describe_os_error(error: Exception) -> object:
-    """Return the text of an operating system error without number and path, or the error itself."""
+    """Return the text of an operating system error, without error number and path.
+
+    An error without such a text is returned itself.
+    """
     return getattr(error, "strerror", None) or error
 
 
@@ -412,7 +422,7 @@ class Writing:
 
 
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
-    """Write several files, or none.
+    """Write several files completely, or change none of the files.
 
     Before the first file is replaced, all new contents are on disk, and the old files have second
     names (hard links). Each file is then replaced by a rename. The earlier replacements are undone
@@ -464,14 +474,14 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
 
 @dataclass(eq=False)
 class _StagedFile:
-    """File during ``write_all``.
+    """File that ``write_all`` writes, with its temporary file and the old file for a restoration.
 
     Attributes:
         writing: Path, content and kind of the file to write.
         target: Path with links resolved.
         existing: Status of the existing file; None if there is none.
         new: Temporary file with the new content; None before `stage`.
-        old: Second name, or copy, of the existing file; None before `link_existing`, or without an
+        old: Hard link to, or copy of, the existing file; None before `link_existing`, or without an
             existing file.
         stuck: Whether restoring the old file failed, so that ``old`` must be kept.
     """
@@ -484,7 +494,7 @@ class _StagedFile:
     stuck: bool = False
 
     def stage(self) -> None:
-        """Check the output path, and write the new content to a temporary file in its folder.
+        """Check the output path, and write the new content to a temporary file in the same folder.
 
         Raises:
             OutputError: If the file must not be replaced, has an unexpected content, or the
@@ -520,7 +530,7 @@ class _StagedFile:
         )
 
     def _check_unchanged(self) -> None:
-        """Raise OutputError if ``before`` is specified, and not the existing file's content."""
+        """Raise OutputError if the file's content is not the expected `Writing.before`."""
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))
@@ -606,7 +616,7 @@ class _StagedFile:
             self._unhide_old_file()
 
     def _unhide_old_file(self) -> None:
-        """Rename the hidden old file to ``NAME.oldN``, which no later run removes.
+        """Rename the hidden old file to ``NAME.oldN``, so that no later run removes the file.
 
         If the rename fails, the old file keeps the hidden name.
         """
@@ -625,7 +635,7 @@ class _StagedFile:
                     path.unlink(missing_ok=True)
 
     def _make_error(self, problem: object) -> OutputError:
-        """Return the error of this file for a problem."""
+        """Create an OutputError with the path of this file and a problem."""
         return OutputError(self.writing.path, problem)
 
 

@@ -50,10 +50,10 @@ def freeze(value: Any) -> Any:
 
 
 def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
-    """Return read-only copies of named arrays.
+    """Return {name: read-only copy} of named arrays.
 
-    The result contains views of the copies: a view of a read-only array cannot be made writeable
-    directly, only through its base array.
+    The result contains views of the copies. NumPy refuses to make a view of a read-only array
+    writeable.
     """
     copies = {name: array.copy() for name, array in arrays.items()}
     for array in copies.values():

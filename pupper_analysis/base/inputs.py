@@ -31,7 +31,7 @@ CONFIG_NAME: Final = "pupper-analysis.toml"
 
 GENERATED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
 """Names of folders with generated or installed files. Searches for files skip these folders, and
-those with a leading dot."""
+folders with a leading dot."""
 
 MAX_TEXT_BYTES: Final = 20_000_000
 """Maximum size of a text file, such as a model or settings [bytes]. Chosen, not tuned."""
@@ -44,8 +44,8 @@ _CHUNK_BYTES: Final = 1 << 20
 """Number of bytes per read operation. Chosen, not tuned."""
 
 _MAX_COMPARED_NAMES: Final = 2000
-"""Maximum number of files of a folder whose names are compared with that of a missing file. Chosen,
-not tuned."""
+"""Maximum number of files of a folder whose names are compared with the name of a missing file.
+Chosen, not tuned."""
 
 _MIN_SIMILARITY: Final = 0.75
 """Smallest similarity (ratio of `difflib.SequenceMatcher`, from 0 to 1) between the name of a
@@ -62,15 +62,15 @@ the longest path of Linux."""
 
 
 def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
-    """Raise an error unless the path is a regular file (links followed) of limited size.
+    """Check that a path is a regular file (links followed) of limited size, and register the input.
 
     The file is not opened: opening a pipe may block, and opening a device may trigger an action.
 
     Args:
         path: The file.
         most: Maximum size [bytes].
-        rewritten: Whether the run may also write this file. Other files are registered as inputs,
-            which the run must not write.
+        rewritten: Whether the run (the current command) may also write this file. If False, the
+            file is registered as an input, which the run must not write.
 
     Raises:
         InputError: If the file is missing, is not accessible, is no regular file, or is too large.
@@ -95,7 +95,7 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
 
 
 def read_change_time(path: Path) -> int:
-    """Return the modification time of a file [ns], a cache key of its content.
+    """Return the modification time of a file [ns], for use in cache keys.
 
     The value is -1 if the file does not exist or is not accessible. For example, another program
     may have deleted the file meanwhile. The function that reads the file then reports the problem.
@@ -133,7 +133,7 @@ def find_similar_files(path: Path) -> list[Path]:
 
 
 def is_input(path: Path) -> bool:
-    """Return True if the path is a regular file; False for names that the system rejects."""
+    """Return True if a path is an existing regular file; False also for an invalid path."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # for example a name that is too long
@@ -141,7 +141,9 @@ def is_input(path: Path) -> bool:
 
 
 def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
-    """Return the content of an input file.
+    """Read an input file of limited size, and register the file as an input of the run.
+
+    The run is the current command; see `runs`.
 
     Args:
         path: The file.
@@ -173,7 +175,9 @@ def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file of at most `MAX_TEXT_BYTES`, and register it as an input of the run.
+    """Read a UTF-8 text file of limited size, and register the file as an input of the run.
+
+    The size limit is `MAX_TEXT_BYTES`.
 
     Raises:
         InputError: If the file cannot be read, is too large, or is not UTF-8 text.
@@ -200,7 +204,7 @@ def decode_input(path: Path, data: bytes) -> str:
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """Return the text and the values of a TOML file.
+    """Read a TOML file, and return both the text and the parsed values.
 
     Returns:
         Text of the file; {key: value} of the top level.
@@ -242,15 +246,15 @@ STANDARD_INPUT: Final = Path("standard input")
 """Path that represents standard input."""
 
 _held_content: list[bytes] = []
-"""Content of standard input, kept during a command, because standard input can be read only once.
-"""
+"""Content of standard input (one element), or an empty list. The content is kept during a command,
+because standard input can be read only once."""
 
 
 def read_standard_input(most: int) -> Path:
-    """Read standard input, and keep the content until ``discard_standard_input``.
+    """Read standard input, and keep the content in memory until ``discard_standard_input``.
 
     Args:
-        most: Maximum number of bytes to read; the rest is not read, without an error.
+        most: Maximum number of bytes to read. Further bytes are ignored without an error.
 
     Returns:
         ``STANDARD_INPUT``, the path for ``read_content``.
@@ -277,12 +281,12 @@ def discard_standard_input() -> None:
 
 
 def is_held(path: Path) -> bool:
-    """Return True if a path is that of standard input, and its content is kept in memory."""
+    """Return True if a path represents standard input whose content is kept in memory."""
     return path == STANDARD_INPUT and bool(_held_content)
 
 
 def read_content(path: Path, most: int) -> bytes:
-    """Return the content of a file, or of the model from standard input.
+    """Return the content of a file, or of standard input if ``read_standard_input`` has read it.
 
     Raises:
         InputError: If the file is missing, is no regular file, has more than ``most`` bytes, or

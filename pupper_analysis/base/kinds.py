@@ -20,10 +20,8 @@ GENERATOR_NAME: Final = "pupper-analysis"
 animations; pages contain ``pupper_analysis``."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
-"""Number of bytes that are read from the start of a file to recognise its kind. The same number is
-read from the end of an animation. The header of a table with a hundred joints is shorter. Chosen,
-not tuned.
-"""
+"""Number of bytes that are read from the start of a file (and from the end of an animation) to
+recognise the kind of output. Chosen: longer than the header of a table with a hundred joints."""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
 """Maximum number of bytes that are read to recognise a plan of stands (CSV, see `PLAN_KIND`): 16
@@ -42,17 +40,18 @@ def _match_any(_file: BinaryIO) -> bool:
 
 @dataclass(frozen=True)
 class OutputKind:
-    """Kind of output file.
+    """Kind of output file, with the rule for replacing existing files.
 
     Attributes:
         name: Name, a term of the catalogue.
         owns: Test of whether an existing file is of this kind and may be replaced. None if an
             existing file is replaced only with ``force`` or by the same content.
-        keeps: Test of whether a file contains data that no run can compute again. An output of this
-            kind never replaces such a file.
+        keeps: Test of whether an existing file contains data that no run can compute again, for
+            example measurements. An output of this kind never replaces such a file.
         edits: Whether the run edits an input file in place.
-        suffixes: Suffixes of its file names, the usual one first. The command line rejects the
-            suffixes of other formats; for a figure or page, all other suffixes. Empty: no check.
+        suffixes: Suffixes of the file names of this kind, the usual suffix first. The command line
+            rejects suffixes of other formats; for a figure or page, all other suffixes. Empty: no
+            check.
     """
 
     name: str
@@ -64,7 +63,7 @@ class OutputKind:
 
 @dataclass(frozen=True)
 class Folder:
-    """Output folder.
+    """Output folder, with the kinds of the files in the folder.
 
     Attributes:
         files: {name: kind} of the files in the folder whose names are known in advance.
@@ -74,18 +73,18 @@ class Folder:
 
 
 def match_prefix(*marks: str) -> Callable[[BinaryIO], bool]:
-    """Return a test for files that start with one of several texts."""
+    """Create a function that tests whether a file starts with one of several texts."""
     prefixes = tuple(mark.encode() for mark in marks)
     return lambda file: file.read(max(map(len, prefixes))).startswith(prefixes)
 
 
 def _is_page(file: BinaryIO) -> bool:
-    """Return True for an HTML page of this package."""
+    """Return True if a file is an HTML page that this package has written."""
     return b'<meta name="generator" content="pupper_analysis ' in file.read(NUM_HEAD_BYTES)
 
 
 def _is_picture(file: BinaryIO) -> bool:
-    """Return True for a PNG figure of this package."""
+    """Return True if a file is a PNG figure that this package has written."""
     head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR_NAME} ".encode() in head
 
@@ -174,8 +173,8 @@ plan without measurements. A new plan never replaces a plan with measurements, n
 RECORD_KIND: Final = OutputKind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )
-"""CSV file with a row per measured stand and the columns of a plan; ``fit --record`` appends rows.
-"""
+"""CSV file with a row per measured stand, to which ``fit --record`` appends rows. The columns are
+those of a plan of stands (`PLAN_KIND`)."""
 
 OFFSETS_KIND: Final = OutputKind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
 """CSV file with the fitted offset of each joint."""
@@ -191,7 +190,7 @@ def hash_content(content: bytes) -> str:
 
 
 def generated_model_kind(known: str | None) -> OutputKind:
-    """Return the kind (replacement rule) of a model file that the package has written.
+    """Return the replacement rule of a model file that an earlier run has written.
 
     Without ``force``, a file of this kind is replaced only if the user has not edited it.
 
@@ -207,11 +206,11 @@ def generated_model_kind(known: str | None) -> OutputKind:
 
 
 OWN_KIND: Final = OutputKind("model", _match_any)
-"""Kind of a file that replaces any existing file, for example because the name is a hash of the
-content."""
+"""Kind of an output file that may replace any existing file, for example because the name is a hash
+of the content."""
 
 EDITED_KIND: Final = OutputKind("model", _match_any, edits=True)
-"""Kind of a file that the run reads and then overwrites, for example a model."""
+"""Kind of a file that the run reads and then overwrites (edits in place), for example a model."""
 
 SAMPLES_KIND: Final = OutputKind("table of samples", match_prefix("# Samples of a fitted robot."))
 """CSV file with the samples of a fitted robot, recognised by its first line."""

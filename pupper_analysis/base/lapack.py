@@ -79,11 +79,13 @@ def eig(matrix: Array) -> tuple[ComplexArray, NDArray[Any], NDArray[Any]]:
 
 
 def _combine_pairs(imaginary: Array, vectors: Array) -> ComplexArray:
-    """Return complex eigenvectors (n, n) from the real and imaginary columns of LAPACK.
+    """Convert LAPACK's real columns to complex eigenvectors, shape (n, n).
+
+    LAPACK returns the real and the imaginary part of a complex pair as two columns.
 
     Args:
         imaginary: Imaginary parts of the eigenvalues, shape (n,); positive first in each pair.
-        vectors: Columns of LAPACK, shape (n, n): of a pair the real and the imaginary part.
+        vectors: Columns of LAPACK, shape (n, n).
     """
     combined = np.array(vectors, dtype=complex, order="F")
     first = np.flatnonzero(imaginary > 0)
@@ -148,7 +150,9 @@ def orth(matrix: Array) -> Array:
 
 
 def pivoted_qr(matrix: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Compute R and the order of ``scipy.linalg.qr(matrix, mode="economic", pivoting=True)``.
+    """Compute the triangle R and the column order of a QR factorisation with pivoting.
+
+    The results equal those of ``scipy.linalg.qr(matrix, mode="economic", pivoting=True)``.
 
     Args:
         matrix: Shape (m, n).

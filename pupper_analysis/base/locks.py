@@ -33,7 +33,7 @@ def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
 
     Args:
         path: The lock file. Created if needed.
-        temporary: Remove the lock file at the end, if this context held the lock.
+        temporary: Whether to remove the lock file at the end, if this context held the lock.
 
     Raises:
         OSError: If the file cannot be opened, or the file system has no locks.
@@ -77,9 +77,11 @@ def _open_locked(place: str) -> int | None:
 
 
 def _lock(handle: int) -> bool:
-    """Lock a file by its descriptor; return True if locked, False if another process has the lock.
+    """Lock an open file; return False if another process holds the lock, else True.
 
-    On systems without POSIX locks nothing is locked, and the result is True.
+    ``handle`` is the file descriptor.
+
+    On systems without POSIX locks, nothing is locked and the result is True.
     """
     try:
         import fcntl

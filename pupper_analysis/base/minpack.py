@@ -37,13 +37,14 @@ def find_root(
 ) -> Array:
     """Find a root by Powell's hybrid method, as ``scipy.optimize.root(method="hybr")``.
 
-    The last iterate is returned also if the method does not converge.
+    The last iterate is returned, even if the method has not converged; the caller must check the
+    residual.
 
     Args:
-        function: Residual (n,) at a point (n,).
+        function: Function from a point (n,) to the residual (n,).
         start: Initial guess, shape (n,).
-        derivative: Jacobian of the residual, shape (n, n), at a point.
-        xtol: Relative tolerance between two iterates.
+        derivative: Function from a point (n,) to the Jacobian of the residual, shape (n, n).
+        xtol: Tolerance of the relative change between two iterates, at which the method ends.
     """
     routines = _load_minpack()
     if routines is None:

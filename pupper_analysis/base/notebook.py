@@ -19,13 +19,12 @@ from pupper_analysis.base.diagnostics import Diagnostic, format_number
 from pupper_analysis.base.units import units_of
 
 MAX_SHOWN_NUMBERS = 12
-"""Largest number of elements of an array that a cell shows. Chosen, not tuned: the joints of a
-quadruped."""
+"""Largest number of elements of an array that a table cell shows. Chosen: number of joints of a
+quadruped with three joints per leg."""
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of entries of a mapping or a sequence that a table cell shows. Each entry has a
-line. Chosen, not tuned: the joints of a quadruped.
-"""
+"""Largest number of entries of a mapping or a sequence that a table cell shows. Each entry is a
+line. Chosen: number of joints of a quadruped with three joints per leg."""
 
 MAX_TEXT_LENGTH = 200
 """Largest number of characters of the text of a nested object; a longer text is cut off. Chosen,
@@ -173,7 +172,7 @@ def _lines_html(lines: Sequence[str]) -> str:
 
 
 def _summarise(value: object) -> str:
-    """Return ``str(value)`` if the class defines ``__str__``, else ``repr(value)``.
+    """Return the text of an object: ``str(value)`` if the class defines ``__str__``, else ``repr``.
 
     A text longer than `MAX_TEXT_LENGTH` is cut off.
     """

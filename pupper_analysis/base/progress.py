@@ -80,7 +80,9 @@ def observe_progress() -> Iterator[ProgressClock]:
 
 
 def report_progress(stage: str, done: int, total: int) -> None:
-    """Report the number of completed parts of a stage, if a command observes the progress.
+    """Report the number of completed parts of a stage of a computation.
+
+    Nothing is done if no command observes the progress (`observe_progress`).
 
     Args:
         stage: Name of the stage.

@@ -54,7 +54,10 @@ class Provenance:
     files: dict[str, str]
 
     def lines(self) -> tuple[str, ...]:
-        """Return the provenance as lines of text, with short hashes of the first input files."""
+        """Return the provenance as lines of text for a page, with shortened hashes.
+
+        At most `_MAX_LISTED_FILES` input files are listed.
+        """
         versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         files = [f"{name} sha256:{digest[:12]}" for name, digest in self.files.items()]
         num_omitted = len(files) - _MAX_LISTED_FILES
@@ -80,9 +83,10 @@ def list_versions() -> dict[str, str]:
 
 
 def collect_provenance() -> Provenance:
-    """Return the provenance of the current run.
+    """Collect command, options, versions and file hashes of the current run.
 
-    Outside of a run, the provenance contains no command, options and files.
+    The run is the command in progress (`runs`). Outside of a run, the provenance contains neither
+    command nor options nor files.
     """
     run = current_run()
     files = {}

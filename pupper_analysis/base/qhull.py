@@ -21,7 +21,8 @@ If it does not exist or its import fails, ``scipy.spatial`` is used.
 """
 
 _PACKAGE, _LAPACK = "scipy.linalg", "scipy.linalg.cython_lapack"
-"""SciPy package that the extension module imports, and the only module of the package in use."""
+"""SciPy package that the extension module imports, and the only module of this package that the
+extension module uses. `_load_without_packages` replaces the package by an empty one."""
 
 
 def _load_extension() -> Any:

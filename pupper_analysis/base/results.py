@@ -53,10 +53,11 @@ def to_json(result: object) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a dataclass, diagnostic, array, mapping, path or float subclass to a JSON type.
+    """Convert a dataclass, diagnostic, array, mapping, path or float subclass for JSON.
 
-    Values inside of a dataclass or mapping are not converted. A dataclass becomes a dictionary of
-    the public fields, and of the properties that its class lists in ``_reported``.
+    Values inside a dataclass or mapping are not converted; the JSON encoder calls this function
+    again for each nested value that it cannot encode. A dataclass becomes a dictionary of the
+    public fields, and of the properties that its class lists in ``_reported``.
 
     Raises:
         ConfigurationError: If the type is not supported.
@@ -80,9 +81,8 @@ _MAX_REPR_LENGTH = 220
 not tuned: two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
-"""Maximum number of items that ``repr`` shows individually, of a vector, tuple or list, or of the
-names of a mapping. A position (3,) is shown completely. Chosen, not tuned.
-"""
+"""Maximum number of items of a vector, tuple or list, or of names of a mapping, that ``repr``
+shows. Chosen, not tuned: a position (3,) is shown completely."""
 
 
 class Result:
@@ -116,7 +116,7 @@ class Result:
         return f"{type(self).__name__}({text})"
 
     def _format_fields(self) -> list[tuple[str, str]]:
-        """Return (name, short text) of each field."""
+        """Return (name, short text) of each field, for ``repr``."""
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def _repr_html_(self) -> str:
@@ -225,11 +225,11 @@ class Tabular(Result):
 
 
 def shorten(value: object, other: object = None) -> str:
-    """Return a short text for a value: floats with 6 digits, long containers by size.
+    """Return a short text of a value, for ``repr``: floats with 6 digits, long containers by size.
 
-    A mapping is represented by its size and its first names. ``other`` is the value that is printed
-    beside ``value``. More digits are used if 6 digits would give the same text for two different
-    numbers. This is done for floats, and for elements of short vectors.
+    A mapping is represented by its size and its first names. ``other`` is a second value that is
+    printed beside ``value`` for comparison. If both are floats, or short vectors with equal
+    lengths, digits are added until different numbers have different texts.
     """
     if isinstance(value, Enum):
         return repr(value.value)
@@ -283,7 +283,7 @@ def _to_python_scalar(item: object) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the classes, functions and type variables of this module, and the special names."""
+    """Return the names for ``dir``: objects that this module defines, and special names."""
     return sorted(
         name
         for name, value in globals().items()
@@ -292,13 +292,13 @@ def __dir__() -> list[str]:
 
 
 _Value = TypeVar("_Value")
-"""Type of a value whose texts are shortened."""
+"""Type of a value whose texts `shorten_paths` shortens."""
 
 
 def shorten_paths(value: _Value, prefix: str) -> _Value:
-    """Return a copy of a value whose texts and paths do not contain a prefix.
+    """Remove the path of a temporary folder from all texts and paths in a value.
 
-    The prefix is the path of a temporary folder; each occurrence is removed. Tuples, the values of
+    ``prefix`` is the path of the folder; each occurrence is removed. Tuples, the values of
     dictionaries and the ``init`` fields of dataclasses are searched; lists, keys and other values
     are not changed. A value without the prefix is returned itself, not a copy.
     """
@@ -306,7 +306,7 @@ def shorten_paths(value: _Value, prefix: str) -> _Value:
 
 
 def _strip_prefix(value: Any, prefix: str) -> Any:
-    """Remove a prefix from the texts and paths in a value; see `shorten_paths`."""
+    """Remove each occurrence of a text from the texts and paths in a value; see `shorten_paths`."""
     if isinstance(value, Phrase):
         texts = str(value), value.chinese
         return Phrase(*(text.replace(prefix, "") for text in texts)) if prefix in value else value

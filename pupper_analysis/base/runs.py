@@ -24,14 +24,16 @@ file."""
 
 @dataclass
 class RunFiles:
-    """Files that a run has read and will write.
+    """Files that a run (a command, or a call from Python) has read, has written and will write.
 
     Attributes:
         force: Whether existing files of other kinds than the output may be replaced. Input files
             are not replaced, unless edited in place by the run.
-        inputs: {file: name under which the file was read, or was edited in place}.
-        outputs: {existing file: name under which the file will be written}.
-        written: Files that the run has written; reading such files is permitted.
+        inputs: {device and inode of a file: name under which the file was read, or was edited in
+            place}.
+        outputs: {device and inode of an existing file: name under which the file will be written}.
+        written: Device and inode of each file that the run has written; reading such files is
+            permitted.
         command: Words of the command line; empty in Python.
         request: {option: value} of the command line or of a file of options.
     """
@@ -57,7 +59,9 @@ class RunFiles:
             self.outputs[identity] = path
 
     def refuse_input(self, path: Path, identity: Identity) -> None:
-        """Raise an error if the run has read a file that the run did not write.
+        """Raise an error if a file is an input of the run, which the run must not overwrite.
+
+        An input is a file that the run has read and not written.
 
         Args:
             path: Name of the file, for the error.
@@ -98,13 +102,13 @@ _current_run: Final[ContextVar[RunFiles | None]] = ContextVar("run", default=Non
 
 
 def current_run() -> RunFiles | None:
-    """Return the record of the command or call in progress; None outside of both."""
+    """Return the file record of the command or Python call in progress; None if there is none."""
     return _current_run.get()
 
 
 @contextmanager
 def ensure_run() -> Iterator[RunFiles]:
-    """Yield the current run. If there is none, start a run that ends with the block."""
+    """Yield the file record of the current run; without a run, start one for the ``with`` block."""
     run = _current_run.get()
     if run is not None:
         yield run

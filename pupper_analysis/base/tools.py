@@ -46,7 +46,7 @@ _HEADING_PATTERN = re.compile(r'^HELP_HEADING = "(.+)"$', re.MULTILINE)
 
 
 class ToolPackage(NamedTuple):
-    """Package of a tool or a format.
+    """Python package of a tool (answers one question) or of a format (reads model files).
 
     Attributes:
         package: Name of the package.
@@ -107,7 +107,11 @@ def other_tools() -> Mapping[str, ToolPackage]:
 
 
 def find_tool_modules(module: str) -> Mapping[str, str]:
-    """Return {tool: package} of tools with a file ``module.py``, those of this package first."""
+    """Return {tool: package} of the tools that contain a module with a given name.
+
+    Tools of this package are first, then tools of other distributions. ``module`` is the name
+    without ``.py``.
+    """
     tools = {**own_tools(), **other_tools()}
     return {
         name: tool.package
@@ -117,7 +121,7 @@ def find_tool_modules(module: str) -> Mapping[str, str]:
 
 
 def own_packages() -> Mapping[str, ToolPackage]:
-    """Return {name: tool or format} of all tools and formats of this package."""
+    """Return {name: tool or format} of all tools and formats that are part of this package."""
     return MappingProxyType({**own_tools(), **_find_own_packages("format.toml")})
 
 
@@ -144,9 +148,9 @@ def formats() -> Mapping[str, Format]:
 
 
 def find_format(path: Path) -> Format | None:
-    """Return the format of a file by suffix; None for the suffixes of URDF and MJCF and for others.
+    """Return the file format, other than URDF and MJCF, that uses the suffix of a file.
 
-    The result is also None without a suffix, and for xacro files.
+    None for the suffixes of URDF, xacro and MJCF, for unknown suffixes, and without a suffix.
     """
     suffix = path.suffix.lower()
     if suffix in _COMMON_SUFFIXES:
@@ -158,7 +162,10 @@ def find_format(path: Path) -> Format | None:
 
 
 def detect_format(data: bytes) -> Format | None:
-    """Return the format of a file by the first bytes; None for XML or unknown content."""
+    """Return the file format, other than URDF and MJCF, that the first bytes of a file indicate.
+
+    None for XML or unknown content.
+    """
     if data.lstrip()[:1] == b"<":
         return None
     return next(
@@ -190,10 +197,12 @@ def _find_own_packages(file_name: str) -> Mapping[str, ToolPackage]:
 
 @cache
 def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
-    """Return {name: package} of the installed entry points in a group.
+    """Return {name: package} of the tools or formats that other distributions register.
 
-    A name that `_find_own_packages` returns for the file name is left out. The file itself need not
-    exist in the package.
+    Args:
+        group: Group of entry points.
+        file_name: File by which `_find_own_packages` finds packages of the same kind in this
+            package. Their names are left out. The file need not exist in the registered package.
     """
     if not _may_have_entry_points(group):
         return MappingProxyType({})
@@ -214,7 +223,7 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
 
 
 def _may_have_entry_points(group: str) -> bool:
-    """Return False if no installed package has an entry point in a group.
+    """Return False if certainly no installed package has an entry point in a group.
 
     The files ``entry_points.txt`` in the folders of ``sys.path`` are searched for the name of the
     group; this takes 2 ms. The result is True if a file contains the name. It is also True if

@@ -37,7 +37,8 @@ UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     # Kitchen scales show kilograms: 1 kg is the weight of 1 kg on Earth.
     "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
 }  # fmt: skip
-"""{quantity: {unit: factor to SI}}. The first unit applies if a value has no unit."""
+"""{quantity: {accepted unit: factor to SI}}. If a value has no unit, the first unit of the quantity
+applies."""
 
 READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (math.degrees(1.0), "deg"),
@@ -75,14 +76,14 @@ SLIDE_UNITS: Final = JointUnits("m", "m/s", "N", "N/m", "N s/m", "kg")
 
 
 def select_joint_units(*, slides: bool) -> JointUnits:
-    """Return the units of a slide or of a hinge."""
+    """Return `SLIDE_UNITS` if ``slides`` is True, else `HINGE_UNITS`."""
     return SLIDE_UNITS if slides else HINGE_UNITS
 
 
 def find_joint_units(unit: str) -> JointUnits:
-    """Return `SLIDE_UNITS` if the unit of a joint's position or effort is m or N.
+    """Return the units of a joint from the unit of its position or effort.
 
-    For all other units, the result is `HINGE_UNITS`.
+    The result is `SLIDE_UNITS` for m or N, and `HINGE_UNITS` for all other units.
     """
     return select_joint_units(slides=unit in (SLIDE_UNITS.position, SLIDE_UNITS.effort))
 
@@ -97,16 +98,19 @@ MIXED_UNITS: Final = JointUnits(
 
 
 def combine_joint_units(units: Iterable[JointUnits]) -> JointUnits:
-    """Return the units of values of several joints: those of all joints, or ``MIXED_UNITS``.
+    """Return the units for a table of several joints: the common units, or `MIXED_UNITS`.
 
-    Without joints: units of a hinge.
+    `MIXED_UNITS` if hinges and slides are mixed. `HINGE_UNITS` without joints.
     """
     different = set(units)
     return MIXED_UNITS if len(different) > 1 else next(iter(different), HINGE_UNITS)
 
 
 def find_common_units(units: Iterable[str]) -> JointUnits:
-    """Return the units of values of several joints, from their units of positions or efforts."""
+    """Return the units for a table of several joints, from each joint's position or effort unit.
+
+    `MIXED_UNITS` if hinges and slides are mixed.
+    """
     return combine_joint_units(find_joint_units(unit) for unit in units)
 
 
@@ -156,10 +160,9 @@ class Position(float):
 
 
 _TYPED_DIGITS = 4
-"""Largest number of significant digits of an angle that `find_untyped_degrees` considers as typed
-by a user. Such a number may be meant in degrees. Most angles that were converted from degrees to
-radians have more digits. Chosen, not tuned.
-"""
+"""Largest number of significant digits with which `find_untyped_degrees` considers an angle as
+typed by a user, possibly in degrees. Most angles that were converted from degrees to radians have
+more digits. Chosen, not tuned."""
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
@@ -187,9 +190,10 @@ VARYING_UNIT: Final = "varies"
 
 @cache
 def units_of(kind: type) -> dict[str, str]:
-    """Return {field: unit} of a dataclass, from ``field(metadata={"unit": ...})``.
+    """Return {field: unit} of a result class, from ``field(metadata={"unit": ...})``.
 
-    Fields without a unit, dimensionless fields and fields whose unit varies are left out.
+    Fields without a unit, dimensionless fields and fields whose unit varies are left out. The
+    result is empty for a class that is no dataclass.
     """
     if not is_dataclass(kind):
         return {}

@@ -33,11 +33,11 @@ from types import MappingProxyType
 from pupper_analysis.base.tools import other_packages, own_packages
 
 LANGUAGES = ("en", "zh")
-"""Languages of all catalogue texts: English and Chinese."""
+"""Codes of the languages of all catalogue texts: English and Simplified Chinese."""
 
 SHORT_FORM = "short"
-"""Key of the short English form of a catalogue text, beside ``en`` and ``zh``. Documents print the
-short form in short answers. Most texts have no short form."""
+"""Key of the short English form of a catalogue text; the other keys are ``en`` and ``zh``.
+Documents print the short form in short answers. Most texts have no short form."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
@@ -49,15 +49,14 @@ _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings
 """Catalogue files of terms, of texts of documents, and of descriptions of the fields of results."""
 
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
-"""Catalogue files in which each entry is a single line."""
+"""Catalogue files in which each entry is a single line ``key = { en = "...", zh = "..." }``."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""
 
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
-"""{catalogue file: table of ``words.toml`` with the same kind of entries}. A tool may have a file
-``words.toml`` with its texts. A tool is a subpackage of ``pupper_analysis.tools``, or a package of
-another distribution."""
+"""{catalogue file: table with the same kind of entries in a tool's file ``words.toml``}. A tool is
+a subpackage of ``pupper_analysis.tools``, or a package of another distribution."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def codes() -> Iterator[str]:
 
 @cache
 def entry(code: str) -> Entry:
-    """Return the catalogue entry of a diagnostic's code.
+    """Return the severity, the group and the text templates of a diagnostic's code.
 
     Args:
         code: Code, such as ``"mesh-missing"``.
@@ -170,7 +169,7 @@ def meaning(kind: type, field: str, language: str) -> str:
 
 
 def word_files() -> Mapping[str, Path]:
-    """Return the TOML files that contain the texts of messages, as {name: path}.
+    """Return {name: path} of the TOML files with texts for users, without those of plug-ins.
 
     A file of the folder ``catalogue`` has its file name without suffix as name; the file
     ``words.toml`` of a tool has the name "tools/TOOL".
@@ -199,7 +198,9 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 
 @cache
 def _load_plugin_tables() -> Mapping[str, str]:
-    """Return {table header: TOML text of the table} of the ``words.toml`` of `other_packages`.
+    """Return {table header: TOML text of the table} of the ``words.toml`` files of plug-ins.
+
+    Plug-ins are tools and formats of other distributions (`other_packages`).
 
     The header of a table is the code of a diagnostic, or a table name of `_TABLES_BY_FILE`.
     """
@@ -210,7 +211,7 @@ def _load_plugin_tables() -> Mapping[str, str]:
 
 @cache
 def _load_plugin_entries(file: str) -> Mapping[str, str]:
-    """Return the one-line entries in the ``words.toml`` files of `other_packages`.
+    """Return the one-line entries in the ``words.toml`` files of plug-ins (`other_packages`).
 
     Args:
         file: Catalogue file with entries of the same kind; a key of `_TABLES_BY_FILE`.
@@ -244,10 +245,10 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return the single-line TOML entries of a catalogue file, and of this package's tools.
+    """Return the one-line TOML entries of a catalogue file, with those of this package's tools.
 
     Entries of the same kind in the ``words.toml`` files of this package's tools and formats are
-    included. Entries of other packages are not included.
+    included. Entries of plug-ins (tools of other distributions) are not included.
 
     Args:
         file: ``terms.toml``, ``texts.toml`` or ``meanings.toml`` (``LINE_ENTRY_FILES``).

@@ -37,7 +37,7 @@ class Severity(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Severity | None:
-        """Return the severity for a value of no member: NOTE for "info", otherwise None."""
+        """Return NOTE for "info", the name in older audits and settings; None for other values."""
         return cls.NOTE if value == "info" else None  # name in older audits and configurations
 
     @property
@@ -148,7 +148,7 @@ class Diagnostic:
 
     @property
     def _template_values(self) -> dict[str, Any]:
-        """Values that a template may contain: all ``values``, and the subject with its name."""
+        """Values for the placeholders of a template: all ``values``, ``subject`` and ``name``."""
         values: dict[str, Any] = dict(self.values)
         if self.subject is not None:
             values.update(subject=self.subject, name=self.subject.name)
@@ -158,11 +158,11 @@ class Diagnostic:
         return self.text()
 
     def with_names(self, change: Callable[[str], str]) -> Diagnostic:
-        """Return a copy in which the names of subject, values and source files are changed.
+        """Return a copy with changed names of the subject, of text values, and of source files.
 
         Args:
-            change: Function that returns the new name or text for an old one. Terms and phrases are
-                not changed.
+            change: Function that maps an old name or text to the new name or text. Terms and
+                phrases are not changed.
         """
         subject = self.subject
         return replace(
@@ -241,7 +241,7 @@ def diagnose(
 
 
 def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Return diagnostics without duplicates, sorted by group, then by severity.
+    """Return diagnostics without duplicates, sorted by group, then by severity (errors first).
 
     The order of the groups is: wrong (to repair), assumed (to check), found (information).
     """
@@ -262,7 +262,10 @@ def _shorten_diagnostics(value: Value) -> Value:
 
 
 def _change_names(value: Value, change: Callable[[str], str]) -> Value:
-    """Apply a function to all names in a value of a diagnostic, also in nested diagnostics."""
+    """Apply a function to all texts in a value of a diagnostic, except terms and phrases.
+
+    Texts in tuples and in nested diagnostics are changed, too.
+    """
     if isinstance(value, tuple):
         return tuple(_change_names(item, change) for item in value)
     if isinstance(value, Diagnostic):

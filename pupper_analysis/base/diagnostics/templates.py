@@ -58,7 +58,7 @@ SI unit."""
 
 
 def format_number(value: float, spec: str) -> str:
-    """Format a number by a format specification of Python, such as ``".3g"``.
+    """Format a number by a Python format specification such as ``".3g"``, mostly without exponent.
 
     - Absolute values from 1e-6 to below 1e9 are written without exponent; a width in the
       specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``.
@@ -96,14 +96,15 @@ unit such as ``kg`` does not match."""
 def format_pair(
     first: float | Quantity | Vector, second: float | Quantity | Vector, spec: str
 ) -> tuple[str, str]:
-    """Format two numbers that a message compares; numbers that differ get different texts.
+    """Format two numbers that a message compares, with enough digits to show a difference.
 
-    More digits are used if both would have the same text.
+    Digits are added if different numbers would have the same text.
 
     Args:
         first: Number.
         second: Number of the same type and unit.
-        spec: Format specification of both, with the smallest number of digits, such as ``.3g``.
+        spec: Format specification of both numbers, with the smallest number of digits, such as
+            ``.3g``.
 
     Returns:
         Texts of ``first`` and of ``second``, with units. The texts are equal if the numbers are
@@ -127,10 +128,11 @@ def _format_value(value: float | Quantity | Vector, spec: str) -> str:
 
 
 def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, int, str]:
-    """Return the part of a format before the precision, the number of digits, and the type.
+    """Split a number format into the part before the precision, the number of digits, and the type.
 
-    If ``spec`` does not end with a number format, the type is ``g``, with 4 digits for a
-    `Quantity`, 6 for a `Vector`, and 17 for a number without unit.
+    For example, ``mm:.1f`` is split into ``mm:``, 1 and ``f``. If ``spec`` does not end with a
+    number format, the type is ``g``, with 4 digits for a `Quantity`, 6 for a `Vector`, and 17 for a
+    number without unit.
     """
     match = _PRECISION.search(spec)
     if match is not None:
@@ -235,9 +237,9 @@ def _with_unit(number: str, unit: str) -> str:
 
 
 class Term(str):
-    """Key of a term in the catalogue, such as ``joint``; texts contain its word.
+    """Key of a term in the catalogue, such as ``joint``, as value of a diagnostic.
 
-    The word is in the language of the text.
+    A text contains the word for this term, in the language of the text.
     """
 
     __slots__ = ()
@@ -284,7 +286,7 @@ NOT_STATED = Term("not stated")
 
 
 def describe_effort(value: float, unit: str) -> Quantity | Term:
-    """Return a torque limit with its unit for a message; the term "not stated" if not finite.
+    """Return a torque or force limit for a message: a quantity, or "not stated" if not finite.
 
     Args:
         value: Limit [N m, N].
@@ -294,7 +296,7 @@ def describe_effort(value: float, unit: str) -> Quantity | Term:
 
 
 def describe_bound(value: float, unit: str) -> Quantity | Term:
-    """Return a limit with its unit for a message; the term "unlimited" if not finite.
+    """Return a limit for a message: a quantity, or the term "unlimited" if not finite.
 
     Args:
         value: Limit, in ``unit``.
@@ -310,7 +312,7 @@ def to_unicode(text: str) -> str:
 
 _OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 """Pattern of an optional text in a template. ``[name? text]`` is included if the value of ``name``
-is true, ``[!name? text]`` if the value is false."""
+is true (not missing, None, empty, zero or False), ``[!name? text]`` if the value is false."""
 
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 """Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format
@@ -372,10 +374,10 @@ class _Compared:
 
 
 def _find_compared_value(name: str, values: Mapping[str, Any]) -> Any:
-    """Return the value with which a message compares the placeholder ``name``.
+    """Return the value with which a message compares the value of the placeholder ``name``.
 
-    Both values are numbers, quantities or vectors of the same unit. None if ``name`` is in no pair
-    of `_COMPARED_NAMES` with such a value.
+    The two names are a pair of `_COMPARED_NAMES`. None if no pair contains two values of the same
+    type and unit; the type is float, `Quantity` or `Vector`.
     """
     value = values[name]
     if not isinstance(value, float | Quantity | Vector):
