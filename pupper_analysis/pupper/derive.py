@@ -32,11 +32,12 @@ _VISUAL_GROUP = 1
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     """Derive the URDF of a variant from the URDF of the base model.
 
-    The scaling is described at `derive_mjcf`; this function is an independent implementation.
+    A variant is the base model with scaled legs and torso mass. `derive_mjcf` describes the
+    scaling; this function is an independent implementation.
 
     Args:
         text: XML text of the base URDF.
-        variant: Variant.
+        variant: Scale factors and name of the variant.
         source: Path of the base URDF, for errors.
 
     Returns:
@@ -82,7 +83,7 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
 
 
 def _make_ballast_visual(variant: VariantSpec) -> yourdfpy.Visual:
-    """Return the dark block that marks a heavier torso, as a visual of the base link."""
+    """Create the dark block that marks a heavier torso, a visual of the base link without mass."""
     centre, size = BASE_MODELS[variant.base].ballast
     origin = np.eye(4)
     origin[:3, 3] = centre
@@ -96,7 +97,7 @@ def _make_ballast_visual(variant: VariantSpec) -> yourdfpy.Visual:
 
 
 def _read_origin(element: object) -> Array:
-    """Return the origin of an element as matrix (4, 4); the identity without an origin."""
+    """Return the origin of a URDF element as a homogeneous matrix (4, 4); identity if missing."""
     origin = getattr(element, "origin", None)
     return np.eye(4) if origin is None else np.array(origin, dtype=float)
 
@@ -109,10 +110,11 @@ def _stretch_link(
     Args:
         robot: Robot, whose joints at the link are moved.
         link: Link to stretch, with shapes and inertia.
-        end: Pose of the next joint in the link frame, homogeneous matrix (4, 4).
+        end: Pose of the next joint (of the knee, or of the foot) in the link frame, homogeneous
+            matrix (4, 4).
         normal: Knee axis in the link frame, shape (3,). The direction is projected into the plane
             with this normal.
-        variant: Variant.
+        variant: Scale factors of the variant.
 
     Raises:
         ModelError: If ``leg_scale`` is not 1 and no axis of a mesh is parallel to the stretched
@@ -222,7 +224,7 @@ def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Arr
 
 
 def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
-    """Convert the spec of a base model to the spec of a variant, in place.
+    """Scale the legs and the torso mass of a base model's MuJoCo spec, in place.
 
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
     ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
@@ -231,12 +233,13 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     multiplied by the scale. Other primitive shapes, such as the foot, keep size and mass.
 
     Mass and inertia of the base body are multiplied by ``torso_mass_scale``. If this scale is above
-    1, a dark block without mass is drawn on the base. The base and the keyframes are raised. So the
-    lowest foot keeps its height above the ground if the base is horizontal.
+    1, a dark block without mass is drawn on the base. The base, also in the keyframes, is raised or
+    lowered. With a horizontal base, the lowest foot then has the same height above the ground as
+    before.
 
     Args:
-        spec: Spec of the base model.
-        variant: Variant.
+        spec: Spec of the base model; becomes the spec of the variant.
+        variant: Scale factors and name of the variant.
 
     Raises:
         ModelError: If a mesh cannot be stretched along its own axes.
@@ -268,7 +271,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
 
 
 def _normalize(vector: object) -> Array:
-    """Return a vector of any shape (n,), divided by its norm."""
+    """Return a vector (n,) divided by its Euclidean norm."""
     array = np.array(vector, dtype=float)
     unit: Array = array / np.linalg.norm(array)
     return unit
@@ -289,14 +292,16 @@ def _project_in_plane(offset: Array, normal: Array) -> Array:
 def _stretch_body(
     body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
 ) -> None:
-    """Stretch all parts of a body, in place.
+    """Stretch a body of an MJCF along an axis, with its geoms, sites, joints and inertia.
+
+    The body and the positions of its children are changed in place; meshes are not.
 
     Args:
         body: Body of the spec.
         axis: Unit vector (3,) of the stretched direction, in the body frame.
         factor: Factor of lengths along the axis, and of the mass.
-        meshes: {mesh: scale factors (3,) along the axes of the mesh}; the meshes of the body are
-            added, and the caller scales the meshes.
+        meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the meshes
+            of the body; the caller must scale the meshes.
 
     Raises:
         ModelError: If ``factor`` is not 1 and no axis of a mesh is parallel to ``axis``.
@@ -313,15 +318,15 @@ def _stretch_body(
 def _stretch_geom(
     geom: mujoco.MjsGeom, axis: Array, factor: float, matrix: Array, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a geom in place; see `_stretch_body`.
+    """Stretch a geom of an MJCF along an axis, in place, except for its mesh; see `_stretch_body`.
 
     Args:
         geom: Geom of the spec.
         axis: Unit vector (3,) of the stretched direction, in the body frame.
         factor: Factor of lengths along the axis.
         matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
-        meshes: {mesh: scale factors (3,) along the axes of the mesh}; the mesh of the geom is
-            added.
+        meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the mesh of
+            the geom.
 
     Raises:
         ModelError: If ``factor`` is not 1 and the geom is a mesh without an axis parallel to
@@ -348,11 +353,10 @@ def _stretch_geom(
 
 
 def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> None:
-    """Stretch mass, centre of mass and inertia of a body of constant density, in place.
+    """Stretch mass, centre of mass and inertia of a body in place, at constant density.
 
-    The body is replaced by six equal point masses on its principal axes with the same mass,
-    centre and inertia (an equimomental system). The points are transformed, and their inertia is
-    summed.
+    The body is replaced by six equal point masses on its principal axes with the same mass, centre
+    and inertia (an equimomental system). The points are transformed, and their inertia is summed.
 
     Args:
         body: Body of the spec.
@@ -408,9 +412,14 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 
 
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
-    """Return the vertical distance [m] from a horizontal base to the lowest foot, per posture.
+    """Measure the vertical distance [m] from a horizontal base down to the lowest foot.
 
-    The postures are ``qpos0``, then the keyframes. ``sites`` are the names of the foot sites.
+    Args:
+        spec: Spec of the robot.
+        sites: Names of the foot sites.
+
+    Returns:
+        Distance [m] for ``qpos0``, then for each keyframe.
     """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
@@ -426,7 +435,7 @@ def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
 
 
 def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Return a copy with the same kinematics, without shapes and textures: faster to compile."""
+    """Copy a spec without shapes and textures: same kinematics, but faster to compile."""
     bones = spec.copy()
     for element in (*bones.geoms, *bones.meshes, *bones.materials, *bones.textures):
         bones.delete(element)
@@ -439,10 +448,11 @@ def _copy_skeleton(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
-    """Raise the base, also in all keyframes, in place, to keep the height of the lowest foot.
+    """Raise the base and all keyframes, in place, so that the lowest foot keeps its height.
 
-    The base is assumed to be horizontal. ``before`` and ``after`` are the distances [m] from the
-    base down to the lowest foot, as from `_measure_foot_depths`.
+    The base is assumed to be horizontal. ``before`` and ``after`` are the results of
+    `_measure_foot_depths` before and after the scaling: distances [m] from the base down to the
+    lowest foot.
     """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):

@@ -21,7 +21,7 @@ P = ParamSpec("P")
 
 
 def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
-    """Return a ``load_robot`` that also accepts a variant, or its name, in place of files."""
+    """Return a ``load_robot`` that also accepts a Pupper variant, or its name, instead of files."""
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pupper_analysis.models.urdf_file import UrdfFile
 
 _Model = TypeVar("_Model")
-"""Type of a model that is not a ``VariantSpec``."""
+"""Type of a model of the caller: a path, a file in memory or another object, no ``VariantSpec``."""
 
 _MAX_WORD_LENGTH = 200
 """Largest number of characters of a word that is checked as a misspelled variant name. Chosen, not
@@ -43,9 +43,10 @@ _WORD_PATTERN = re.compile(r"\w[\w-]*")
 
 
 def is_variant(word: object) -> bool:
-    """Return True for a ``VariantSpec``, and for the name of a variant.
+    """Return True if a word is a ``VariantSpec`` or the name of a Pupper variant, not a file.
 
-    If the current folder contains a file or folder of that name, the result for a name is False.
+    A name counts as a file, and the result is False, if a file or folder of that name exists in the
+    current folder.
     """
     if isinstance(word, VariantSpec):
         return True
@@ -55,7 +56,7 @@ def is_variant(word: object) -> bool:
 def find_model(
     model: _Model | VariantSpec, model_format: Literal["urdf", "mjcf"]
 ) -> _Model | Path | UrdfFile | MjcfFile:
-    """Return the URDF or the MJCF of a variant; another model is returned unchanged.
+    """Return the URDF or the MJCF of a Pupper variant; return a model that is no variant unchanged.
 
     Args:
         model: Name of a variant, ``VariantSpec``, or any other model.
@@ -96,14 +97,14 @@ def find_model(
 def find_model_pair(
     urdf: _Model | VariantSpec, mjcf: _Model | VariantSpec | None
 ) -> tuple[Any, Any]:
-    """Return the URDF and the MJCF of two arguments, or of one variant; see `find_model`.
+    """Return a URDF and an MJCF from two arguments, or both files of one Pupper variant.
 
     Args:
         urdf: URDF, or a variant.
         mjcf: MJCF, or a variant; None for the MJCF of the variant ``urdf``.
 
     Returns:
-        URDF; MJCF. Each is a file or an object as `find_model` returns it.
+        URDF; MJCF. Each is a path or a model in memory (see `find_model`).
 
     Raises:
         ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
@@ -119,7 +120,9 @@ def find_model_pair(
 
 
 def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, Path]:
-    """Return paths of the URDF and the MJCF of a variant, for functions that need files.
+    """Return paths of the URDF and the MJCF of a Pupper variant, for functions that need files.
+
+    The files of a scaled variant are written first.
 
     Args:
         variant: Variant, or its name.
@@ -146,7 +149,7 @@ def _get_spec(variant: str | Path | VariantSpec) -> VariantSpec:
 
 
 def _is_base_model(spec: VariantSpec) -> bool:
-    """Return True if a variant is not scaled: it then has permanent files."""
+    """Return True if a variant is not scaled, so that its files are the files of the base model."""
     return spec.leg_scale == spec.torso_mass_scale == 1.0
 
 
@@ -160,7 +163,7 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
     """Raise an error if a word is probably the name of a variant that does not exist.
 
     Args:
-        word: Word of the user.
+        word: Text that a user has given, for example on the command line.
         is_robot: True if the word must name a robot. In this case a word without suffix is refused
             if it names neither a file nor a published robot. False if the word may also name
             another source. In this case a word is refused only if it is similar to the name of a

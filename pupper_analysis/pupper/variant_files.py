@@ -47,10 +47,8 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _SAFE_SCALE = 20.0
-"""Bound [1] of the scales of legs and torso mass. If a scale is above the bound or below its
-inverse, the derived MJCF of a variant is compiled as a test. Otherwise the test is omitted to save
-time. Chosen, not tuned.
-"""
+"""Largest scale factor [1] of legs and torso mass with which the derived MJCF is not compiled as a
+test, to save time. The smallest such factor is the inverse. Chosen, not tuned."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
@@ -159,7 +157,7 @@ def _read_base(source: Path, _stamp: tuple[int, int]) -> MjcfFile:
 
 
 def _list_files(mjcf: MjcfFile) -> list[Path]:
-    """Return the files of an MJCF: the file itself, included files, and meshes."""
+    """List the files of an MJCF: the file itself, included files, and meshes."""
     meshes = mjcf.path.parent / mjcf.spec.compiler.meshdir
     return [*mjcf.files, *sorted({meshes / mesh.file for mesh in mjcf.spec.meshes})]
 
@@ -167,12 +165,12 @@ def _list_files(mjcf: MjcfFile) -> list[Path]:
 def write_variant(
     variant: str | VariantSpec, folder: str | Path, *, force: bool = False
 ) -> tuple[Path, Path]:
-    """Write the files of a variant, with the meshes.
+    """Write the URDF, the MJCF and the meshes of a Pupper variant.
 
     Args:
-        variant: Name or spec.
+        variant: Name from ``VARIANTS``, or a ``VariantSpec``.
         folder: Output folder, for ``urdf/NAME.urdf``, ``mjcf/NAME.xml`` and ``mjcf/meshes/``.
-        force: Replace existing files with other content.
+        force: Whether to replace existing files with other content.
 
     Returns:
         Paths of the URDF and of the MJCF.
@@ -207,11 +205,11 @@ def write_variant(
 
 
 def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
-    """Load a variant of a base model of the package.
+    """Load a Pupper variant (a base model with scaled legs and torso mass) as a robot.
 
     Args:
         variant: Name from ``VARIANTS``, or a ``VariantSpec``.
-        fixed_base: Fix the base in the world, at the height in the MJCF.
+        fixed_base: Whether to fix the base in the world, at the height in the MJCF.
 
     Returns:
         Robot.
@@ -248,7 +246,7 @@ _PAIR_SEPARATOR: Final = "+"
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
-    """Return the name of a variant (text), or the files of a robot (tuple), that a word names.
+    """Return the variant (text), or the files of a robot (tuple), that a command-line word names.
 
     Plus signs in the word separate the files, as in ``robot.urdf+robot.xml``, unless a file has the
     name of the whole word. The number of files is not checked.
@@ -298,7 +296,9 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
 
 
 def parse_single_robot(words: Sequence[str]) -> str | tuple[str, ...] | None:
-    """Return the variant or the files of the only robot that words name; None without words.
+    """Return the variant or the files of the only robot that command-line words name.
+
+    None without words.
 
     Raises:
         ConfigurationError: If the words name several robots.
@@ -311,7 +311,10 @@ def parse_single_robot(words: Sequence[str]) -> str | tuple[str, ...] | None:
 
 
 def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
-    """Return ``"urdf"`` or ``"mjcf"`` for a single file; None for other robots and suffixes."""
+    """Guess the format, ``"urdf"`` or ``"mjcf"``, of a robot that is a single file.
+
+    None for variants, pairs of files, and other suffixes.
+    """
     if not isinstance(robot, tuple) or len(robot) != 1:
         return None
     [word] = robot
@@ -327,7 +330,7 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
 
 
 def _names_file(word: str) -> bool:
-    """Return True if a word names a file by its form, or if such a file exists."""
+    """Return True if a command-line word has the form of a file name, or if such a file exists."""
     path = Path(word)
     return (
         is_published_name(word)

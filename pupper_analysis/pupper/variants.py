@@ -31,7 +31,7 @@ class BaseModel:
         urdf: Name of the file in ``urdf/``.
         mjcf: Name of the file in ``mjcf/``.
         feet: {foot: name of the URDF link and of the MJCF site}.
-        foot_depth: Function from leg_scale to the depth of the feet below the hips in the
+        foot_depth: Function from ``leg_scale`` to the depth of the feet below the hips in the
             nominal stand [m].
         ballast: Centre and size of the dark block that marks a heavier torso, shape (2, 3) [m], in
             the frame of the base. The block is drawn only, without mass and contacts.
@@ -70,14 +70,15 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
         ),
     }
 )
-"""{name: base model, from which scaled variants are derived}."""
+"""{name: base model}; variants are base models with scaled legs and torso mass."""
 
 
 def _check_name(name: object) -> None:
-    """Raise VariantError if a name is no text, cannot be a file name, or is too long.
+    """Raise VariantError if the name of a variant cannot be used as a file name.
 
-    An empty name is accepted. Refused are names that begin with a dot, or contain a slash, a
-    backslash, a colon or an unprintable character.
+    An empty name is accepted. Refused are objects other than text, and names of more than
+    `_MAX_NAME_BYTES`. Names that begin with a dot, or contain a slash, a backslash, a colon or an
+    unprintable character, are refused, too.
     """
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))
@@ -144,7 +145,7 @@ VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
         )
     }
 )
-"""Predefined variants of the robot Pupper, as ``{name: specification}``."""
+"""{name: specification} of the predefined variants of the robot Pupper."""
 
 
 def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
@@ -172,10 +173,13 @@ def list_similar_variants(word: str) -> list[str]:
 
 @cache
 def find_model_folder(kind: str) -> Path:
-    """Return the folder ``urdf`` or ``mjcf`` of the model files.
+    """Return the folder of the package's model files.
 
-    In an installed wheel the folders are part of the package, in a checkout the folders are at the
-    top level.
+    In an installed wheel, the folders are part of the package. In a checkout, the folders are at
+    the top level.
+
+    Args:
+        kind: ``"urdf"`` or ``"mjcf"``.
 
     Raises:
         ModelError: If the folder exists in neither place.
@@ -189,7 +193,7 @@ def find_model_folder(kind: str) -> Path:
 
 @dataclass(frozen=True)
 class ScalableVariant:
-    """Variant that can be scaled.
+    """Variant whose scale factors a study changes.
 
     Attributes:
         spec: Variant with the default scales.
@@ -206,10 +210,11 @@ class ScalableVariant:
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def with_scales(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Return the variant with some scale factors replaced, and the default name.
+        """Return a variant with some scale factors replaced, and the default name.
 
         Args:
-            scales: {``leg_scale`` or ``torso_mass_scale``: factor}; other factors stay.
+            scales: {``leg_scale`` or ``torso_mass_scale``: factor}; a missing factor stays
+                unchanged.
 
         Raises:
             VariantError: If a scale is not a finite positive number, or too large.
