@@ -28,8 +28,8 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _CHATTER_STATES = 50
-"""Number of states at the end of a rollout whose contact forces `find_chatter` evaluates. Chosen,
-not tuned."""
+"""Number of states (time steps) at the end of a rollout whose contact forces `find_chatter`
+evaluates. Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
 """Upper bound [1] of the standard deviation of the total vertical ground force on the feet, divided
@@ -43,15 +43,19 @@ the slip of a foot. Chosen, not tuned."""
 
 
 _SOLVER_NOISE_RATIO = 0.2
-"""Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge) with which
-the remaining motion is attributed to the constraint solver. Measured: with the solvers CG and PGS
-and MuJoCo's default settings, robots at rest move at 0.02 to 0.12 of the nudge without end."""
+"""Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge). Up to this
+bound, the remaining motion counts as an error of the constraint solver. A nudge is a small velocity
+of all coordinates. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots at
+rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(
     stability: Stability, nudge: Nudge | None, *, bounces: bool = False
 ) -> list[Diagnostic]:
-    """Create the messages why a stand is not stable: growing mode, or lasting effect of a nudge.
+    """Create the messages that state why a stand is not stable: growing mode, or effect of a nudge.
+
+    A mode is an eigenvector of MuJoCo's linearised simulation step. A nudge is a small velocity of
+    all coordinates.
 
     There are up to two messages:
 
@@ -61,7 +65,7 @@ def find_instability(
     - The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
 
     Args:
-        stability: Stability at the settled state.
+        stability: Modes at the settled state of the simulation.
         nudge: Response to the nudge; None if the stand was not nudged.
         bounces: Whether the remaining motion comes from a foot with almost no load that bounces,
             and does not grow. If True, missing decay is not reported.
@@ -84,7 +88,7 @@ def find_instability(
 
 
 def proves_unrest(nudge: Nudge) -> bool:
-    """Return True if the response to a nudge alone shows that the stand is not stable.
+    """Return True if the response to a nudge (a small velocity) alone proves a stand unstable.
 
     Either of two responses shows this:
 
@@ -102,7 +106,7 @@ def proves_unrest(nudge: Nudge) -> bool:
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Create the message about a growing mode that a nudged simulation does not confirm.
+    """Create the message that a simulation does not confirm a mode which grows in the linear model.
 
     A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message describes
     the first element of `Stability.refuted_modes`.
@@ -124,10 +128,10 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with the joints that move most and the growth.
+    """Create the message about a growing mode, with doubling time and the joints that move most.
 
-    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message also
-    contains the doubling time [s], if known, and the frequency [Hz] of an oscillating mode. If a
+    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The doubling time [s]
+    is omitted if unknown. For an oscillating mode, the message contains the frequency [Hz]. If a
     simulation measured the growth, the message contains the initial deviation [rad, m].
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None

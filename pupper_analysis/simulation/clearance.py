@@ -1,4 +1,4 @@
-"""Lower bounds of the distance [m] between a moving robot and the ground.
+"""Lower bounds of the distance [m] between the ground and a moving robot, without the feet.
 
 `ClearanceBounds` shows without collision detection that no part touches the ground. `distance`
 computes the distance of all parts except the feet from the ground, at a reference state.
@@ -20,7 +20,7 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 
 
 class ClearanceBounds:
-    """Bounds that show, without collision detection, that only feet can touch the ground.
+    """Bounds of distance and motion that prove, without collision detection, that only feet touch.
 
     The parts are the moving geoms that can collide, except the feet. The ground consists of the
     geoms of the world body that can collide. The distance is measured between planes and the
@@ -62,7 +62,7 @@ class ClearanceBounds:
         self.is_available = bool(is_plane and is_free_base and math.isfinite(self._length))
 
     def distance(self, state: Array) -> float:
-        """Compute a lower bound of the distance between ground and robot, without the feet [m].
+        """Compute a lower bound of the distance [m] between the ground and the robot without feet.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -90,7 +90,7 @@ class ClearanceBounds:
         return max(float(lowest.min()) - self._margin, 0.0)
 
     def displacements(self, states: Array, reference: Array) -> Array:
-        """Compute an upper bound of the displacement of any robot point from a reference state.
+        """Compute an upper bound of the distance that any robot point moves from a reference state.
 
         Valid only if ``is_available``.
 

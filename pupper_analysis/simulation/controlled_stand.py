@@ -1,4 +1,4 @@
-"""Standing robot under sampled joint PD control with a delay: linear modes, and simulation.
+"""Stability of a standing robot under sampled joint PD control with a delay.
 
 `ControlledStand` replaces the servos of a robot in a stand by torque motors, and linearises the
 robot once. With the deviation x of (qpos, qvel, act) and the motor torques u, a time step is x' = A
@@ -58,15 +58,15 @@ delay is a whole number of steps. If no number up to this bound fits, the delay 
 period has more steps only if the model's time step requires more. Chosen, not tuned."""
 
 _DELAY_TOLERANCE = 1e-6
-"""Tolerance [1] of three comparisons. Chosen, not tuned.
+"""Tolerance [1] of three comparisons, up to which a difference counts as rounding. Chosen, not
+tuned.
 
 - A deviation of the delay from a multiple of the time step counts as rounding, relative to the
   larger of time step and delay.
 - An excess of the control period over a multiple of the file's time step counts as rounding, in
   time steps.
 - An eigenvalue of the closed loop, or the imaginary part of an eigenvalue, counts as zero (absolute
-  value).
-"""
+  value)."""
 
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
@@ -78,8 +78,9 @@ simulation that starts with a deviation along a mode. Chosen: dry friction does 
 displacement, and no foot slips."""
 
 _REST_SPEED = 0.01
-"""Upper bound of the joint velocities [rad/s, m/s] of a robot at rest, at the end of a simulation
-(in the last `_COMPARED_SHARE`). Chosen: 5 % of `_NUDGE_SPEED`."""
+"""Upper bound of the joint velocities [rad/s, m/s] with which a robot counts as at rest at the end
+of a simulation. The end is the last fraction `_COMPARED_SHARE` of the simulated time. Chosen: 5 %
+of `_NUDGE_SPEED`."""
 
 _COMPARED_SHARE = 0.2
 """Length of each of two intervals of a simulation, as a fraction of the simulated time [1]. The
@@ -96,31 +97,31 @@ _MAX_JOINT_SPEED = 100.0
 the bound. Chosen, not tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
-"""Upper bound [1] of the growth of the joint displacement in the second half of a simulation, as a
-factor on the displacement at the middle. A robot leaves the stand if a later displacement exceeds
-factor * (value at the middle) + `_MIN_SHIFT`. Chosen, not tuned."""
+"""Factor [1] in the upper bound of the largest joint displacement in the second half of a
+simulation: factor * (displacement at half the time) + `_MIN_SHIFT`. If a displacement exceeds the
+bound, the robot has left the stand. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
-"""Absolute part [rad, m] of the permitted growth of the joint displacement in the second half of a
-simulation, in addition to `_MAX_SHIFT_RATIO`. MuJoCo's friction creeps, thus some growth is no
-failure. Measured: v3 creeps by 0.01 mrad in 12 s.
-"""
+"""Absolute term [rad, m] in the upper bound of the largest joint displacement in the second half of
+a simulation (see `_MAX_SHIFT_RATIO`). Displacements grow slowly without a failure, since MuJoCo's
+friction creeps. Measured: v3 creeps by 0.01 mrad in 12 s."""
 
 _MAX_SHIFT = 0.1
 """Upper bound of the displacement of a joint from the stand [rad, m]. A simulation of the
 controller fails if a joint exceeds the bound. Chosen: five times `_NUDGE_ANGLE`."""
 
 MAX_POWER = 12
-"""Largest exponent p of the factors 2^p on the gains that are tried; the smallest is -p
-(`MAX_FACTOR`)."""
+"""Largest exponent p of the factors 2^p with which the gains are multiplied in the search for
+stable gains. The smallest exponent is -p. See `MAX_FACTOR`."""
 
 MAX_FACTOR = 2.0**MAX_POWER
-"""Largest factor [1] on the gains that is tried, 4096; the smallest is the inverse. Chosen larger
-than the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
+"""Largest factor [1] with which the gains are multiplied in the search for stable gains: 4096. The
+smallest factor is the inverse. Chosen larger than the range of the kp that the tools add to robots,
+5 to 2000 N m/rad."""
 
 FACTOR_TOLERANCE = 0.005
-"""Relative tolerance [1] of the bisection for the largest factor on the gains with which the linear
-model is stable. Chosen, not tuned."""
+"""Relative tolerance [1] of the bisection for the largest stable factor on the gains of the linear
+model. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class ControlledStand:
     after the delay. The robot is linearised once, at rest in the stand.
 
     Args:
-        held: Initial state and model of the stand, with the servos that the torque motors replace.
+        held: Initial state and model of the stand. Torque motors replace the servos of the model.
         rate: Control rate [Hz]. None means one command per time step of the model in ``held``.
         delay: Time between measurement and effect of a command [s].
 
@@ -204,11 +205,13 @@ class ControlledStand:
         return data
 
     def _linearise(self) -> tuple[Array, Array, Array]:
-        """Linearise a control period of the stand, x' = F x + L u_late + P u_prompt.
+        """Linearise the motion in one control period: x' = F x + L u_late + P u_prompt.
 
-        x is the deviation of (qpos, qvel, act) from the stand, u the deviation of the motor torques
-        [N m]. During the first ``delay_steps % steps`` time steps of a period the earlier command,
-        u_late, still acts. Dry friction of joints and tendons is zero.
+        x and x' are the deviations of (qpos, qvel, act) from the stand before and after the period.
+        u_late and u_prompt are deviations of the motor torques [N m] from the holding torques.
+        During the first ``delay_steps % steps`` time steps of a period the earlier command u_late
+        still acts; then the later command u_prompt acts. Dry friction of joints and tendons is
+        zero.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
@@ -281,7 +284,7 @@ class ControlledStand:
         )
 
     def _scale_direction(self, vector: NDArray[np.complex128]) -> Array:
-        """Scale a mode for the initial displacement of a simulation, and return its real part.
+        """Scale the real part of a mode, so that it can be the initial deviation of a simulation.
 
         In the scaled mode, the joint that moves most has a displacement of `_NUDGE_ANGLE` or a
         velocity of `_NUDGE_SPEED`. ``vector`` and the result have the shape (2 nv,): displacements
@@ -323,7 +326,9 @@ class ControlledStand:
         return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
 
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
-        """Return the transition matrix, shape (n, n), of a control period with the gains kp and kd.
+        """Return the transition matrix (n, n) of the closed loop over one control period.
+
+        ``kp`` and ``kd`` are the gains of all joints, shape (nu,).
 
         The states are the deviations x of `_linearise`, then the torques [N m] that were commanded
         in the ``delay_steps // steps + 1`` previous periods, the latest first.
@@ -352,9 +357,9 @@ class ControlledStand:
     def survives_simulation(
         self, kp: Array, kd: Array, *, duration: float, mode: WorstMode
     ) -> bool:
-        """Simulate the controlled stand in MuJoCo from a deviation along a mode; judge if it stays.
+        """Simulate the controlled stand from a deviation along a mode; return True if it holds.
 
-        The model has torque motors in place of the servos, and all friction.
+        The MuJoCo model has torque motors instead of the servos, and all friction.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
@@ -406,7 +411,7 @@ class ControlledStand:
 def find_largest_damping_factor(
     loop: ControlledStand, kp: Array, kd: Array, *, tolerance: float = FACTOR_TOLERANCE
 ) -> float:
-    """Find the largest factor on the damping with which a controlled stand is stable.
+    """Find the largest factor on the damping gains with which a controlled stand is stable.
 
     1. Powers of 2 from 1 / `MAX_FACTOR` to `MAX_FACTOR` are tried, nearest to 1 first, until the
        stand is stable (`ControlledStand.is_stable`).
@@ -460,7 +465,7 @@ def bisect_factor(
 
 
 def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array) -> None:
-    """Make actuators torque motors, in place: ctrl is the torque at the joint [N m].
+    """Convert servos to torque motors, in place: ctrl becomes the torque at the joint [N m].
 
     ``gear`` is the gear ratio of each of these actuators, by which MuJoCo multiplies the force.
     Limits of force and torque remain.

@@ -1,8 +1,9 @@
-"""Test of growing modes in a nudged simulation of the unmodified model.
+"""Test in nudged simulations of the unmodified model whether a stand's growing modes really grow.
 
-The eigenvalues of a simulation step, its spectrum (``robot.stability``), predict that a deviation x
-along a mode grows as x(t) = x(0) 2^(t/T). The prediction is tested, since the linearisation may be
-valid for micrometres only, and dry friction makes it depend on the finite-difference step:
+A mode is an eigenvector of the linearised simulation step. The eigenvalues, called the spectrum
+(``robot.stability``), predict that a deviation x along a mode grows as x(t) = x(0) 2^(t/T). The
+prediction is tested, since the linearisation may be valid for micrometres only, and dry friction
+makes it depend on the finite-difference step:
 
 1. Two simulations start at the tested state, displaced along the modes by +p and -p. The friction
    of joints and contacts is that of the model.
@@ -40,10 +41,9 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 
 DOUBLINGS = 3
-"""Number of doublings that confirm growing modes [1]. The deviation D of a growth test must double
-so often; D is half the difference of two simulations with opposite displacements. Growth that is
-exponential only within micrometres ends earlier, when a contact opens or takes load. Chosen, not
-tuned."""
+"""Number of doublings [1] of the deviation D that confirm growing modes in a growth test. D is half
+the difference of two simulations with opposite initial displacements. Growth that is exponential
+only within micrometres ends earlier, when a contact opens or takes load. Chosen, not tuned."""
 
 MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
 """Upper bounds of the initial deviation along a mode in a growth test: of a position [rad, m] and
@@ -86,10 +86,10 @@ times its smallest value. The time begins at the start, or at the end of the las
 Exponential growth with a doubling time of ``HOLD_DURATION`` has a factor of 2.8."""
 
 _ENDED_GROWTH = 1.25
-"""Lower bound [1] of growth that has not ended. The growth is (maximum so far) / (maximum up to two
-doubling times ago) of the deviation D, half the difference of two simulations. Exponential growth
-has 4. Measured: Pupper v3 with a foot on a slope and 2 kg leaves its stand, with 1.9 when its
-growth slows down."""
+"""Lower bound [1] of the growth ratio in a growth test; below, growth has ended. The ratio is
+(maximum of D so far) / (maximum of D up to two doubling times ago). D is half the difference of the
+two simulations. The ratio is 4 for exponential growth. Measured: Pupper v3 with a foot on a slope
+and 2 kg leaves its stand; the smallest ratio is 1.9, when the growth slows down."""
 
 _MAX_DOUBLING_RATIO = 1.6
 """Upper bound [1] of the ratio (time of a doubling) / (time of the previous doubling) of growth
@@ -110,9 +110,8 @@ as for `_SUSTAINED_RATIO`. Chosen between 1, for an oscillation about the undist
 0.25, for exponential growth that doubles in one period."""
 
 _MAX_WINDOW = 1.0
-"""Upper bound [s] of the length of the windows of a growth test. In each window, the maximum of the
-difference of the two simulations is taken, since the difference may oscillate. Chosen, not tuned.
-"""
+"""Upper bound [s] of the length of the time windows of a growth test. The difference of the two
+simulations may oscillate, so only its maximum in each window is evaluated. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +139,7 @@ class GrowthTrial(Result):
 def confirm_growth(
     stability: Stability, model: mujoco.MjModel, data: mujoco.MjData, ctrl: Array
 ) -> Stability:
-    """Confirm or refute by simulation the modes that grow within ``HOLD_DURATION``.
+    """Test by simulation if modes that double within ``HOLD_DURATION`` in the linear model do grow.
 
     A mode is an eigenvector of MuJoCo's linearised simulation step. Each test simulates deviations
     along modes (`simulate_growth`). Modes that grow only without dry friction
@@ -148,14 +147,14 @@ def confirm_growth(
     within ``HOLD_DURATION``.
 
     Args:
-        stability: Result of the spectrum at the state.
+        stability: Modes of the linearised step at the state.
         model: MuJoCo model.
         data: State whose modes ``stability`` contains; not changed.
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        Stability with tested modes; ``stability`` itself if no mode grows within ``HOLD_DURATION``,
-        or if the state is not at rest.
+        Stability with the result of the tests; ``stability`` itself if no mode grows within
+        ``HOLD_DURATION``, or if the state is not at rest.
 
         - ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
           time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
@@ -198,7 +197,7 @@ def confirm_growth(
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
-    """Return the bounds of the initial deviations with which growing modes are simulated.
+    """Return the upper bounds of the initial deviations for the growth tests of modes.
 
     Each element is a pair: joint displacement [rad, m] and velocity [rad/s, m/s]. The large pair is
     used if dry friction would stop a small deviation (``Mode.without_dry_friction``), otherwise the
@@ -221,7 +220,7 @@ def simulate_growth(
     *,
     until_left: bool = False,
 ) -> GrowthTrial:
-    """Simulate a deviation along modes until growth is confirmed or refuted, or the time is over.
+    """Simulate deviations along modes until growth is confirmed or refuted, or the time is over.
 
     The module docstring describes the test. Two simulations start with opposite deviations. Growth
     is confirmed if half their difference grows exponentially by a factor of ``2 ** DOUBLINGS``.
@@ -289,7 +288,7 @@ def simulate_growth(
 
 
 def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
-    """Return the number of steps before the first divergence in any of two simulations.
+    """Count the steps before the first of two simulations diverges; n without divergence.
 
     At a divergence a value is not finite, or the time does not advance (``monitor.has_diverged``).
 
@@ -306,7 +305,7 @@ def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
 
 @np.errstate(invalid="ignore", over="ignore")
 def _halve_difference(positions: Array, valid: int) -> Array:
-    """Return half the difference of two simulations, shape (n, joints) [rad, m].
+    """Return half the difference of the joint positions of two simulations, (n, joints) [rad, m].
 
     The difference is infinite after a divergence, since MuJoCo resets both to the same state.
 
@@ -320,10 +319,11 @@ def _halve_difference(positions: Array, valid: int) -> Array:
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
-    """Return True if growth has ended: less than ``_ENDED_GROWTH`` times in two doubling times.
+    """Return True if the growth of a deviation has ended, by its maxima in successive windows.
 
-    The growth is (largest deviation so far) / (largest deviation up to two doubling times ago). The
-    result is False if the growth began less than two doubling times ago.
+    Growth has ended if (largest deviation so far) / (largest deviation up to two doubling times
+    ago) is below ``_ENDED_GROWTH``. The result is False if the growth began less than two doubling
+    times ago.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).
@@ -335,9 +335,10 @@ def _has_ended(maxima: Array, doubling: float) -> bool:
 
 
 def _count_windows_until_grown(maxima: Array) -> int:
-    """Return the number of windows until the deviation is ``2 ** DOUBLINGS`` times its minimum.
+    """Count the time windows until a deviation has grown by the factor ``2 ** DOUBLINGS``.
 
-    The minimum is taken over the windows so far. Without such growth, the result is n.
+    The factor is relative to the smallest maximum of the windows so far. The result is n without
+    such growth.
 
     Args:
         maxima: Largest deviation in each of n windows of time, shape (n,).
@@ -348,10 +349,10 @@ def _count_windows_until_grown(maxima: Array) -> int:
 
 @np.errstate(invalid="ignore", over="ignore")
 def _final_amplitude(lows: Array, highs: Array, count: int) -> float:
-    """Return the amplitude [rad, m] with which the deviation of a joint oscillates at the end.
+    """Return the largest amplitude [rad, m] of the joints' oscillations in the last time windows.
 
-    It is half the range of the deviation in the last windows (intervals of time), for the joint
-    with the largest range; 0 if the deviations of all joints are constant.
+    The amplitude of a joint is half the range of its signed deviation in these windows; 0 if the
+    deviation is constant.
 
     Args:
         lows: Smallest deviation of each joint in n windows, shape (n, joints) [rad, m].
@@ -368,13 +369,13 @@ def _make_displacement(
 
     The displacement is the sum of the modes that were found with both finite-difference steps
     (``repeated_at_second_step``). Before and after the summation, displacements are scaled to the
-    bounds. Otherwise a fast mode, with large velocities, would leave almost no displacement along a
-    slow mode. If no mode was found with both steps, all coordinates get a velocity, and no position
-    changes.
+    bounds ``angle`` and ``speed``. Otherwise a fast mode, with large velocities, would leave almost
+    no displacement along a slow mode. If no mode was found with both steps, all coordinates get a
+    velocity, and no position changes.
 
     Args:
         model: MuJoCo model.
-        modes: Modes.
+        modes: Modes along which the state is displaced.
         angle: Largest displacement of a position [rad, m].
         speed: Largest change of a velocity [rad/s, m/s].
 
@@ -390,7 +391,10 @@ def _make_displacement(
         return displacement
 
     def scale(displacement: Array) -> Array:
-        """Scale a displacement so that its largest position and speed are within the two bounds."""
+        """Scale a displacement (2 nv + na,) so that it reaches the bound ``angle`` or ``speed``.
+
+        One factor is applied to all components; neither bound is exceeded.
+        """
         largest_angle = np.abs(displacement[:nv]).max() / angle
         largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
         return np.asarray(displacement / max(largest_angle, largest_speed))
@@ -434,7 +438,7 @@ def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) ->
 
 
 def _doubling_time(mode: Mode) -> float:
-    """Return the time in which a mode's deviation doubles [s]; infinite without such a time."""
+    """Return the time [s] in which the deviation along a mode doubles; infinite if undefined."""
     return mode.doubling_time or math.inf
 
 
@@ -449,7 +453,9 @@ def _window_duration(mode: Mode) -> float:
 
 
 def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
-    """Return the doubling time [s]: half the time of two successive doublings.
+    """Return the doubling time [s] of a deviation from its maxima in successive time windows.
+
+    The doubling time is half the time of two successive doublings.
 
     None if the deviation does not grow by ``2 ** DOUBLINGS``, if growth slows down, or if a
     deviation is zero.
@@ -457,7 +463,7 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
     Args:
         maxima: Largest deviation in each window of time, shape (n,); infinite after a divergence.
         window: Length of a window [s].
-        lost: True if the simulation diverged. Fewer doublings, or growth that slows down, are then
+        lost: Whether the simulation diverged. Fewer doublings, or growth that slows down, are then
             sufficient, and the result is the mean time of a doubling up to the divergence.
     """
     if not math.isfinite(maxima[0]):
@@ -494,11 +500,11 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 
 
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
-    """Return the mode that a growth test confirms, with growth and joints of the simulation.
+    """Return the mode that a growth test confirms, with the simulated growth and joints.
 
-    The mode is that with the doubling time nearest to the simulated doubling time (as a ratio). If
-    the test confirms only a sustained oscillation, the mode is the first oscillating mode, with the
-    growth of the spectrum.
+    Of all tested modes, the mode whose doubling time is nearest to the simulated doubling time (as
+    a ratio) is selected. If the test confirms only a sustained oscillation, the first oscillating
+    mode is selected, and its growth is that of the linear model.
 
     Args:
         modes: Modes that were tested together.

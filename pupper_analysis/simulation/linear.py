@@ -1,4 +1,4 @@
-"""Predict the motion of a robot near rest from the linearised MuJoCo step.
+"""Predict the motion of a robot near rest with the linearised MuJoCo time step.
 
 Let d[n] be the change of the state in step n. Near rest, d[n+1] = A d[n], with the derivative A of
 the step at a constant command. The sum of these changes is the displacement (`LinearStep.predict`).
@@ -28,7 +28,7 @@ Chosen, not tuned.
 
 
 class LinearStep:
-    """Linearised step of a MuJoCo model at a state under a constant command.
+    """Linearised time step of a MuJoCo model at a state, with constant actuator commands.
 
     Args:
         model: MuJoCo model.
@@ -46,10 +46,10 @@ class LinearStep:
         self._power, self._total = power, total
 
     def predict(self, before: Array, state: Array, duration: float) -> Array:
-        """Predict the displacements from a state at n later times, with the linearised step.
+        """Predict with the linear model how far the robot moves from a state, at n later times.
 
-        The times are equally spaced; the last is ``duration``, rounded up to the next sample. The
-        first change of the state is ``state`` minus ``before``.
+        The times are equally spaced; the last is ``duration``, rounded up to a multiple of the
+        interval between samples. The first change of the state is ``state`` minus ``before``.
 
         Args:
             before: State a step earlier (mjSTATE_FULLPHYSICS), shape (size,).
@@ -63,11 +63,11 @@ class LinearStep:
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
-        """Return True if this linear model predicts simulated states from the first two of them.
+        """Return True if this linear model predicts simulated positions from the first two states.
 
-        Only positions are compared, at the times of `predict`. The largest error must be at most
-        `_INTERVAL_RTOL` times the largest displacement, plus `_INTERVAL_ATOL` [m, rad mixed]. The
-        result is False if the states do not reach the first predicted time.
+        Only positions are compared, at the sample times of `predict`. The largest error must be at
+        most `_INTERVAL_RTOL` times the largest displacement, plus `_INTERVAL_ATOL` [m, rad mixed].
+        The result is False if the states do not reach the first predicted time.
 
         Args:
             states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size), n > 2.
@@ -83,7 +83,7 @@ class LinearStep:
         return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
 
     def _predict(self, before: Array, state: Array, count: int) -> Array:
-        """Return displacements from ``state`` at ``count`` times, shape (count, 2 nv + na).
+        """Predict displacements from ``state`` at ``count`` sample times, shape (count, 2 nv + na).
 
         The columns are those of ``predict``. The times are multiples of ``_stride`` time steps;
         ``before`` is the state one step before ``state``.

@@ -79,7 +79,7 @@ class StandCheck(Result):
 
 @dataclass(frozen=True, eq=False)
 class StandReference:
-    """Pose of the expected stand, with which simulated states are compared.
+    """Pose of the expected stand: reference for the check whether a simulated robot stands.
 
     For a free base, a reference point is fixed in the base. It coincides with the CoM in the
     expected stand. For a fixed base, the joint positions are compared instead.
@@ -106,7 +106,7 @@ class StandReference:
     def from_configuration(
         cls, robot: Robot, qpos: Array, rotation: Array | None = None
     ) -> StandReference:
-        """Create the reference of the stand at a configuration, for the check of simulated states.
+        """Create the reference from a stand's configuration, for the check of simulated states.
 
         Args:
             robot: Robot.
@@ -135,7 +135,7 @@ class StandReference:
         )
 
     def tilt(self, state: Array) -> float:
-        """Compute the tilt of a free base relative to the expected orientation [rad].
+        """Compute the tilt [rad] of a free base in a simulated state from the expected orientation.
 
         Yaw has no effect.
 
@@ -191,11 +191,11 @@ class StandReference:
         )
 
     def has_collapsed(self, state: Array) -> bool:
-        """Return True if a robot no longer stands; with a fixed base, if it has left the posture.
+        """Return True if a robot has fallen, sunk, been thrown up or travelled from its stand.
 
-        With a free base, `fall.has_collapsed` defines the limits of tilt, height and travel. With a
-        fixed base, the robot has left the posture if a joint deviates by ``MIN_POSTURE_DEVIATION``
-        or more.
+        `fall.has_collapsed` defines the limits of tilt, height and horizontal travel. With a fixed
+        base, the result is True if a joint deviates from the stand by ``MIN_POSTURE_DEVIATION`` or
+        more.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -248,7 +248,7 @@ class ContactSample:
 
 
 class ContactSampler:
-    """Evaluator of the ground contacts at single states of a robot's rollouts.
+    """Computes ground forces and touching bodies at single states of a simulation.
 
     Args:
         robot: Robot.
@@ -303,7 +303,7 @@ class ContactSampler:
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Compute the centre of each contact point in the world, such as the centre of a foot sphere.
+    """Compute the world position of the centre of each contact point's sphere.
 
     Args:
         robot: Robot.
@@ -335,7 +335,7 @@ def base_heights(robot: Robot, states: Array) -> Array:
 
 
 def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the angle between the orientation of the base and a reference orientation [rad].
+    """Compute the rotation angle [rad] of the base in a state from a reference orientation.
 
     Unlike `base_tilt`, the angle includes yaw. It is 0 for a fixed base.
 
@@ -351,7 +351,7 @@ def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
 
 
 def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the tilt of the base from a reference orientation [rad]; yaw has no effect.
+    """Compute the tilt [rad] of the base in a state from a reference orientation, without yaw.
 
     Args:
         robot: Robot with a free base.
@@ -379,7 +379,7 @@ def has_diverged(states: Array, timestep: float) -> bool:
 
 
 def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
-    """Create the message that a simulation diverged.
+    """Create the message that a simulation diverged, with integrator and time step.
 
     Args:
         integrator: MuJoCo integrator.
@@ -436,10 +436,11 @@ _EQUAL_SPEED_ATOL = 1e-5
 Chosen: the damping of MuJoCo's default contact is 100 N per m/s and kg, thus 3 mN for v3."""
 
 LIGHT_FOOT_LOAD = 5e-3
-"""Upper bound of the load of a light foot, divided by the load of all feet [1]. A light foot may
-leave the ground for a moment without a failure. Measured on unequal slopes: with minimum tangential
-forces, two of four feet carry 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet. The
-value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
+"""Upper bound [1] of the ratio (load of a foot) / (load of all feet) with which the foot counts as
+light (almost unloaded). A light foot may leave the ground for a moment without a failure. Measured
+on unequal slopes: with minimum tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the
+weight, and a nudge lifts these feet. The value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load
+of four feet."""
 
 MIN_PUSH_RATIO = 1e-3
 """Lower bound of a contact force, divided by the robot's weight [1], used twice. Two bodies are
@@ -454,7 +455,10 @@ averaged. The interval ends at the nudge. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class ContactRecord:
-    """Contacts of a rollout, with the settled forces and torques before the nudge.
+    """Contacts in a rollout of a stand, with mean forces and torques before the nudge.
+
+    A nudge is a small velocity of all coordinates. "Settled" values are means over the last second
+    before the nudge.
 
     Attributes:
         failures: Bodies and swing feet that touch the ground; stance feet that unload although they
@@ -499,7 +503,7 @@ def record_contacts(
     settling: int,
     loaded: Container[str],
 ) -> ContactRecord:
-    """Find contact failures in a rollout, and average the settled torques and forces.
+    """Find contact failures in a rollout of a stand, and average torques and forces before a nudge.
 
     Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
     nudge.
@@ -515,7 +519,7 @@ def record_contacts(
         stand: Stand.
         states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
-        settling: Number of states before the nudge.
+        settling: Number of states before the nudge (a small velocity of all coordinates).
         loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
             a predicted load below `LIGHT_FOOT_LOAD`.
     """
@@ -569,7 +573,7 @@ def record_contacts(
 
 
 class _SettledMeans:
-    """Sums over states of a settled robot, from which means are computed.
+    """Sums of torques, forces and positions over states before the nudge, to compute means.
 
     Attributes:
         count: Number of states.
@@ -608,7 +612,7 @@ def _list_contact_failures(
     idle: Mapping[str, float],
     pressed: Collection[tuple[str, str]],
 ) -> Iterator[Diagnostic]:
-    """Yield the failures: bodies on the ground, idle feet, and pairs of parts in contact.
+    """Yield messages about contact failures: bodies on the ground, unloaded feet, touching parts.
 
     Args:
         touched: {body other than a foot of the stance: first time on the ground [s]}.
@@ -652,7 +656,7 @@ def find_pushing_bodies(
 
 
 def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
-    """Return the ids of bodies that carry less than `LIGHT_FOOT_LOAD` of the load on the ground.
+    """Return the ids of bodies on the ground with less than `LIGHT_FOOT_LOAD` of the total load.
 
     The load of a body is the sum of its normal forces [N] in contacts with the world or with bodies
     fixed to the world. The total is the sum over all bodies. Bodies without such a contact are not

@@ -28,9 +28,9 @@ from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and largest distance [m] by which ``place_on_ground`` lowers the base. The distance is
-doubled until the contacts carry the weight, or until it is the largest. Chosen, not tuned.
-"""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base in the search for a
+depth at which the contacts carry the weight. Each further distance is twice the previous one.
+Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
 """Tolerance [m] of the bisection in ``place_on_ground``. The bisected quantity is the distance by
@@ -49,7 +49,8 @@ STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 FORCED_CONTROL_SPEC = int(
     mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 )
-"""MuJoCo's specification of the controls of rollouts with forces on bodies."""
+"""MuJoCo's specification (mjtState) of the controls of rollouts with forces on bodies: ctrl, then
+xfrc_applied."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ class StandStart:
     Attributes:
         robot: The robot, on the stand's ground.
         stand: The stand.
-        prediction: Statics of the stand with minimum tangential contact forces.
+        prediction: Static equilibrium of the stand with minimum tangential contact forces.
         drive: Servos and MuJoCo model.
         start: State (mjSTATE_FULLPHYSICS) with zero velocities, from `place_on_ground`.
         ctrl: Actuator commands, shape (model.nu,).
@@ -87,7 +88,8 @@ def make_stand_start(
     Args:
         robot: The robot.
         stand: The stand.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
+            ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
@@ -126,7 +128,7 @@ def weld_generalized_forces(
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
-    """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
+    """Compute the state of a stand lowered into soft ground until contacts carry the weight.
 
     Feet that just touch soft ground carry nothing. The base is lowered along the ground normal at
     the first stance foot, with constant joint positions, until the forces along this direction
@@ -199,7 +201,7 @@ def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
 def settled_activations(
     model: mujoco.MjModel, ctrl: Array, max_time_constant: float = math.inf
 ) -> Array:
-    """Compute the activations of filtered actuators at rest, shape (model.na,).
+    """Compute the activations (model.na,) of actuators with filter dynamics at a constant command.
 
     The activation of an actuator with filter dynamics (`FILTER_DYNAMICS`) is its command in
     ``ctrl``, shape (model.nu,). The command is clipped to ``ctrlrange`` if this range is a limit.
@@ -222,7 +224,7 @@ def settled_activations(
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the state in MuJoCo's data, shape (size,): time, qpos, qvel, act and more.
+    """Copy the state from MuJoCo's data, shape (size,): time, qpos, qvel, act and more.
 
     The order is that of mjSTATE_FULLPHYSICS.
     """
@@ -320,7 +322,9 @@ def simulate_in_intervals(
 def make_forced_controls(
     robot: Robot, model: mujoco.MjModel, ctrl: Array, runs: int, steps: int
 ) -> tuple[Array, Array]:
-    """Create the controls of rollouts with a force on the base, for ``FORCED_CONTROL_SPEC``.
+    """Create the controls of rollouts with a force on the base, and a view to set this force.
+
+    The layout is ``FORCED_CONTROL_SPEC``.
 
     Args:
         robot: The robot.
@@ -348,7 +352,7 @@ def check_duration(duration: float) -> None:
 
 
 def with_stand_contacts(robot: Robot, stand: Stand) -> Robot:
-    """Return the robot that is simulated in a stand: with the contacts of the stand.
+    """Return a robot with the contacts of a stand (friction, hands, welds), for simulation.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or the base is fixed and the

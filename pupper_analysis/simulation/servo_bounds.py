@@ -82,7 +82,7 @@ class ServoClass(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joints."""
+        """Units of gains and positions of the joints of this class (hinges or slides)."""
         return select_joint_units(slides=self.are_slides)
 
 
@@ -107,7 +107,7 @@ class SoftServos(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joint with the lowest stiffness."""
+        """Units of ``kp``: hinge or slide, as the joint with the lowest stiffness of this class."""
         return select_joint_units(slides=self.are_slides)
 
 
@@ -140,7 +140,7 @@ class ServoBounds(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the gains of all joints together (`combine_joint_units`)."""
+        """Units for a table of the gains of all joints: common or mixed units."""
         return combine_joint_units(bounds.units for bounds in self.classes)
 
     @property
@@ -171,7 +171,7 @@ def bound_servo_gains(
         stand: Stand on MuJoCo's soft ground.
         kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
-        stands: Whether the robot stands with the present stiffness without feed-forward.
+        stands: Whether the robot is known to stand with the present stiffness without feed-forward.
 
     Raises:
         ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
@@ -222,11 +222,11 @@ def bound_servo_gains(
 
 
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
-    """Return the smallest simulated factor on kp with which the robot stands; None if none does.
+    """Find by simulation a stiffness factor with which the robot stands without feed-forward.
 
-    The simulations are without feed-forward. The factors are `_TRIED_RATIOS` times ``least``, the
-    least factor by `minimum_stiffness`. kd is multiplied by the factor, too, if the factor is above
-    1.
+    The factors `_TRIED_RATIOS` times ``least`` are simulated in turn. ``least`` is the factor that
+    `minimum_stiffness` predicts. A factor above 1 also multiplies the damping. None if the robot
+    stands with no factor.
     """
     for ratio in _TRIED_RATIOS:
         factor = ratio * least
@@ -244,13 +244,14 @@ def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float
 
 
 _SINGLE_FACTORS = (2.0, 4.0, 8.0, 16.0)
-"""Factors [1] on the gains of a class of servos, in the order of the simulations. Chosen, not
-tuned: with 8 times the stiffness of its ankles TienKung falls, with 10 times it stands.
-"""
+"""Factors [1] with which `find_soft_servos` multiplies the gains of a class of servos, in the order
+of the simulations. Chosen, not tuned: with 8 times the stiffness of its ankles TienKung falls, with
+10 times it stands."""
 
 _MAX_SUSPECTS = 3
-"""Upper bound of the number of classes of servos that `find_soft_servos` simulates. It limits the
-time: each class takes up to four simulations, and so do all classes together. Chosen, not tuned."""
+"""Upper bound of the number of classes of servos that `find_soft_servos` simulates. The bound
+limits the time: each class, and all classes together, take up to four simulations. Chosen, not
+tuned."""
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
 """Codes of the messages about an unstable mode; such a message names the joints of the mode."""
@@ -330,17 +331,17 @@ def find_soft_servos(
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Return the largest factor on the damping with which a stand is stable.
+    """Find the largest factor on the damping gains with which a stand is stable.
 
-    The factor is infinite if there is no bound. It is None if the damping is zero, or if the stand
-    is stable with no tried factor. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` *
-    ``least``), or by 1 if ``least`` is None.
+    The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``) first. The result is
+    infinite without a bound, and None if the damping is zero or no tried factor is stable.
 
     Args:
         loop: Stand with an explicit PD controller, one command per time step.
         kp: Present stiffness, shape (nu,) [N m/rad].
         kd: Present damping, shape (nu,) [N m s/rad].
-        least: Least factor on the stiffness; softer servos buckle with any damping.
+        least: Smallest factor on the stiffness with which the stand does not buckle; None if
+            unknown.
     """
     if not kd.any():
         return None

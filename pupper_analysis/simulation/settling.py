@@ -59,9 +59,10 @@ MAX_STAND_ROTATION = 0.1
 rotation, the robot has left the stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Upper bound [1] of height deviation, height drift and foot displacement, each divided by its
-bound for a robot at rest. If all ratios are below this bound, the settling simulation ends early.
-The growing modes then decide if the robot stays at rest. Chosen, not tuned."""
+"""Upper bound [1] of three ratios with which a settling simulation ends early: height deviation /
+`MAX_HEIGHT_DEVIATION`, height drift / `SETTLED_DRIFT`, and foot displacement /
+`MAX_FOOT_DISPLACEMENT`. The growing modes then decide if the robot stays at rest. Chosen, not
+tuned."""
 
 _LOST_RATIO = 2.0
 """Upper bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
@@ -101,9 +102,9 @@ _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
-"""Safety factor [1] on the speed with which a displaced foot returned towards its target in the
-last second. Until the end of the settling simulation, the foot is assumed to return no faster than
-speed times factor. Chosen, not tuned."""
+"""Safety factor [1] on the speed at which a displaced foot approached its target in the last
+second. Until the end of the settling simulation, the foot is assumed to approach the target no
+faster than speed times factor. Chosen, not tuned."""
 
 
 def comes_to_rest(
@@ -132,7 +133,8 @@ def comes_to_rest(
     Args:
         robot: Robot.
         stand: Stand, with at least one stance foot.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
+            ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
@@ -182,7 +184,7 @@ def calms_after_base_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> bool:
-    """Return True if a robot stays in the stand, and does not keep shaking, after six base nudges.
+    """Return True if a robot stays in the stand and calms down after each of six base nudges.
 
     Each simulation starts in the stand, with feed-forward torques. The base has the velocity
     `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. A simulation ends once the
@@ -221,10 +223,10 @@ def calms_after_base_nudges(
 
 
 def _calms_down(held: StandStart, reference: monitor.StandReference, start: Array) -> bool:
-    """Simulate a robot from a state; return True if it stays in the stand, and its shaking decays.
+    """Simulate a moving robot; return True if it stays in the stand and its shaking decays.
 
     Args:
-        held: Model and command.
+        held: Stand, MuJoCo model and servo command.
         reference: The stand.
         start: State with a velocity (mjSTATE_FULLPHYSICS).
     """
@@ -246,7 +248,7 @@ def _calms_down(held: StandStart, reference: monitor.StandReference, start: Arra
 
 
 def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
-    """Return True if the decay after a nudge refutes a growing mode of the linear model.
+    """Return True if the decay after a nudge proves a growing mode of the linear model wrong.
 
     Two conditions must hold. The mode is missing with the finite-difference step ``SECOND_STEP``,
     since ``DIFFERENCE_STEP`` may cross the kink of dry friction. The simulation lasts for at least
@@ -254,7 +256,7 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
 
     Args:
         mode: Growing mode of the spectrum.
-        duration: Simulated time after the nudge [s].
+        duration: Simulated time after the nudge [s], in which the motion decayed.
     """
     doubling_time = mode.doubling_time or math.inf
     return not mode.repeated_at_second_step and MIN_ABSENT_DOUBLINGS * doubling_time <= duration
@@ -263,9 +265,9 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
 def _simulate_until_rest(
     held: StandStart, reference: monitor.StandReference, shaking: ShakingRecord
 ) -> Array | None:
-    """Simulate a stand until the robot rests; return the states of the last second.
+    """Simulate a stand until the robot is at rest; return the states of the last second.
 
-    The speeds are added to ``shaking``.
+    The simulated speeds are added to ``shaking``.
 
     Returns:
         States, shape (n, size). None in these cases:
@@ -316,7 +318,7 @@ def _simulate_nudge(
     duration: float,
     shaking: ShakingRecord,
 ) -> Array | None:
-    """Simulate a nudged state; return the states after each step, shape (n, size).
+    """Simulate a robot after a nudge (a small velocity); return the states, shape (n, size).
 
     The simulation ends early, and the result is None, if it diverges, or if the robot leaves the
     stand or shakes without decay.
@@ -351,10 +353,10 @@ def _simulate_nudge(
 
 
 def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
-    """Return True if a foot will be too far from its target at the end of the simulation.
+    """Return True if a foot will certainly be too far from its target at the end of a simulation.
 
-    The displacement is bounded from below: it decreases at most ``_DISPLACEMENT_RATE_FACTOR`` times
-    as fast as in the last second. False if the ratios span less than a second.
+    The distance to the target is assumed to decrease at most ``_DISPLACEMENT_RATE_FACTOR`` times as
+    fast as in the last second. False if the ratios span less than a second.
 
     Args:
         ratios: Largest mean foot displacement in a second, relative to ``MAX_FOOT_DISPLACEMENT``,
@@ -368,10 +370,10 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
 
 
 def _height_ratio(held: StandStart, states: Array) -> float:
-    """Return the larger ratio [1] of two quantities of the base height to their bounds.
+    """Return how far the motion of the base height exceeds the bounds for rest, as a ratio [1].
 
-    The quantities are the standard deviation (bound `MAX_HEIGHT_DEVIATION`) and the magnitude of
-    the mean velocity (bound `SETTLED_DRIFT`).
+    The result is the larger of two ratios: standard deviation / `MAX_HEIGHT_DEVIATION`, and
+    magnitude of the mean velocity / `SETTLED_DRIFT`. A ratio up to 1 is within the bound.
 
     Args:
         held: Start of the simulation.
@@ -389,7 +391,7 @@ def _max_horizontal_norm(displacements: Array) -> float:
 
 
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
-    """Compute target minus mean position of each stance foot, shape (contact points, 3) [m].
+    """Compute target minus mean position of each contact point of a stand, shape (points, 3) [m].
 
     Positions are centres of contact points in the world frame, sampled every ``_SAMPLE_TIME``.
     """

@@ -1,7 +1,7 @@
-"""Decide if a simulated robot shakes without decay, from its speeds.
+"""Decide from the speeds of a simulated robot if the robot shakes (oscillates) without decay.
 
-The slow motion of a robot, such as creep, is removed: a straight line in time is subtracted from
-each velocity.
+Slow motion of a robot, such as creep, is removed: a straight line in time is subtracted from each
+velocity.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ShakingRecord:
 
     @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
     def add(self, states: Array) -> None:
-        """Record the largest speeds in further simulated states.
+        """Record the largest speed in each interval of further simulated states.
 
         Each call begins a new interval. States after the last complete `RECORD_INTERVAL` are
         ignored.
@@ -74,12 +74,15 @@ class ShakingRecord:
 
     @property
     def speed(self) -> float:
-        """Largest speed in the last second [m/s, rad/s mixed]; 0 without an interval."""
+        """Largest speed of a coordinate in the last second [m/s, rad/s], without slow motion.
+
+        0 if nothing is recorded.
+        """
         return max(self._speeds[-INTERVALS_PER_SECOND:], default=0.0)
 
     @property
     def is_calm(self) -> bool:
-        """Whether the speed was at most `MIN_SHAKING_SPEED` in the last recorded interval.
+        """Whether all speeds in the last recorded interval were at most `MIN_SHAKING_SPEED`.
 
         At least one interval must be recorded.
         """
@@ -87,7 +90,7 @@ class ShakingRecord:
 
     @property
     def is_shaking(self) -> bool:
-        """Whether the robot shook faster than `MIN_SHAKING_SPEED` within the last second."""
+        """Whether a speed above `MIN_SHAKING_SPEED` was recorded within the last second."""
         return self.speed > MIN_SHAKING_SPEED
 
     @property

@@ -68,7 +68,8 @@ def stand_stability(
     Args:
         robot: Robot.
         stand: Stand.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
+            ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
@@ -126,10 +127,10 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speed [m/s, rad/s], used three times. A state with a lower speed is at rest in
-`find_final_spectrum`. A remaining motion below the bound is small in `remains_small`.
-``causes.proves_unrest`` ignores motions below the bound. Feet usually creep more slowly. Chosen,
-not tuned."""
+"""Upper bound of the speed [m/s, rad/s] of a robot at rest. `find_final_spectrum` treats a state up
+to this speed as at rest, and `remains_small` accepts a remaining motion up to this speed.
+``causes.proves_unrest`` ignores slower motions. Feet usually creep more slowly. Chosen, not
+tuned."""
 
 
 def evaluate_final_stability(
@@ -141,10 +142,10 @@ def evaluate_final_stability(
     has_fallen: bool = False,
     tests_growth: bool = True,
 ) -> Stability:
-    """Judge the stability of a robot at the end of a simulation.
+    """Judge the stability of a robot at the end of a simulation, from the modes of MuJoCo's step.
 
-    The evaluated state is the final state, if at rest. Otherwise it is a state near the initial
-    state (`find_final_spectrum`).
+    The evaluated state is the final state, if the robot is at rest. Otherwise, the evaluated state
+    is near the initial state (`find_final_spectrum`).
 
     Args:
         drive: MuJoCo model with servos.
@@ -161,7 +162,7 @@ def evaluate_final_stability(
 def find_final_spectrum(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> tuple[Stability, mujoco.MjData]:
-    """Compute the growing modes of a robot at the end of a simulation.
+    """Compute the modes of MuJoCo's linearised step at the end of a simulation.
 
     The evaluated state is:
 
@@ -198,7 +199,7 @@ def _restore_state(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
 def evaluate_stability(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Judge the stability of a state under a constant command; a simulation tests growing modes.
+    """Judge the stability of a state under a constant command, by modes and a nudged simulation.
 
     Args:
         drive: MuJoCo model with servos.
@@ -283,7 +284,7 @@ def _find_modes(
 
 @contextlib.contextmanager
 def _without_contacts(model: mujoco.MjModel, bodies: tuple[int, ...]) -> Iterator[None]:
-    """Disable all contacts of bodies, also those of ``<pair>``, until the context ends."""
+    """Disable all contacts of bodies (also of ``<pair>`` elements) in a ``with`` block."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
     pairs = np.isin(model.pair_geom1, geoms) | np.isin(model.pair_geom2, geoms)
     kept = model.geom_contype.copy(), model.geom_conaffinity.copy(), model.pair_margin.copy()
@@ -296,9 +297,8 @@ def _without_contacts(model: mujoco.MjModel, bodies: tuple[int, ...]) -> Iterato
 
 
 _NO_CONTACT_MARGIN = -1e3
-"""Margin that disables a contact pair [m]: with it, MuJoCo creates a contact only if bodies overlap
-by 1 km.
-"""
+"""Contact margin [m] that disables a contact pair. MuJoCo creates a contact only if the distance of
+two geoms is below the margin, here an overlap of 1 km."""
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
@@ -308,7 +308,7 @@ without creep. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
 """Upper bound [1] of the ratio (speed in the last third) / (speed in the second third) of the time
-after a nudge, with which the motion counts as decayed. A sustained oscillation has a ratio of 1.
+after a nudge, with which the motion counts as decaying. A sustained oscillation has a ratio of 1.
 Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
@@ -351,7 +351,7 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether no joint moved by `MAX_JOINT_DISPLACEMENT` or more at any time after the nudge.
+        """Whether all joints stayed within `MAX_JOINT_DISPLACEMENT` at all times after the nudge.
 
         Creep, the slow motion before the nudge, is subtracted.
         """
@@ -402,7 +402,7 @@ def count_nudged_steps(model: mujoco.MjModel, duration: float) -> int:
 def measure_response(
     model: mujoco.MjModel, before: Array, states: Array, creep: Array | None = None
 ) -> Nudge:
-    """Measure the response to a nudge: remaining speeds [m/s, rad/s], joint displacements [rad, m].
+    """Measure the motion after a nudge: speeds [m/s, rad/s] and joint displacements [rad, m].
 
     Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude creep, a straight
     line in time is fitted to each velocity and subtracted. An increase of the mean velocity of a
@@ -503,7 +503,7 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 
 
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
-    """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
+    """Return how much a nudge increases the mean velocity of the base [m/s, rad/s], at least 0.
 
     The increase is that of the absolute value of a velocity component; the result is the maximum
     over all components of all free joints. A robot that still settles slows down, which does not
@@ -521,24 +521,24 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
 
 
 def measure_speed_deviation(velocities: Array) -> float:
-    """Compute how fast a robot shakes: largest deviation of velocities from straight lines in time.
+    """Compute how fast a robot shakes: the largest speed, without slow motion such as creep.
 
-    Each line is fitted to the values of a velocity by least squares. Slow motion such as creep is
-    thus excluded.
+    To exclude slow motion, a straight line in time is fitted to each velocity by least squares and
+    subtracted.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
 
     Returns:
-        Largest deviation over time and velocities [m/s and rad/s mixed].
+        Largest deviation from a line, over time and all velocities [m/s and rad/s mixed].
     """
     return float(measure_speed_deviations(velocities).max(initial=0.0))
 
 
 def measure_speed_deviations(velocities: Array) -> Array:
-    """Compute the largest deviation of each velocity from a straight line in time.
+    """Compute the largest deviation of each velocity from its linear trend in time.
 
-    The line is fitted to the values of the velocity by least squares.
+    The trend is a straight line, fitted to the values of the velocity by least squares.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].

@@ -48,7 +48,8 @@ BASE_NUDGE_SPEED = 0.01
 """Initial speed of the base [m/s] in a nudged simulation. For a horizontal nudge the speed is
 multiplied by `_HORIZONTAL_FACTOR`. For a yaw rotation the angular speed is (this speed) / (CoM
 height). A nudge is needed since a robot leaves an unstable equilibrium only after a perturbation. A
-stand that is stable by a few percent survives this speed. Chosen, not tuned."""
+stand that is a few percent inside its limits of stability survives this speed. Chosen, not
+tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
@@ -75,39 +76,38 @@ foot without ground contact rises more, the foot has lifted. A foot with little 
 less. Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
-"""Bounds in `is_near_limit`. A stand beyond a bound is near a limit, and requires nudged
-simulations.
+"""Bounds with which `is_near_limit` decides. A stand beyond a bound requires nudged simulations.
 
 - First: lower bound of the CoM margin, divided by the CoM displacement by a nudge [1].
 - Second: upper bound of the utilisation of motors and friction [1].
 - Third: lower bound of the distance of a joint from its limits [rad, m].
 
 Measured on 80 random robots with 50 to 97 % of their payloads: robots that fell after a nudge had a
-CoM margin below 3 displacements.
-"""
+CoM margin below 3 displacements."""
 
 _MIN_LOAD_RATIO = 0.02
-"""Lower bound [1] of the load of a foot, divided by the mean foot load, in `is_near_limit`. A nudge
-may lift a foot with less load. On unequal slopes, contact forces with minimum tangential forces may
-load two of four feet with only 1/10,000 of the weight. Chosen, not tuned."""
+"""Lower bound [1] of the ratio (load of a foot) / (mean load of the feet). `is_near_limit` returns
+True for a smaller ratio, since a nudge may lift such a foot. On unequal slopes, contact forces with
+minimum tangential forces may load two of four feet with only 1/10,000 of the weight. Chosen, not
+tuned."""
 
 _LIMIT_ATOL = 1e-6
-"""Tolerance of joint positions [rad, m], used twice. A joint rests on a limit if the distance from
-the limit is below the tolerance. A joint range permits no motion if the width is at most the
-tolerance. Chosen as the rounding of configurations in files."""
+"""Tolerance of joint positions [rad, m]. A joint rests on a limit if the distance from the limit is
+below the tolerance. A joint is immobile if the width of its range is at most the tolerance. Chosen
+as the rounding of configurations in files."""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
 
 _CHECK_INTERVAL = 0.5
-"""Simulated time between two tests whether the outcome is decided [s], rounded to whole samples.
-Chosen, not tuned."""
+"""Simulated time [s] between two tests whether a nudged simulation may end, rounded to whole
+samples (`_SAMPLE_TIME`). Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Upper bound of the predicted motion of a coordinate in the remaining time [m, rad], used twice.
-Within the bound, the robot counts as at rest and the simulation ends early. A predicted coordinate
-may also leave the range of its values since the nudge by at most this distance
-(`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of `MAX_JOINT_DEVIATION`."""
+"""Upper bound of the motion of a coordinate [m, rad] in the remaining time, with which a nudged
+simulation may end early. Also the largest distance by which a predicted coordinate may leave the
+range of its values since the nudge (`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of
+`MAX_JOINT_DEVIATION`."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
@@ -125,9 +125,9 @@ remaining motion can be bounded. A larger product, growth by a factor of more th
 unbounded motion. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
-"""Factor [1] on the largest predicted motion of a coordinate in the remaining time. The base of a
-robot at rest is lowered by the product, to test if another part could reach the ground. Chosen, not
-tuned: the motion of the base is counted once, and the motion of the joints once."""
+"""Factor [1] on the largest remaining motion of a coordinate. To test if a part other than a foot
+could reach the ground, the base is lowered by factor * motion. Chosen, not tuned: the motion of the
+base is counted once, and the motion of the joints once."""
 
 
 class Failure(StrEnum):
@@ -189,7 +189,7 @@ def simulate_nudges(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> NudgeTrial:
-    """Simulate a stand twelve times, each time with another initial velocity (nudge) of the base.
+    """Simulate a stand after twelve nudges (initial velocities of the base) to find failures.
 
     The nudges are: `BASE_NUDGE_SPEED` up and down; a slightly larger speed in eight horizontal
     directions (`_HORIZONTAL_FACTOR`); a rotation about the base's z axis in both senses.
@@ -281,11 +281,11 @@ def simulate_large_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> NudgeTrial:
-    """Simulate a stand after large nudges of the base, and find out if it shakes without decay.
+    """Simulate a stand after large nudges of the base, to detect shaking that does not decay.
 
-    A nudge is an initial velocity; a large nudge may lift a sole. The base starts with
-    `LARGE_NUDGE_SPEED` along +x, -x, +y or -y of the world, or rotates about its z axis with
-    `LARGE_NUDGE_SPEED` / CoM height.
+    A nudge is an initial velocity; a large nudge may lift a sole, which may then chatter. The base
+    starts with `LARGE_NUDGE_SPEED` along +x, -x, +y or -y of the world, or rotates about its z axis
+    with `LARGE_NUDGE_SPEED` / CoM height.
 
     A simulation ends once the robot does not shake for an interval (``ShakingRecord.is_calm``), or
     after ``HOLD_DURATION``. Only shaking without decay and divergence are failures, as defined in
@@ -397,7 +397,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
 
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
-    """Return the joint positions beyond which a nudged stand has failed: lower and upper limits.
+    """Return the lower and upper joint positions beyond which a nudged stand counts as failed.
 
     The limits are the joint limits of the robot, with two exceptions:
 
@@ -418,7 +418,7 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
 
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
-    """Return the height of the CoM above the mean contact point of a stand [m].
+    """Return the height [m] of a stand's CoM above the mean of its contact points.
 
     For a robot with welds or grips, the result is the stand height of the robot: the base height in
     the nominal stand.
@@ -462,15 +462,15 @@ _Event = tuple[float, Failure, tuple[str, ...]]
 
 
 class _FailureConditions:
-    """Failure conditions of a nudged stand, shared by the simulations of all nudges.
+    """Limits and reference state by which simulations after nudges are judged.
 
     Args:
         held: Initial state, with the servo commands.
         stand: The stand.
 
     Attributes:
-        growth_rate: Largest growth rate of a mode in the spectra evaluated so far, at least 0
-            [1/s].
+        growth_rate: Largest growth rate [1/s] of a mode in all spectra (eigenvalues of the
+            simulation step) so far; at least 0.
     """
 
     def __init__(self, held: StandStart, stand: Stand) -> None:
@@ -499,7 +499,7 @@ class _FailureConditions:
         self._linear_time = math.nan
 
     def bound_motion(self, speed: float, remaining: float) -> float:
-        """Compute an upper bound of the motion of a coordinate in the remaining time [m, rad].
+        """Compute an upper bound of the motion of a coordinate [m, rad] in the remaining time.
 
         The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with v = ``speed``, r = ``growth_rate``
         [1/s] and T = ``remaining``. It is infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
@@ -550,7 +550,7 @@ class _FailureConditions:
         return _PREDICTION_FACTOR * displacements, velocity + changes
 
     def displacement(self, state: Array) -> Array:
-        """Compute the displacement of a state from the start without nudge, shape (nv,) [m, rad].
+        """Compute the displacement (nv,) [m, rad] of a state from the initial state of the stand.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -561,7 +561,7 @@ class _FailureConditions:
         return displacement
 
     def sample(self, state: Array) -> tuple[set[str], set[str], Array]:
-        """Evaluate the ground contacts and motor torques at a state.
+        """Find the feet and bodies on the ground, and the motor torques, at a simulated state.
 
         No contact forces are computed, which saves most of the time.
 
@@ -595,7 +595,7 @@ class _FailureConditions:
         return positions
 
     def locate_feet(self) -> Array:
-        """Return the centres of the stand's contact points at the state sampled last.
+        """Return the centres of the stand's contact points at the last state passed to ``sample``.
 
         Returns:
             Centres, shape (number of contact points, 3) [m], in the world frame.
@@ -605,7 +605,7 @@ class _FailureConditions:
 
 
 class _NudgedEvaluation:
-    """Evaluation of a single nudged simulation, interval by interval.
+    """Search for failures in a simulation after one nudge, interval by interval.
 
     Attributes:
         state: Last simulated state (mjSTATE_FULLPHYSICS), shape (size,).
@@ -727,11 +727,10 @@ class _NudgedEvaluation:
         """Return True if no failure is expected in the remaining time of this nudged simulation.
 
         The remaining motion of each coordinate is bounded by the largest speed of the last interval
-        and the largest growth rate of the modes in the spectra so far
-        (`_FailureConditions.bound_motion`). If this bound is too large, the linearised step
-        predicts the motion (`_bound_motion`). The conditions of a failure are then evaluated with
-        the remaining motion. The result is False, for example, while a motor is saturated, a foot
-        is lifted or the robot shakes.
+        and the largest growth rate of a mode found so far (`_FailureConditions.bound_motion`). If
+        this bound is too large, the linearised step predicts the motion (`_bound_motion`). The
+        conditions of a failure are then evaluated with the remaining motion. The result is False,
+        for example, while a motor is saturated, a foot is lifted or the robot shakes.
 
         Args:
             states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
@@ -825,7 +824,7 @@ class _NudgedEvaluation:
         return np.abs(displacements).max(axis=0), np.abs(velocities).max(axis=0)
 
     def _reaches_ground(self, distance: float) -> bool:
-        """Return True if a body or swing foot touches the ground once the base is lowered.
+        """Return True if a body or swing foot would touch the ground with a lowered base.
 
         The base is moved by ``distance`` [m] against the lift-off direction of each stance foot
         (`Stand.lift_directions`), in turn.
@@ -855,13 +854,13 @@ def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float)
 
 
 def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, float]:
-    """Return the sort key of a failed run: time [s], then shaking speed, fastest first."""
+    """Return the key that sorts failed runs by time [s]; of shaking runs, the fastest is first."""
     (time, failure, _), run = failed
     return time, -run.shaking.speed if failure is Failure.SHAKING else -math.inf
 
 
 def _is_earliest_known(runs: list[_NudgedEvaluation]) -> bool:
-    """Return True if one run has failed, and no other run can still fail earlier.
+    """Return True if a run has failed, and no undecided run can have an earlier failure.
 
     A failure that follows a saturation has the time of the saturation. A later divergence, whose
     time is 0, is not considered.

@@ -51,7 +51,7 @@ PASSING_CODES = (
     VerdictCode.HOLDS_ALTERED,
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
-"""Codes of verdicts that count as a success: commands then exit with status 0."""
+"""Codes of verdicts that count as a success, with which commands exit with status 0."""
 
 
 UNKNOWN_CODES = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
@@ -79,8 +79,8 @@ limit of a motor is unknown."""
 
 
 TWO_ROBOTS_CODE = "files-of-two-robots"
-"""Code of the message that URDF and MJCF describe different robots. Other failures are consequences
-of this failure, which is therefore listed first."""
+"""Code of the message that URDF and MJCF describe different robots. All other failures may be
+consequences, so this failure is listed first."""
 
 
 class Ending(StrEnum):
@@ -96,7 +96,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """Result of a simulation, as far as a verdict depends on the simulation.
+    """Result of a simulation of a stance: the values from which a verdict is formed.
 
     Attributes:
         passed: Whether the simulation did what was requested.
@@ -152,8 +152,8 @@ class Creep(Result):
 
 
 NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
-"""Bounds of creep, the slow mean motion of a standing robot: speed [m/s] and rate [rad/s], equal to
-1 mm/min and 10 mrad/min. If a bound is exceeded, the first lines of a verdict report the creep.
+"""Upper bounds of the creep (slow mean motion) of a standing robot: speed [m/s] and rate [rad/s], 1
+mm/min and 10 mrad/min. If a bound is exceeded, the first lines of a verdict report the creep.
 Chosen, not tuned: the nominal stand of Pupper v3 creeps by less than a tenth of both."""
 
 
@@ -228,15 +228,14 @@ def judge_stance(
     masses_unknown: bool = False,
     remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
-    """Create the verdict on the simulations of a stance, posture, payload, path or push.
+    """Create the verdict on simulations of a stance, payload, path or push.
 
-    The code of the verdict is the worst that applies. A passing code is replaced if the answer
-    depends on masses (``MASSES_UNKNOWN``) or else torque limits (``LIMITS_UNKNOWN``) that no file
-    states.
+    The worst code that applies is selected. If the answer depends on masses or torque limits that
+    no file states, ``MASSES_UNKNOWN`` or ``LIMITS_UNKNOWN`` replaces a passing code.
 
     Args:
-        fed: Simulation with feed-forward torques.
-        alone: Simulation with position commands alone; None if there is none.
+        fed: Result of the simulation with feed-forward torques.
+        alone: Result of the simulation with position commands alone; None if there is none.
         servos: Servos of the simulation.
         question: Question that the simulation answers.
         overloaded_motors: Names of joints whose motors exceed the effort limits.
@@ -279,7 +278,7 @@ def judge_stance(
 
 
 def _min_doubling_time(stability: Stability | None) -> float:
-    """Return the smallest doubling time of the modes that grow within ``HOLD_DURATION`` [s].
+    """Return the smallest doubling time [s] of the modes that double within ``HOLD_DURATION``.
 
     The result is infinite if there are no such modes, if all of them are sustained oscillations
     (which have no doubling time), if the state is not at rest, or if ``stability`` is None.
@@ -293,7 +292,7 @@ def _min_doubling_time(stability: Stability | None) -> float:
 def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
-    """Create the verdict on a balanced stance without a simulation; ``passed`` is False.
+    """Create the verdict on a balanced stance that was not simulated; ``passed`` is False.
 
     The code is ``OVERLOADED`` if a motor exceeds the effort limit, else ``UNSTABLE`` if
     ``stability`` contains a mode that grows within 12 s, else ``IN_BALANCE``.
@@ -353,9 +352,10 @@ def _find_worst_code(
 ) -> VerdictCode:
     """Return the worst verdict code that applies to the simulations of a stance.
 
-    Codes of `UNKNOWN_CODES` are not considered. If the robot stands, but not as predicted, the code
-    is ``DISAGREES``. The code is ``FAILS`` if also a motor is overloaded, if the published file
-    fails from a keyframe on its servos, or if this file collapses in the computed stance.
+    Codes of `UNKNOWN_CODES` are not considered. The published file is the MJCF as its author wrote
+    it. If the robot stands, but not as predicted, the code is ``DISAGREES``. In three cases the
+    code is ``FAILS`` instead: a motor is overloaded, the published file fails from a keyframe on
+    its servos, or the published file collapses in the computed stance.
 
     Args:
         fed: Simulation with feed-forward.

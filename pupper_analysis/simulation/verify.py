@@ -104,9 +104,9 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
 
 STABLE_DEVIATION = 5e-3
-"""Bound of the standard deviation of the base's height in the last second before the nudge [m]. If
-the bound is reached, `verify_stand` reports that the robot does not stand still. Chosen, not tuned.
-"""
+"""Bound of the standard deviation of the base's height [m] in the last second before the nudge (a
+small velocity of all coordinates). If the bound is reached, `verify_stand` reports that the robot
+does not stand still. Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
 """Bound of the difference between settled and predicted joint position [rad, m]. A stand is
@@ -114,15 +114,16 @@ verified only if the difference is smaller. Without feed-forward, the deadband b
 added to the bound. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Bound of two relative differences between simulation and prediction [1]. A stand is verified only
-if both are smaller. Motor torques are compared relative to `torque_scale`. Foot forces along the
-lift-off direction are compared relative to the predicted force. Without feed-forward, dry friction
-increases the bound for torques. Chosen, not tuned."""
+"""Bound [1] of the relative differences of motor torques and of foot forces between simulation and
+prediction. A stand is verified only if all differences are smaller. Differences of torques are
+divided by `torque_scale`. Differences of foot forces along the lift-off direction are divided by
+the predicted force, but at least by `MIN_FORCE_SCALE` times the load. Without feed-forward, dry
+friction increases the bound for torques. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound [1] of the force by which the error of a foot force is divided. The bound is a
-fraction of the predicted vertical load on all feet (of the weight, with welds or grips). Without
-the bound, feet with almost no load would have large relative errors. Chosen, not tuned."""
+"""Lower bound of the force by which the error of a foot force is divided, as a fraction [1] of the
+predicted vertical load on all feet (of the weight, with welds or grips). Without the bound, feet
+with almost no load would have large relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
 """Upper bound [1] of the height loss of a verified stand with feed-forward, divided by the CoM
@@ -135,8 +136,9 @@ larger, the two files describe different robots, which is a failure. The roundin
 files causes 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
-"""Lever arm [m] in the lower bound of `torque_scale`: (robot weight) * (lever arm). A lower bound
-is needed since all predicted torques may be zero. Chosen, not tuned."""
+"""Lever arm [m] in the lower bound of `torque_scale`: (robot weight) * (lever arm). Without a lower
+bound, relative torque errors would be infinite if all predicted torques are zero. Chosen, not
+tuned."""
 
 SETTLED_DRIFT = 5e-4
 """Bound of the magnitude of the base's mean vertical velocity in the last second before the nudge
@@ -144,15 +146,16 @@ SETTLED_DRIFT = 5e-4
 not tuned."""
 
 _SAMPLE_TIME = 0.02
-"""Time between the height samples of the result [s]. Chosen, not tuned."""
+"""Time between the samples of the base height in the result of `verify_stand` [s]. Chosen, not
+tuned."""
 
 NUDGED_FRACTION = 7 / 12
 """Default fraction [1] of the simulated time of a stand that follows the nudge. By default the
 simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned."""
 
 _FRAME_TIME = 0.1
-"""Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
-tuned."""
+"""Time between the configurations in the result of `verify_stand` [s]. Short enough for an
+animation. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -248,7 +251,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
 
     @property
     def stand(self) -> Stand | None:
-        """Stand that was simulated; None for a copy, or a verification from another process."""
+        """Stand that was simulated; None for a copied or unpickled verification."""
         stand: Stand | None = vars(self).get("_stand")
         return stand
 
@@ -289,7 +292,8 @@ def verify_stand(
     Args:
         robot: Robot.
         stand: Stand.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
+            ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
@@ -380,9 +384,9 @@ def verify_stand(
 
 
 def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
-    """Return the load on all feet [N]: the sum of vertical forces, or the weight with fixed parts.
+    """Return the predicted vertical load on all feet [N]; with welds or grips, the robot's weight.
 
-    Fixed parts are welds and grips. A weld may carry more than the weight, or pull down.
+    With a weld, the sum of foot forces is no scale, since a weld may carry all weight or pull down.
     """
     if robot.fixed_parts:
         return robot.weight
@@ -393,7 +397,10 @@ def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
 def _compute_load_shares(
     robot: Robot, stand: Stand, prediction: GravityCompensation, total_load: float
 ) -> dict[str, float]:
-    """Return {foot: predicted force along the lift-off direction / ``total_load`` [N]}."""
+    """Return {foot: fraction [1] of the load}: force along the lift-off direction / ``total_load``.
+
+    The forces are those of ``prediction``; ``total_load`` is in N.
+    """
     normals = stand.lift_directions(robot)
     predicted = robot.per_foot(prediction.contact_forces)
     return {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
@@ -402,10 +409,10 @@ def _compute_load_shares(
 def _are_failures_of_mismatch(
     robot: Robot, result: StandVerification, failures: Sequence[Diagnostic]
 ) -> bool:
-    """Return True if all failures are idle feet, and the files describe different robots.
+    """Return True if all failures are unloaded feet, and the files describe different robots.
 
-    The commanded torques are then those of another robot, and may unload a foot. The result is
-    False without feed-forward, and if the robot collapses.
+    If URDF and MJCF describe different robots, the torques computed from the URDF may unload a foot
+    in the MJCF. The result is False without feed-forward, and if the robot collapses.
     """
     mismatch = describe_model_mismatch(robot, result.mujoco_residual, robot.usual_weight)
     return bool(
@@ -424,11 +431,11 @@ def _is_fixed_without_feet(robot: Robot, stand: Stand) -> bool:
 def _describe_light_feet(
     lifted: Mapping[str, float], shares: Mapping[str, float], bounce: Nudge | None
 ) -> list[Diagnostic]:
-    """Return a note for each lifted foot with little load, and one if such a foot bounces.
+    """Create a note for each foot with little load that left the ground, and a note about bouncing.
 
     Args:
         lifted: {foot: time of the first lift [s]}.
-        shares: {foot: share of the total load [1]}.
+        shares: {foot: fraction of the total load [1]}.
         bounce: Response to the nudge if a foot bounces; otherwise None.
     """
     notes = [
@@ -453,11 +460,10 @@ measured. Chosen, not tuned."""
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
-    """Measure the creep of a stand: mean speeds of base, feet and slides, and mean hinge rates.
+    """Measure the creep of a stand: the slow mean motion of base, feet and joints in a simulation.
 
-    Creep is the slow motion of a robot that stands. Each mean speed is a displacement divided by a
-    duration. The displacement is measured over the last `CREEP_TIME` of the rollout, or over the
-    whole rollout if shorter.
+    A mean speed is a displacement divided by the duration. The displacement is measured over the
+    last `CREEP_TIME` of the simulation, or over the whole simulation if shorter.
 
     Args:
         robot: Robot.
@@ -490,7 +496,7 @@ def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Arr
 
 
 def _nudge_duration(duration: float, nudged: float | None) -> float:
-    """Return the simulated time after the nudge (velocity disturbance) [s].
+    """Return the simulated time [s] after the nudge (a small velocity of all coordinates).
 
     Args:
         duration: Duration of the whole simulation [s].
@@ -513,7 +519,7 @@ def _nudge_duration(duration: float, nudged: float | None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SettlingRun:
-    """Simulation of a constant command, followed by a nudge (a velocity of all coordinates).
+    """Simulation of a robot under a constant command, with a nudge (a small velocity) after a time.
 
     Attributes:
         states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
@@ -543,10 +549,10 @@ def settle_and_nudge(
     *,
     until_failure: bool = False,
 ) -> SettlingRun:
-    """Simulate a state under a constant command for a time, then nudge all coordinates.
+    """Simulate a robot under a constant command, then after a nudge, and evaluate the stability.
 
-    A nudge is a small velocity. There is no nudge if ``nudge_duration`` is 0, or if the simulation
-    diverges before. The stability of the settled state is evaluated as well.
+    A nudge is a small velocity of all coordinates. There is no nudge if ``nudge_duration`` is 0, or
+    if the simulation diverges before. The modes of the settled state are evaluated as well.
 
     Args:
         drive: Servos and MuJoCo model.
@@ -596,7 +602,7 @@ def _compare_with_prediction(
     reference: monitor.StandReference,
     force_scale: float,
 ) -> StandVerification:
-    """Return the deviations of a simulation from the prediction.
+    """Create the comparison of a simulation with the predicted static equilibrium of the stand.
 
     ``passed``, ``stays`` and ``feedforward`` of the result are placeholders (True), and failures
     are empty. The error of a foot's force is relative to the predicted force, or to ``force_scale``
@@ -673,11 +679,11 @@ def _compare_with_prediction(
 def _describe_height_loss(
     result: StandVerification, com_height: float, failures: Sequence[Diagnostic]
 ) -> list[Diagnostic]:
-    """Report that the base of a simulated robot settles too far below the stand.
+    """Create the message that a simulated robot settles too far below its stand; empty if not.
 
     The limit of the height loss is `MAX_SINKING_RATIO` times ``com_height``. Without feed-forward,
-    sag is expected, and only a collapse is reported. The result is empty if the height is
-    sufficient, or if the robot collapses and ``failures`` state why.
+    sag is expected, and only a collapse is reported. The result is also empty if the robot
+    collapses and ``failures`` already contains a reason.
 
     Args:
         result: Simulation, compared with the prediction.
@@ -723,7 +729,7 @@ def _find_standing_failures(
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Return the torque by which deviations of joint torques are divided, as a scale.
+    """Return the reference torque for relative errors of joint torques.
 
     Args:
         robot: Robot.
@@ -737,7 +743,7 @@ def torque_scale(robot: Robot, torques: Array) -> float:
 
 
 def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
-    """Return the dry friction of each joint, and the position deadband of its servo by friction.
+    """Return each joint's dry friction, and the position deadband that this friction causes.
 
     The deadband is friction / kp: the position deviation at which dry friction balances the servo.
 
@@ -781,7 +787,7 @@ def _compare_with_equilibrium(
 
 
 def find_worst_unit(robot: Robot, deviations: Array) -> str:
-    """Return the unit, rad or m, of the largest of the joint deviations; NaN counts as the largest.
+    """Return the unit (rad or m) of the joint with the largest deviation; NaN counts as largest.
 
     Args:
         robot: Robot.
@@ -799,7 +805,7 @@ def describe_deviations(
     details: Mapping[str, Any] = MappingProxyType({}),
     unit: str = "rad",
 ) -> list[Diagnostic]:
-    """Create messages about joint and torque deviations from the prediction above the tolerances.
+    """Create messages if joint positions or torques deviate from the prediction beyond tolerances.
 
     The tolerances are `JOINT_TOLERANCE` plus ``deadband``, and `FORCE_TOLERANCE` plus
     ``friction_share``.
@@ -807,7 +813,7 @@ def describe_deviations(
     Args:
         joint: Largest joint deviation, in ``unit``.
         torque: Largest torque deviation, relative to `torque_scale` [1].
-        deadband: Joint deviation that dry friction can hold [rad, m].
+        deadband: Joint deviation that dry friction can hold [rad, m], added to the tolerance.
         friction_share: Torque deviation that dry friction can hold, relative to `torque_scale` [1].
         details: Values of the message about torques: joint with the largest torque deviation,
             predicted and simulated torque.
@@ -831,7 +837,7 @@ by at most this fraction of the limit. Chosen, not tuned."""
 def describe_drive_limits(
     robot: Robot, run: StandVerification, predicted: Array, positions: Array
 ) -> list[Diagnostic]:
-    """Create messages about saturated motors, and about commands beyond the command range.
+    """Create messages about saturated motors, and about commands beyond the servos' command ranges.
 
     Such limits may be the cause of a deviation from the prediction. Commands are checked only in a
     simulation with feed-forward. Passive joints have no motor that could saturate.
@@ -858,7 +864,7 @@ def describe_drive_limits(
 
 
 def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
-    """Create the message that URDF and MJCF describe different robots, if a residual is large.
+    """Create the message that URDF and MJCF describe different robots, if forces do not balance.
 
     The residual is too large if it exceeds `MAX_BALANCE_RESIDUAL_RATIO` times the weight.
 
@@ -893,7 +899,9 @@ def _find_deviations(
     *,
     stays: bool,
 ) -> list[Diagnostic]:
-    """Report deviations of a simulation with feed-forward from the prediction, with known causes.
+    """Create messages about deviations of a simulation from the prediction, and about known causes.
+
+    The simulation is with feed-forward.
 
     ``stays`` is True if the robot stands still. Soft ground is reported as a cause only in this
     case.
