@@ -1,8 +1,8 @@
 """Solve for contact forces in friction cones that keep a robot in static equilibrium.
 
-Input: the linear balance equations of a robot (`Balance`), friction coefficients, and a criterion.
-Output: a vector of contact forces that satisfies balance and friction, or None if no such vector
-exists.
+Input: the linear balance equations of a robot (`Balance`), friction coefficients, and a criterion
+(minimum norm, minimum peak torque, or maximum of a linear function). Output: a vector of contact
+forces that satisfies balance and friction, or None if no such vector exists.
 
 If the criterion is a norm and the optimum without cones is inside the cones, this optimum is
 returned (LAPACK). Otherwise Clarabel solves a second-order cone program. For the cone program the
@@ -25,9 +25,9 @@ from pupper_analysis.base import lapack
 from pupper_analysis.base.array_types import Array
 
 BALANCE_TOLERANCE = 1e-9
-"""Largest norm of the residual of the base's balance that counts as zero, relative to the norm of
-the base load (N and N m mixed). Other modules use the same value to decide whether ground normals
-point upward, and as relative tolerance of contact forces. Chosen, not tuned."""
+"""Largest residual norm of the base's force and moment balance that counts as zero, relative to the
+norm of the base load (N and N m mixed). Other modules use the same value as tolerance of upward
+ground normals, and as relative tolerance of contact forces. Chosen, not tuned."""
 
 
 MAX_TOTAL_NORMAL_FORCE = 10.0
@@ -38,18 +38,19 @@ harder."""
 
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
-the solver's rounding stays inside the true cones. Chosen, not tuned."""
+solutions satisfy the true cones in spite of the solver's rounding. Chosen, not tuned."""
 
 
 _LARGE_FRICTION = 10.0
-"""Friction coefficient above which the rows of a cone are divided by the coefficient. Without
-scaling, Clarabel fails for coefficients of 1,000 and more. Chosen far above the coefficients of
-real materials, so that their rows stay unscaled."""
+"""Friction coefficient above which the four rows of a friction cone are divided by the coefficient.
+Without this scaling, Clarabel fails for coefficients of 1,000 and more. Chosen far above the
+coefficients of real materials, so that usual cones stay unscaled."""
 
 
 _TANGENTIAL_WEIGHT = 1e3
 """Weight of tangential force components relative to normal components in `TangentialMetric`. Chosen
-so large that normal forces decide only between solutions with equal tangential forces."""
+so large that the normal forces matter only for a choice between solutions with equal tangential
+forces."""
 
 
 _PEAK_SLACK = 1e-7
@@ -65,8 +66,8 @@ of the upper bounds. A solution with a larger violation is rejected. Chosen, not
 
 _MIN_RECIPROCAL_CONDITION = 1e-8
 """Smallest reciprocal condition number with which the linear equations for the contact forces count
-as independent. Below, the slower singular value decomposition is used. Measured for four feet on
-level ground: 1e-4 with the weights of `TangentialMetric`, 5e-2 without."""
+as independent. With a smaller number, the slower singular value decomposition is used. Measured for
+four feet on level ground: 1e-4 with the weights of `TangentialMetric`, 5e-2 without."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 """Normal of level ground in the world frame."""
@@ -119,12 +120,12 @@ class Balance:
     grips: Array = field(default_factory=lambda: np.zeros(0))
 
     def minimum_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
-        """Compute the forces with the smallest norm in a tangential metric.
+        """Compute the equilibrium forces with the smallest norm, mainly of tangential forces.
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones, unilateral limits and
                 grip limits.
-            metric: Weighted norm that is minimised.
+            metric: Weights of the minimised norm: large for tangential forces.
 
         Returns:
             Forces in world axes, shape (size,) [N, N m]: contact forces (3 n,), wrenches of welds
@@ -190,7 +191,7 @@ class Balance:
         return None if found is None else directions @ found
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
-        """Compute the forces with the smallest peak motor utilisation max |tau| / limit.
+        """Compute the equilibrium forces with the smallest peak motor utilisation |tau| / limit.
 
         If several solutions have this peak, the solution with the smallest norm of all utilisations
         is selected. If ``friction`` is None, only this norm is minimised, not the peak. Motors
@@ -213,7 +214,7 @@ class Balance:
         return self.solve(friction, cost, target, peak=True)
 
     def maximize(self, linear: Array, friction: Array, rows: Array, upper: Array) -> Array | None:
-        """Compute the forces that maximise a linear function within the friction cones.
+        """Compute the equilibrium forces in the friction cones that maximise a linear function.
 
         Args:
             linear: Coefficients of the maximised function ``linear @ f``, shape (size,), in the
@@ -260,7 +261,8 @@ class Balance:
                 grip limits: feet may pull and slip.
             cost: Matrix, shape (m, size), or a `TangentialMetric`, which provides the product
                 ``cost @ f``.
-            target: Shape (m,).
+            target: Shape (m,); value of ``cost @ f`` without error, for example the load of the
+                joints.
             peak: If True, minimise the largest absolute element of ``cost @ f - target`` first,
                 then the norm. Has no effect if ``friction`` is None.
 
@@ -280,9 +282,10 @@ class Balance:
         return None if coordinates is None else particular + free @ coordinates
 
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
-        """Return the forces f with the smallest |cost @ f - target| that balance the base load.
+        """Compute the forces f with the smallest |cost @ f - target|, subject to balance alone.
 
-        Friction cones and grip limits are ignored. None if no forces balance the load.
+        Balance is ``base_rows @ f = base_load``. Friction cones and grip limits are ignored. None
+        if no forces balance the load.
         """
         if isinstance(cost, np.ndarray):
             forces = self._solve_by_gglse(cost, target)
@@ -295,12 +298,12 @@ class Balance:
         return particular + free @ coordinates
 
     def _solve_by_gglse(self, cost: Array, target: Array) -> Array | None:
-        """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
+        """Compute the forces f with the smallest |cost @ f - target|, subject to balance alone.
 
-        ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, which
-        is faster than a singular value decomposition. Returns None if the equations of balance are
-        (nearly) linearly dependent, or if there are at least as many equations as unknowns. Also
-        None if the minimum is (nearly) not unique.
+        LAPACK's ``gglse`` solves equality-constrained least squares by a generalised QR
+        factorisation, which is faster than a singular value decomposition. Returns None if the
+        equations of balance are (nearly) linearly dependent, or if there are at least as many
+        equations as unknowns. Also None if the minimum is (nearly) not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
@@ -313,7 +316,7 @@ class Balance:
 
     @cached_property
     def _particular_and_null_space(self) -> tuple[Array, Array]:
-        """Minimum-norm least-squares solution of the balance equations, and a null space basis.
+        """Minimum-norm solution of the balance equations (least squares), and a null-space basis.
 
         The shapes are (size,) and (size, k); the equations are ``base_rows @ f = base_load``.
         """
@@ -387,7 +390,9 @@ class Balance:
     def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Return z with the smallest peak ``max |cost @ z - target|``, and then least squares.
+        """Compute null-space coordinates with the smallest peak ``max |cost @ z - target|``.
+
+        If several z have this peak, the sum of squares is minimised.
 
         z (k,) are null-space coordinates: the forces (size,), ``particular + free @ z``, must be
         inside the friction cones. The second program, which minimises the sum of squares, may
@@ -424,10 +429,10 @@ class Balance:
         friction: Array,
         bounds: tuple[Array, Array] | None = None,
     ) -> Array | None:
-        """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b.
+        """Compute the null-space coordinates z (k,) with the smallest |cost @ z - target|^2.
 
-        z (k,), which is returned, are null-space coordinates: the forces (size,) are
-        particular + free @ z. ``bounds`` is (A, b). None as in `_solve_cone_program`.
+        The forces (size,) are ``particular + free @ z``, and must be inside the friction cones.
+        ``bounds`` is (A, b) of a further constraint A z <= b. None as in `_solve_cone_program`.
         """
         quadratic = cost.T @ cost
         # In singular leg configurations some forces need no torque: select the smallest of them.
@@ -445,12 +450,13 @@ class Balance:
         friction: Array,
         bounds: tuple[Array, Array] | None,
     ) -> Array | None:
-        """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
+        """Compute the z (k,) that minimises z^T quadratic z / 2 + linear z within friction cones.
 
-        ``bounds`` contains A and b of the inequality A z <= b. Returns z (k,). None if Clarabel
-        finds the problem infeasible or unbounded. Also None if the solution violates a friction
-        cone or grip limit by more than 1e-9 of the force in the base load (1e-9 N if this force is
-        zero). A violation of ``bounds`` is not checked.
+        The forces ``particular + free @ z`` must be inside the cones. ``bounds`` contains A and b
+        of a further constraint A z <= b. None if Clarabel finds the problem infeasible or
+        unbounded. Also None if the solution violates a friction cone or grip limit by more than
+        1e-9 of the force in the base load (1e-9 N if this force is zero). A violation of ``bounds``
+        is not checked.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)
@@ -482,7 +488,7 @@ class Balance:
 
 
 class TangentialMetric:
-    """Weighting matrix W of shape (size, size) that makes |W f| a norm of tangential forces.
+    """Weighting matrix W (size, size) with which |W f| is a norm of mainly the tangential forces.
 
     For a contact, W multiplies the normal component by 1 and the tangential components by
     `_TANGENTIAL_WEIGHT` / sqrt(viscosity). Components of welds and grips are multiplied by 1. The
@@ -490,8 +496,8 @@ class TangentialMetric:
 
     Args:
         normals: Shape (n, 3); unit vectors out of the ground.
-        viscosity: Shape (n,); positive viscosities of the contacts, relative to each other. 1 by
-            default.
+        viscosity: Shape (n,); positive relative viscosities of the contacts (tangential force /
+            creep velocity); 1 by default.
     """
 
     def __init__(self, normals: Array, viscosity: Array | None = None) -> None:
@@ -515,7 +521,7 @@ class TangentialMetric:
         return self._scale_tangential(self._weights, forces)
 
     def apply_inverse(self, forces: Array) -> Array:
-        """Return W^-1 @ forces with this weighting matrix W.
+        """Multiply forces by the inverse W^-1 of this weighting matrix.
 
         ``forces`` and the result have the shape (size,) or (size, k).
         """
@@ -527,7 +533,10 @@ class TangentialMetric:
         return self._scale_tangential(1 / self._weights, forces)
 
     def _scale_tangential(self, weights: Array, forces: Array) -> Array:
-        """Multiply tangential parts of contact forces (3 n,) or (3 n, k) by weights (n, 1)."""
+        """Multiply the tangential parts of contact forces (3 n,) or (3 n, k) by weights (n, 1).
+
+        Normal parts are unchanged.
+        """
         columns = forces.reshape(len(self._normals), 3, -1)
         normals = self._normals[:, :, None]
         along_normals = normals * (normals * columns).sum(axis=1, keepdims=True)
@@ -535,10 +544,10 @@ class TangentialMetric:
         return product.reshape(forces.shape)
 
     def solve_min_norm(self, rows: Array, right: Array) -> Array | None:
-        """Solve ``rows @ f = right`` for the f with the smallest |W f|.
+        """Solve ``rows @ f = right`` for the f with the smallest weighted norm |W f|.
 
-        With u the minimum-norm solution of (rows W^-1) u = right, f = W^-1 u. This form avoids
-        W^T W, which would square the condition number of W.
+        With u the minimum-norm solution of (rows W^-1) u = right, f = W^-1 u. This form avoids W^T
+        W, which would square the condition number of W.
 
         Returns:
             Shape (size,). None if there are more rows than unknowns, or the rows are linearly
@@ -556,9 +565,9 @@ class TangentialMetric:
 
 
 def _to_csc(matrix: Array) -> SimpleNamespace:
-    """Return the fields of SciPy's ``csc_matrix`` that Clarabel reads.
+    """Convert a dense matrix to an object with the fields of SciPy's ``csc_matrix``, for Clarabel.
 
-    The import of ``scipy.sparse`` takes 0.1 s.
+    The import of ``scipy.sparse`` itself would take 0.1 s.
     """
     by_column = matrix.T
     columns, rows = np.nonzero(by_column)

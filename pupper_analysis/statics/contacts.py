@@ -30,7 +30,7 @@ from pupper_analysis.statics.support_polygon import margin_of_position, support_
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts of a robot with the ground, independent of the configuration.
+    """Contacts of a robot with the ground, with welds and grips, independent of the configuration.
 
     Attributes:
         nv: Number of degrees of freedom of the robot.
@@ -47,8 +47,8 @@ class Contacts:
             prescribed. The first array, shape (k, n), is 1.0 if a contact belongs to a group, else
             0.0. The second array, shape (k,), contains the total normal force of each group, in
             units of the robot's weight.
-        weight: Weight of the robot [N], the unit of ``stated``. May be 0 if the robot has no
-            contacts of a stand task.
+        weight: Weight of the robot [N], the unit of ``stated``. May be 0 if no stand task adds
+            contacts, since ``stated`` is then None.
         grips: Shape (g,) [N]; upper bound of the force of each grip.
     """
 
@@ -70,13 +70,13 @@ class Contacts:
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
-        """Compute the horizontal distance from a point to the edge of the support region.
+        """Compute the horizontal distance from the CoM to the edge of the support region.
 
         A horizontal CoM position belongs to the support region if forces of these contacts balance
         the weight within friction and grip limits. The sum of the normal forces is at most
-        `MAX_TOTAL_NORMAL_FORCE` weights. If all normals are equal and neither grips nor prescribed
-        forces exist, the region is the convex hull of the contacts, independent of friction. The
-        hull is also used if no CoM position allows equilibrium.
+        `MAX_TOTAL_NORMAL_FORCE` weights. If all normals of the contacts are equal and neither grips
+        nor prescribed forces exist, the region is the convex hull of the contacts, independent of
+        friction. The hull is also used if no CoM position allows equilibrium.
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
@@ -107,7 +107,7 @@ class Contacts:
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
-        """Weights of normal and tangential forces for `ForceDistribution.MIN_TANGENTIAL`.
+        """Weights of the norm of forces that `ForceDistribution.MIN_TANGENTIAL` minimises first.
 
         All contacts have equal weights, as if their viscosities (tangential force per creep
         velocity) were equal.
@@ -125,7 +125,7 @@ class Contacts:
         return dict(zip(self.feet, self.friction.tolist(), strict=True))
 
     def points(self, config: Configuration) -> Array:
-        """Return the contact positions, shape (n, 3) [m], in the world frame."""
+        """Return the positions of the contacts, shape (n, 3) [m], in the world frame."""
         return config.foot_centres(self.feet) + self.offsets
 
     def transposed_jacobian(self, config: Configuration) -> Array:
@@ -172,7 +172,7 @@ class Contacts:
         return matrix.reshape(3 * count, 6 * count)
 
     def balance(self, transposed: Array, load: Array) -> Balance:
-        """Return the equations of equilibrium between a load, contacts and motors.
+        """Return the equations of equilibrium of a load with contact forces and motor torques.
 
         Each prescribed normal force (`stated`) adds an equation.
 
@@ -294,7 +294,11 @@ def _make_contacts(
 
 
 def _list_depths(feet: tuple[str, ...], depths: Mapping[str, float] | None) -> list[float]:
-    """Return the penetration [m] of each contact point; ConfigurationError if one is no length."""
+    """Return the penetration [m] of each contact point, 0 by default.
+
+    Raises:
+        ConfigurationError: If a penetration is not a valid length.
+    """
     listed = [(depths or {}).get(foot, 0.0) for foot in feet]
     try:
         if math.hypot(*listed) <= MAX_LENGTH:  # faster than a check of each; False for NaN
@@ -307,7 +311,7 @@ def _list_depths(feet: tuple[str, ...], depths: Mapping[str, float] | None) -> l
 
 
 def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
-    """Return the normal forces that the task prescribes for feet, as linear equations.
+    """Return the normal forces that the stand task prescribes for feet, as groups and totals.
 
     Args:
         robot: Robot with the contacts of a task.

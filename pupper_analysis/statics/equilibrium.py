@@ -58,7 +58,7 @@ class FootLoad(Result):
 def friction_utilisation_of(
     force: Sequence[float], normal: Sequence[float], friction: float, tiny: float
 ) -> float:
-    """Compute the friction utilisation: tangential force / (friction x normal force).
+    """Compute the friction utilisation of a contact: tangential force / (friction x normal force).
 
     Args:
         force: Three components [N].
@@ -78,7 +78,7 @@ def friction_utilisation_of(
 
 
 class FootLoads(Mapping[str, FootLoad]):
-    """Mapping {foot: load}. The load is the sum over the foot's contact points.
+    """Mapping {foot: load}, in which each load is summed over the foot's contact points at access.
 
     Args:
         feet: Contact points of each foot that carry load.
@@ -297,7 +297,7 @@ def balance_load(
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
 ) -> GravityCompensation:
-    """Compute motor torques and contact forces that balance a generalised force.
+    """Compute the motor torques and contact forces that produce a required generalised force.
 
     With ``load`` = M qacc + h this is inverse dynamics (`pupper_analysis.tools.path.dynamics`).
 
@@ -308,7 +308,7 @@ def balance_load(
         point: Shape (3,) [m]; zero-moment point of a motion, in the world frame. ``com_margin`` of
             the result refers to this point. Default: the centre of mass, which is the zero-moment
             point at rest.
-        distribution: Criterion that selects the contact forces among the feasible ones.
+        distribution: Criterion that selects the contact forces among the feasible forces.
         tipping: Reason that the error states if ``point`` is outside the support region.
         held: If True, the friction cones, unilateral limits and grip limits do not apply, as if the
             feet were glued to the ground. Exception: for the minimum tangential distribution of a
@@ -331,10 +331,10 @@ def balance_load(
     friction = None if held else carrying.friction
 
     def distribute(problem: Balance) -> Array | None:
-        """Return the contact forces by the requested criterion; None if no forces are feasible.
+        """Compute feasible forces (size,) [N, N m] by the criterion ``distribution``, or None.
 
-        Feasible forces satisfy the equations of balance ``problem``, and also the friction cones
-        and grip limits, unless the feet are treated as glued to the ground (``held``).
+        Feasible forces satisfy the equations of balance ``problem``. Unless ``held`` is True (feet
+        as if glued to the ground), feasible forces also satisfy the friction cones and grip limits.
         """
         if criterion is ForceDistribution.MIN_MAX_TORQUE:
             return problem.min_max_torque(friction, robot.effort_limits)
@@ -355,7 +355,9 @@ def balance_load(
 def _distribute_with_passive_joints(
     robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
 ) -> Array | None:
-    """Compute contact forces, without torques at passive joints if such forces are feasible.
+    """Compute contact forces with which passive joints (without motor) need no torque, if feasible.
+
+    Otherwise the forces may require torques of passive joints.
 
     Args:
         robot: Robot; `Description.passive_joints` are its passive joints.
@@ -382,7 +384,7 @@ def _distribute_with_passive_joints(
 def distribute_loads(
     config: Configuration, loads: Array, carrying: Contacts
 ) -> tuple[Array, Array]:
-    """Compute minimum-tangential contact forces and torques for several generalised forces.
+    """Compute contact forces with minimum tangential forces, and torques, for several loads.
 
     Args:
         config: State of a robot without closed loops.
@@ -399,7 +401,10 @@ def distribute_loads(
     forces, torques = [], []
 
     def distribute(problem: Balance) -> Array | None:
-        """Return contact forces with minimum tangential parts; None if no forces are feasible."""
+        """Compute feasible forces (size,) [N], world axes, with `ForceDistribution.MIN_TANGENTIAL`.
+
+        None if no forces satisfy balance, friction cones and grip limits.
+        """
         return _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
 
     for load in map(config.transfer_to_motors, loads):
@@ -414,16 +419,18 @@ def distribute_loads(
 
 
 _EQUAL_FORCES_RTOL = 1e-6
-"""Bound of the difference between the given contact forces and the minimum-norm forces of the
-balance equations, relative to the largest given component. If the difference reaches this bound,
-`differentiate_torques` returns None, since for example a friction cone is active. Chosen, not
-tuned."""
+"""Bound of the largest difference between given contact forces and the minimum-norm forces of the
+balance equations, relative to the largest component of the given forces. At this bound, a further
+constraint such as a friction cone determines the forces, and `differentiate_torques` returns None.
+Chosen, not tuned."""
 
 
 def differentiate_torques(
     config: Configuration, carrying: Contacts, forces: Array, motions: Array
 ) -> Array | None:
-    """Compute the derivatives of the minimum-tangential joint torques by motions of the robot.
+    """Compute how the joint torques of a stand change with motions of the robot (derivatives).
+
+    The torques are those of contact forces with minimum tangential forces.
 
     The contact forces f minimise |W f| subject to A f = b. W contains the weights of
     `TangentialMetric`, A is the base part of the transposed contact Jacobian J^T, and b is the base
@@ -475,7 +482,7 @@ def differentiate_torques(
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Check that loops and joint couplings are closed, up to their static deflection.
+    """Check that loop and coupling constraints are satisfied, up to their static deflection.
 
     Args:
         config: State of the robot.
@@ -492,7 +499,7 @@ def check_loops(config: Configuration, left: Array) -> None:
 
 
 def to_distribution(value: str) -> ForceDistribution:
-    """Convert the name of a distribution, for example "minimum torque".
+    """Convert a name, for example "minimum torque", to the criterion that selects contact forces.
 
     Raises:
         ConfigurationError: If the name is unknown.
@@ -511,7 +518,7 @@ def _solve_minimum_tangential(
     carrying: Contacts,
     friction: Array | None,
 ) -> Array | None:
-    """Compute the forces of `ForceDistribution.MIN_TANGENTIAL`, or None if infeasible.
+    """Compute the contact forces of `ForceDistribution.MIN_TANGENTIAL`; None if infeasible.
 
     Args:
         robot: Robot.
@@ -537,10 +544,10 @@ def _solve_minimum_tangential(
 def _iterate_viscosities(
     robot: Robot, problem: Balance, forces: Array, carrying: Contacts
 ) -> Array | None:
-    """Compute contact forces with minimum tangential forces, weighted by contact viscosities.
+    """Compute contact forces with minimum tangential forces, weighted by the contacts' viscosities.
 
-    The viscosity of a contact (tangential force / creep velocity) depends on its normal force, so
-    each iteration takes the normal forces of the previous one. The iteration ends if no force
+    The viscosity of a contact (tangential force / creep velocity) depends on the normal force, so
+    each iteration uses the normal forces of the previous iteration. The iteration ends if no force
     component changes by `BALANCE_TOLERANCE` times the largest component of ``forces`` or more, or
     after `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
     returned. On level ground ``forces`` is returned: a weight needs no tangential forces there.
@@ -573,7 +580,7 @@ def _iterate_viscosities(
 
 
 def compute_utilisation(robot: Robot, torques: Array) -> Array:
-    """Compute the utilisation |torque| / effort limit.
+    """Compute the utilisation of each motor: |torque| / effort limit.
 
     Args:
         robot: Robot with effort limits, shape (nu,) [N m or N].
@@ -599,7 +606,7 @@ def _has_only_positive_limits(robot: Robot) -> bool:
 
 
 def peak_utilisation(shares: Array) -> float:
-    """Return the largest utilisation, without unknown utilisations; NaN if all are unknown.
+    """Return the largest known motor utilisation (|torque| / limit); NaN if all are unknown.
 
     Args:
         shares: Utilisations of the motors, any shape; NaN if the limit is unknown.
@@ -609,13 +616,14 @@ def peak_utilisation(shares: Array) -> float:
 
 
 def find_hardest_motor(statics: Equilibrium) -> int:
-    """Return the index of the motor with the largest load.
+    """Return the index of the motor that is loaded most, relative to its effort limit.
 
-    If loaded motors have an effort limit of zero, the motor with the largest torque among these is
-    returned. Otherwise the motor with the largest known utilisation is returned, with one
-    exception. If a motor with an unknown limit exerts a larger torque than that motor, or if no
-    limit is known, the result is the motor with the largest torque among all motors with unknown
-    limits.
+    The index refers to ``joint_names``. The first case that applies determines the result:
+
+    1. Loaded motors have a limit of zero: the motor with the largest torque among these motors.
+    2. No limit is known, or a motor with an unknown limit has a larger torque than the motor of
+       case 3: the motor with the largest torque among the motors with unknown limits.
+    3. Otherwise: the motor with the largest utilisation, |torque| / limit.
     """
     shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
     is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)
@@ -629,7 +637,7 @@ def find_hardest_motor(statics: Equilibrium) -> int:
 
 
 _NO_WELDS = FrozenDict[str, Array]()
-"""Weld wrenches of a robot without welds."""
+"""Weld wrenches {part: wrench} of a robot without welds and grips; shared by all results."""
 
 
 def _make_statics_result(
@@ -640,7 +648,7 @@ def _make_statics_result(
     forces: Array,
     point: Array | None = None,
 ) -> GravityCompensation:
-    """Create the result from a load and the solved forces.
+    """Create the result of a static equilibrium from the load and the solved contact forces.
 
     The friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the force on
     the base. Without contacts, welds and grips, the base part of ``load`` is the external base
@@ -719,8 +727,8 @@ def _make_statics_result(
 
 
 _UNLIMITED_FRICTION = 1e4
-"""Friction coefficient with which a contact practically cannot slide. Also used as a factor on grip
-limits, with which a grip practically cannot fail. If balance is possible with this value but not
+"""Friction coefficient with which a contact practically cannot slide; also the factor on grip
+limits with which a grip practically cannot fail. If balance is possible with this value but not
 with the real value, the error states friction or the grips as the cause. The search for the
 smallest sufficient value (`_find_threshold`) ends at this value. Chosen, not tuned."""
 
@@ -732,7 +740,7 @@ def explain_infeasibility(
     carrying: Contacts,
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
-    """Create the error that states why no feasible forces exist.
+    """Create the error that states why no contact forces can balance the robot.
 
     The causes are tested in this order: a prescribed contact force out of reach, grips too weak,
     friction too low, the centre of mass outside the support region, feet that would have to pull.
@@ -782,10 +790,11 @@ def explain_infeasibility(
 
 
 def _find_threshold(holds: Callable[[float], bool]) -> float:
-    """Find the smallest number for which a condition holds, to a relative tolerance of 1e-6.
+    """Find the smallest number from 0 to `_UNLIMITED_FRICTION` for which a condition holds.
 
-    The condition must be monotone, and hold at `_UNLIMITED_FRICTION`. Numbers below 1e-6 are not
-    resolved. Intervals above zero are bisected at the geometric mean of their ends.
+    The relative tolerance is 1e-6. The condition must be monotone, and hold at the upper end.
+    Numbers below 1e-6 are not resolved. Intervals above zero are bisected at the geometric mean of
+    their ends.
     """
     low, high = 0.0, _UNLIMITED_FRICTION
     while high - low > 1e-6 * high and high >= 1e-6:
@@ -800,10 +809,10 @@ def _round_up(minimum: float) -> float:
 
 
 def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Return an error if larger grip limits would make balance possible, else None.
+    """Create the error that grips are too weak, if larger grip limits make balance possible.
 
-    All limits are multiplied by a common factor; the message states the limits that are sufficient.
-    None also without grips.
+    All limits are multiplied by a common factor; the message states sufficient limits. None if
+    larger limits do not help, or without grips.
     """
 
     def holds(factor: float) -> bool:
@@ -823,11 +832,12 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
 
 
 def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Return an error with the feasible range if a prescribed contact force is out of this range.
+    """Create the error that a prescribed contact force is infeasible, with the feasible range.
 
-    The feasible range is computed without any prescribed force. None if no force is prescribed, if
-    the load cannot be balanced even without the prescribed forces, or if each prescribed force is
-    within its range. If the cone program for an end of a range fails, this end is ignored.
+    The feasible range of a foot's normal force is computed without any prescribed force. None if no
+    force is prescribed, if the load cannot be balanced even without the prescribed forces, or if
+    each prescribed force is within its range. If the cone program for an end of a range fails, this
+    end is ignored.
     """
     if carrying.stated is None:
         return None
@@ -869,23 +879,23 @@ force that is accepted if a user enters it. The exact limit would be refused, be
 support region is a polygon inside the true region (`support_corners`). Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload mass to robot mass above which a payload counts as unlimited, and `payload` ends
-its search. The lever arms of the motors are then rounding errors. Chosen, not tuned."""
+"""Ratio of payload mass to robot mass above which a payload counts as unlimited, and the search of
+the function `payload` ends. Lever arms of motors that limit such a payload are rounding errors.
+Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
-"""Torque per mass [N m/kg] up to which a motor counts as not loaded, since the lever arm is a
-rounding error. `find_mass_limit` compares the torque per payload mass. `compute_utilisation`
-compares the torque per robot mass: up to this value, a motor with an effort limit of zero has the
-utilisation 0. A passive joint counts as not loaded up to the same torque per robot mass. Chosen,
+"""Torque per mass [N m/kg] up to which a motor or passive joint counts as not loaded, since the
+lever arm is a rounding error. The mass is the payload mass in `find_mass_limit`, otherwise the mass
+of the robot: `compute_utilisation` then returns 0 for a motor with an effort limit of zero. Chosen,
 not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
-    """Compute the mass at which the first motor reaches the limit: torques + m rates = +-limits.
+    """Compute the payload mass m at which the first motor reaches its effort limit.
 
-    A motor has an upper and a lower limit, +-``limits``. The limit with the sign of ``rates``
-    counts. A motor is ignored if its torque does not depend on the mass, even if the torque exceeds
-    the limit.
+    The torques are torques + m rates, and the limits +-``limits``. Only the limit with the sign of
+    ``rates`` is evaluated. A motor whose torque does not depend on the mass is ignored, even beyond
+    its limit.
 
     Args:
         torques: Shape (nu,) [N m or N]; motor torques or forces without payload.
@@ -894,8 +904,8 @@ def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
         limits: Shape (nu,) [N m or N]; effort limits; infinite if unknown.
 
     Returns:
-        Mass [kg]; 0 if a motor is already beyond the limit that counts, infinite if no motor limits
-        the mass.
+        Mass [kg]; 0 if a motor exceeds the evaluated limit without payload, infinite if no motor
+        limits the mass.
     """
     rates = np.where(np.abs(rates) > MIN_TORQUE_PER_MASS, rates, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Force polytope: external forces on a point of a robot that its motors withstand.
+"""Force polytope: set of external forces on a point of a robot that the motors withstand.
 
 The motors withstand an external force f on the point if ``|l - J^T f| <= limits``. l is the static
 load of the motors, J is the Jacobian (3, nu) of the point, and ``limits`` are the effort limits.
@@ -39,7 +39,7 @@ coordinate of all vertices. A largest coordinate below 1 N counts as 1 N. Chosen
 
 @dataclass(frozen=True, eq=False)
 class ForcePolytope(Tabular):
-    """External forces on a point of a robot that its motors withstand while the base is held.
+    """Set of external forces on a point of a robot that the motors withstand with a held base.
 
     The motors withstand a force f on the point if ``|l - J^T f| <= limits``, with the static load l
     of the motors. The robot then pushes with -f against its environment.
@@ -95,9 +95,9 @@ class ForcePolytope(Tabular):
         return self.largest_force(-check_direction("direction", direction))
 
     def limiting_joint(self, direction: ArrayLike) -> str | None:
-        """Return the joint whose motor limits ``largest_force`` along a direction.
+        """Return the joint whose motor limits the largest external force along a direction.
 
-        None if that force is infinite or unknown.
+        None if this force (`largest_force`) is infinite or unknown.
 
         Args:
             direction: Direction (3,) of the external force, in world axes.
@@ -199,7 +199,7 @@ def _find_point(config: Configuration, point: str | FramePoint) -> Tool:
 
 
 def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]:
-    """Return inequalities of the forces f on a tool that motors withstand: rows @ f <= slack.
+    """Return the inequalities rows @ f <= slack of the forces f on a tool that motors withstand.
 
     Args:
         config: State of a robot with a fixed base.
@@ -220,13 +220,13 @@ def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]
 def force_limits_along(
     rows: Array, slack: Array, directions: Array
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Compute the largest force in given directions that the motors withstand.
+    """Compute the largest external force along each of k directions that the motors withstand.
 
     The forces f that the motors withstand are a polytope, ``rows @ f <= slack``.
 
     Args:
-        rows: Left-hand sides of the inequalities (`force_inequalities`) of n motors, shape
-            (2 n, 3) [m, or 1 for a slide].
+        rows: Left-hand sides of the inequalities (`force_inequalities`) of n motors, shape (2 n, 3)
+            [m, or 1 for a slide].
         slack: Right-hand sides, shape (2 n,) [N m, or N for a slide].
         directions: Unit vectors in world axes, shape (k, 3).
 
@@ -250,7 +250,7 @@ def force_limits_along(
 
 
 def find_vertices(rows: Array, slack: Array) -> Array | None:
-    """Return the vertices of the polytope -slack[n:] <= rows @ f <= slack[:n].
+    """Compute the vertices of the polytope of forces f with -slack[n:] <= rows @ f <= slack[:n].
 
     Each vertex is the common point of three faces. All triples are solved, because a polytope
     without volume (a motor with a limit of zero) has no interior point, which Qhull requires.

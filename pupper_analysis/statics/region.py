@@ -27,9 +27,9 @@ from pupper_analysis.statics.support_polygon import (
 )
 
 _MIN_DEPTH = 1e-7
-"""Distance [m] of a corner from the line between its neighbours, up to which the corner is removed.
-Such a point is not a corner of the region: for a direction perpendicular to a side, the cone
-program returns any point of the side. Solutions of the cone program are accurate to about 1e-8
+"""Largest distance [m] of a corner from the line between its neighbours with which the corner is
+removed from the region. Such a point is inside a side: for a direction perpendicular to a side, the
+cone program returns any point of the side. Solutions of the cone program are accurate to about 1e-8
 m."""
 
 
@@ -86,10 +86,11 @@ def support_region(
     ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits. l
     is the static load, and J is the Jacobian of the contact points.
 
-    On level ground, without torque limits and prescribed forces, the region is the convex hull of
-    the contact points. Otherwise the result is the convex hull of extreme points of the region, to
-    the accuracy of the cone program (about 1e-8 m). The hull is inside the region. The distance
-    between the edges of hull and region is at most 0.01 mm, if no cone program fails.
+    On level ground, if neither torque limits nor forces prescribed by the stand task apply, the
+    region is the convex hull of the contact points. Otherwise the result is the convex hull of
+    extreme points of the region, to the accuracy of the cone program (about 1e-8 m). The hull is
+    inside the region. The distance between the edges of hull and region is at most 0.01 mm, if no
+    cone program fails.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -143,10 +144,10 @@ def support_region(
 
 
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
-    """Return A (m, size) and b (m,) of the torque limits A f <= b, for contact forces f.
+    """Return A (m, size) and b (m,) of the effort limits, as inequalities A f <= b.
 
-    f are contact forces divided by the robot's weight. The limits are those of independent joints.
-    Each row is divided by the limit, if the limit is positive.
+    f are the contact forces in units of the robot's weight. The limits are those of independent
+    joints. Each row is divided by the limit, if the limit is positive.
 
     Raises:
         ConfigurationError: If no file states the effort limit of a motor, or a closed loop is
@@ -175,7 +176,7 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
 
 
 def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
-    """Return the corners of the convex hull of positions, counter-clockwise, shape (n, 2).
+    """Compute the corners of the convex hull of positions, counter-clockwise, shape (n, 2) [m].
 
     A corner is removed if it is within `_MIN_DEPTH` of the line between its neighbours. The last
     three corners are kept. Therefore positions that are on a line up to rounding may have three

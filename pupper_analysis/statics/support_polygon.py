@@ -23,11 +23,11 @@ Corner = tuple[float, float]
 
 
 def com_margin(com: Array, points: Mapping[str, Array]) -> float:
-    """Compute the distance from the projected CoM to the edge of the support polygon.
+    """Compute the horizontal distance from the CoM to the edge of the support polygon.
 
     Args:
         com: Shape (3,) [m]; centre of mass in the world frame.
-        points: Contact point of each foot, shape (3,) [m]. The polygon is the convex hull of the
+        points: {contact point: position, shape (3,) [m]}. The polygon is the convex hull of the
             vertical projections.
 
     Returns:
@@ -40,7 +40,9 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
 
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
-    """Return the distance [m] of a position from the support polygon's edge; negative outside.
+    """Return the distance [m] from a horizontal position to the edge of the support polygon.
+
+    Positive inside, negative outside.
 
     Minus infinity if a coordinate of the position is not finite. Otherwise NaN without contact
     points.
@@ -69,7 +71,7 @@ def _corner(point: Array) -> Corner:
 
 
 def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
-    """Compute the distance from a point to the edge of the convex hull of ``points`` [m].
+    """Compute the distance [m] from an inner point to the edge of the convex hull of ``points``.
 
     Avoids shapely objects in the usual case. None if the point is not strictly inside, or the hull
     has no area.
@@ -89,7 +91,7 @@ def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
 
 @functools.lru_cache(maxsize=64)  # successive stands usually keep their feet in place
 def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
-    """Compute the sides of the convex hull, counter-clockwise.
+    """Compute the sides of the convex hull of points, counter-clockwise.
 
     Monotone chain algorithm (Andrew 1979, "Another efficient algorithm for convex hulls in two
     dimensions").
@@ -118,13 +120,13 @@ def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 SIDES = 48
 """Number of directions in which the boundary of the support region is computed if no tolerance is
-given. The computed region has at most as many sides. Chosen: a regular polygon with 48 corners has
-0.3 % less area than its circumscribed circle."""
+given, and largest number of sides of the result. Chosen: a regular polygon with 48 corners has 0.3
+% less area than its circumscribed circle."""
 
 _MIN_FAILURES = 3
-"""The support region counts as empty if the cone program fails in this number of first directions.
-With a single failure, only the direction is left out. Measured on 300 random sets of 2 to 5
-contacts: in 6 of 207 regions, the cone program of a single direction failed by rounding."""
+"""Number of failures of the cone program, in the first directions, with which the support region
+counts as empty. A direction with a single failure is left out. Measured on 300 random sets of 2 to
+5 contacts: in 6 of 207 regions, the cone program failed by rounding in a single direction."""
 
 
 def support_corners(
@@ -134,12 +136,12 @@ def support_corners(
     stated: tuple[Array, Array] | None = None,
     grips: Array | None = None,
 ) -> tuple[Corner, ...]:
-    """Compute corners of the support region, seen from above.
+    """Compute points whose convex hull is the support region: the CoM positions with equilibrium.
 
-    If all normals are equal (a single plane, or parallel planes), and no prescribed forces and
-    grips exist, the corners are the contact points, whatever the friction. Sliding down the plane
-    is not checked here. Otherwise a CoM position belongs to the region if forces f_i in the
-    friction cones satisfy
+    The region is seen from above. If all normals are equal (a single plane, or parallel planes),
+    and neither prescribed forces nor grips exist, the points are the contact points, whatever the
+    friction. Sliding down the plane is not checked here. Otherwise a CoM position belongs to the
+    region if forces f_i in the friction cones satisfy
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z,
 
@@ -152,8 +154,10 @@ def support_corners(
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients, or empty if unknown.
         stated: Prescribed contact forces: groups of contact points, shape (k, n), and total normal
-            force of each group, shape (k,), in units of the weight. None without.
-        grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
+            force of each group, shape (k,), in units of the weight. None without prescribed
+            forces.
+        grips: Shape (g, 4): position [m] and force limit in units of the weight; None without
+            grips.
 
     Returns:
         Points (x, y) [m] whose convex hull is the support region. The projected contact points are
@@ -184,7 +188,7 @@ def _compute_region(
     stated: tuple[bytes, ...],
     grips: bytes,
 ) -> tuple[Corner, ...]:
-    """Return ``find_extreme_positions`` of arrays that are passed as bytes, for the cache."""
+    """Return the result of ``find_extreme_positions`` from a cache; arrays are passed as bytes."""
     positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
     grip_rows, stated_arrays = np.frombuffer(grips).reshape(-1, 4), None
     if stated:
@@ -204,7 +208,7 @@ def find_extreme_positions(
     inequalities: tuple[Array, Array] | None = None,
     tolerance: float | None = None,
 ) -> tuple[Corner, ...]:
-    """Compute the farthest CoM position with equilibrium in several horizontal directions.
+    """Compute the farthest CoM position that allows equilibrium, in several horizontal directions.
 
     The result contains points (x, y) [m] in the world frame. The result is empty if no CoM position
     allows equilibrium, or if the cone program fails in the first `_MIN_FAILURES` directions. Any
@@ -250,7 +254,7 @@ def find_extreme_positions(
     )  # com x e_z equals the moment of the forces
 
     def find_extreme(angle: float) -> Corner | None:
-        """Return the farthest CoM position in a direction; None if the cone program fails."""
+        """Compute the farthest CoM position (x, y) [m] along an angle [rad]; None if this fails."""
         direction = np.array([math.cos(angle), math.sin(angle)])
         forces = problem.maximize(direction @ forces_to_com, friction, bounded, limit)
         if forces is None:
@@ -285,7 +289,7 @@ def _refine_sides(
     find_extreme: Callable[[float], Corner | None],
     tolerance: float,
 ) -> list[Corner]:
-    """Return further extreme points, so that hull and region differ by at most ``tolerance``.
+    """Compute further extreme points, until convex hull and region differ by at most ``tolerance``.
 
     The difference may be larger at a side for which the cone program fails. The region is convex.
     Therefore its part beyond a side is inside the triangle of the side and the tangents at both
@@ -324,13 +328,13 @@ def _refine_sides(
 
 
 _MIN_DEPTH = 1e-7
-"""Smallest distance [m] of a new extreme point from a side of the computed region with which the
-side is replaced. At a smaller distance the side counts as exact. Solutions of the cone program are
+"""Distance [m] of a new extreme point from a side of the computed region, above which two new sides
+replace the side. Up to this distance the side counts as exact. Solutions of the cone program are
 accurate to about 1e-8 m."""
 
 
 def support_polygon(contacts: Array) -> Array:
-    """Compute the corners of the convex hull of contact points, seen from above.
+    """Compute the corners of the support polygon: convex hull of contact points from above.
 
     Args:
         contacts: Shape (k, 2) or (k, 3) [m]; at least three points that are not on a common line.
@@ -376,7 +380,9 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
 def _start_at_first_corner(
     sides: tuple[tuple[float, ...], ...], corners: Sequence[Corner]
 ) -> tuple[tuple[float, ...], ...]:
-    """Rotate the cyclic order of sides: the first side begins at the earliest of ``corners``.
+    """Rotate the cyclic order of polygon sides, so that the first side begins at a given point.
+
+    This point is the first element of ``corners`` that is a corner of the polygon.
 
     Each side begins with its corner (x, y), which is an element of ``corners``.
     """
@@ -388,7 +394,7 @@ def _start_at_first_corner(
 def differentiate_side_distances(
     contacts: Array, contact_rates: Array, point: Array, point_rates: Array
 ) -> Array:
-    """Compute the derivatives of the distances from the polygon's sides to a point.
+    """Compute the derivatives of the distances from the sides of the support polygon to a point.
 
     With corners p and q of a side and the point c, the distance is (q - p) x (c - p) / |q - p|.
 
