@@ -1,4 +1,4 @@
-"""Branches of the legs' inverse kinematics (IK): leg postures with the same foot position.
+"""Branches of a leg's inverse kinematics (IK): all leg postures with the same foot position.
 
 A leg with three joints reaches a foot position with a few postures, for example knee forward or
 backward. With a fixed base the limbs are independent. Therefore the branches of each limb are found
@@ -27,8 +27,8 @@ foot targets of three-joint legs: 32 guesses find all but one of the branches th
 find."""
 
 _MAX_ITERATIONS = 14
-"""Upper bound of Levenberg-Marquardt iterations from one initial guess. If the target is reachable,
-6 to 10 iterations are needed. Chosen, not tuned."""
+"""Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. If the target
+is reachable, 6 to 10 iterations are needed. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
 """Upper bound of Levenberg-Marquardt iterations when a branch is followed to another base position.
@@ -36,24 +36,25 @@ If the foot error is still large after this number, the target counts as out of 
 tuned."""
 
 _BRANCH_DISTANCE = 0.05
-"""Largest difference [rad or m] of a joint between two solutions that count as the same branch.
-Chosen, not tuned."""
+"""Two solutions count as the same branch if no joint position differs by more than this value [rad
+or m]. Chosen, not tuned."""
 
 _FOOT_ERROR_STEP = 1e-6
-"""Foot errors are rounded to multiples of this length [m] before branches are sorted. The order
-then rarely depends on rounding errors. Chosen, not tuned."""
+"""Step [m] to which foot errors are rounded before branches are sorted, so that the order rarely
+depends on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
-"""Costs of branch combinations are rounded to multiples of this value [rad or m] before sorting.
-The order of equal costs then rarely depends on rounding errors. Chosen, not tuned."""
+"""Step [rad or m] to which costs of branch combinations are rounded before sorting, so that the
+order rarely depends on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
-"""Upper bound of the IK branches that are kept per limb, in ascending order of foot error. A
-redundant limb has a continuum of solutions. Chosen, not tuned."""
+"""Upper bound of the number of IK branches that are kept per limb: those with the smallest foot
+errors. The bound is needed since a redundant limb has a continuum of solutions. Chosen, not
+tuned."""
 
 _INITIAL_DAMPING = 1e-3
-"""Initial damping of the Levenberg-Marquardt iterations, which is added to the diagonal of J^T J
-[m^2/rad^2]. The squared Jacobian of a leg is 1e-2 to 1e-1. Chosen, not tuned."""
+"""Initial damping of the Levenberg-Marquardt iterations [m^2/rad^2]: a number that is added to the
+diagonal of J^T J. The elements of J^T J of a leg are 1e-2 to 1e-1. Chosen, not tuned."""
 
 _MIN_DAMPING = 1e-12
 """Lower bound of the Levenberg-Marquardt damping after reductions [m^2/rad^2]. Chosen, not
@@ -64,8 +65,8 @@ _MAX_DAMPING = 1e3
 tuned."""
 
 _CONVERGED_STEP = 1e-4
-"""Largest joint displacement [rad or m] in an iteration below which the iterations from an initial
-guess end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
+"""The Levenberg-Marquardt iterations from an initial guess end if no joint moves by more than this
+value [rad or m] in an iteration. PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ class IndependentLimb:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Posture of a limb.
+    """Posture of a limb: one solution of the inverse kinematics for the limb's feet.
 
     Attributes:
         positions: Joint positions, shape (n,) [rad, m].
@@ -97,7 +98,7 @@ class Branch:
 
 
 def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
-    """Return the limbs of a robot: contact points with the indices of the joints that move them.
+    """Find the limbs of a robot: groups of contact points with the joints that move the points.
 
     Contact points that share a joint belong to one limb. Joints that move no contact point, for
     example of a head, are in no limb.
@@ -125,7 +126,7 @@ def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
 def find_branches(
     robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[IndependentLimb, tuple[Branch, ...]]:
-    """Find the IK branches of each limb for a fixed base pose: postures with the feet at targets.
+    """Find all limb postures (IK branches) with the feet at targets, for a given base pose.
 
     Bounded Levenberg-Marquardt iterations run from `_NUM_STARTS` random initial guesses, for all
     limbs at once.
@@ -140,9 +141,10 @@ def find_branches(
 
     Returns:
         {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
-        the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. If positions differ by
-        whole turns of a joint, only the position nearest to home is kept, if it is within the
-        limits. For an unreachable target, the branches are local minima of the foot error.
+        the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. Joint positions that
+        differ by whole turns count as equal: if within the limits, the position nearest to the home
+        configuration is returned. For an unreachable target, the branches are local minima of the
+        foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
@@ -175,10 +177,11 @@ def find_branches(
 def _sort_branches(
     robot: Robot, qpos: Array, limb: IndependentLimb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Sort branches by foot error, then by the limb's joint origins along base x, rearmost first.
+    """Sort a limb's branches by foot error, and equal errors by the position of the bent joints.
 
-    Legs with equivalent branches thus all bend in the same direction. ``qpos`` (nq,) determines the
-    positions of the other joints.
+    The branch whose joint origins are rearmost along base x is first, so that legs with equivalent
+    branches all bend in the same direction. ``qpos`` (nq,) contains the base pose, and the
+    positions of joints outside of the limb.
     """
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
@@ -209,7 +212,7 @@ def follow_branches(
     found: Mapping[IndependentLimb, tuple[Branch, ...]],
     moves: Array,
 ) -> dict[IndependentLimb, list[tuple[Branch, ...]]]:
-    """Follow the IK branches of all limbs to displaced base positions, with constant foot targets.
+    """Compute how known IK branches of all limbs change if the base moves and the feet do not.
 
     Args:
         robot: Robot.
@@ -222,7 +225,7 @@ def follow_branches(
         moves: Displacements of the base, shape (n, 3) [m], in the world frame.
 
     Returns:
-        {limb: its branches at each of the n base positions}.
+        {limb: list of the limb's branches at each of the n base positions}.
     """
     count = max(map(len, found.values()))
     starts = np.tile(qpos[robot.nq - robot.nu :], (count, 1))
@@ -249,11 +252,11 @@ def follow_branches(
 
 
 def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ...]:
-    """Return up to `_MAX_BRANCHES` distinct branches of a limb, smallest foot error first.
+    """Select up to `_MAX_BRANCHES` different branches of a limb from k solutions, best first.
 
     Args:
-        positions: Joint positions, shape (k, n) [rad, m].
-        missed: Foot errors, shape (k,) [m].
+        positions: Joint positions of the solutions, shape (k, n) [rad, m].
+        missed: Foot errors of the solutions, shape (k,) [m].
         turns: Mask of continuous joints, shape (n,).
     """
     kept: list[Branch] = []
@@ -268,7 +271,7 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
 
 
 def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Subtract whole turns from joint positions (k, nu) [rad], to be within half a turn of home.
+    """Subtract whole turns from joint positions (k, nu), to be within half a turn of the home pose.
 
     Joints with a range of more than a turn reach the same leg posture several times. Slides,
     continuous joints, and positions whose result would be out of range are not changed. ``lower``
@@ -292,11 +295,13 @@ def _wrap_angle(angle: Array) -> Array:
 
 
 class _Descent:
-    """Levenberg-Marquardt iterations from many initial guesses, with a damping per guess and limb.
+    """Levenberg-Marquardt search for joint positions with the feet at targets, from many guesses.
+
+    Each guess and limb has its own damping.
 
     Args:
         robot: Robot.
-        qpos: Configuration, shape (nq,), with the pose of the base.
+        qpos: Configuration, shape (nq,), with the pose of the base and the joints outside of limbs.
         targets: {contact point: target of its sphere centre, shape (3,) [m]}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
@@ -371,7 +376,10 @@ class _Descent:
         }
 
     def _all_joints(self, joints: Array) -> Array:
-        """Return positions of all joints (k, nu): of limbs from (k, n), of others from ``qpos``."""
+        """Return positions of all joints (k, nu) from positions ``joints`` (k, n) of limb joints.
+
+        Other joints have the positions in ``qpos`` of the constructor.
+        """
         every = np.tile(self._rest, (len(joints), 1))
         every[:, self._joints] = joints
         return every
@@ -406,10 +414,11 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Return position errors of f contact points in k configurations, (k, f, 3) [m].
+        """Compute position errors of f contact points in k configurations, and their derivatives.
 
-        The second result is the derivative of the errors by the j joints of the limbs, shape (k, f,
-        3, j). It is zero for joints that do not move the point.
+        Returns:
+            Errors in world axes, shape (k, f, 3) [m]; derivatives by the j limb joints, shape (k,
+            f, 3, j), zero for joints that do not move the point.
         """
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))
@@ -430,7 +439,7 @@ class _Descent:
 def combine_branches(
     found: Mapping[IndependentLimb, tuple[Branch, ...]], near: Array
 ) -> Iterator[Array]:
-    """Yield joint positions (nu,) [rad, m] for the combinations of an IK branch per limb.
+    """Yield joint positions (nu,) [rad, m] of all combinations of one IK branch per limb.
 
     The combination with the lowest cost comes first. The cost is a sum over limbs. The cost of a
     limb is the sum of absolute differences of joint positions from ``near`` [rad, m], plus 1 per um
@@ -439,7 +448,7 @@ def combine_branches(
 
     Args:
         found: {limb: its IK branches}.
-        near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs stay unchanged.
+        near: Joint positions, shape (nu,) [rad, m]; joints outside of limbs keep these positions.
     """
     groups = list(found)
     costs = []
@@ -469,14 +478,17 @@ not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
-    """Return the numbers of the branches of each limb that are combined, in ascending order.
+    """Select the branches of each limb that are combined, so that not too many combinations exist.
 
-    The excess of a branch is its cost minus the smallest cost of its limb. While there are more
-    than `_MAX_SORTED_COMBINATIONS` combinations, the branch with the largest excess is removed.
-    Combinations of branches with a smaller excess than the removed branches are kept.
+    The excess of a branch is its cost minus the smallest cost of a branch of the limb. While there
+    are more than `_MAX_SORTED_COMBINATIONS` combinations, the branch with the largest excess is
+    removed.
 
     Args:
         costs: Costs of the branches of each limb.
+
+    Returns:
+        Indices of the selected branches of each limb, ascending.
     """
     kept = [list(range(len(cost))) for cost in costs]
     excess = sorted(

@@ -29,8 +29,8 @@ from pupper_analysis.robot.shapes import CarriedShape, excluded_pairs
 from pupper_analysis.robot.structure import Kinematics
 
 NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of collision shapes whose distances a search of a stand or posture
-constrains. The shapes are on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32
+"""Number of pairs of collision shapes whose distances are constrained in a search of a stand or
+posture: the nearest pairs, on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32
 such pairs, of which fewer are close to each other at once."""
 
 _LEVEL_NORMAL = (0.0, 0.0, 1.0)
@@ -54,11 +54,11 @@ class Clearance(Result):
 
 
 class OffGround(NamedTuple):
-    """Shape that is no foot and must be above the ground.
+    """Collision shape, no foot, that must be above the ground.
 
     Attributes:
-        number: Index in the shapes of the robot.
-        shape: Shape.
+        number: Index in ``ClearanceShapes.shapes``.
+        shape: Collision shape with its link.
         sunk: Contact point on the same joint whose sphere intersects the shape; None without such a
             point.
     """
@@ -69,12 +69,12 @@ class OffGround(NamedTuple):
 
 
 class SurfaceDistance(NamedTuple):
-    """Distance of a shape from the nearest surface of the ground.
+    """Distance of a collision shape from the nearest surface of the ground.
 
     Attributes:
         surface: Name of the foot or hand whose step, plane or bar is the surface; empty for the
             floor.
-        near: Result of coal.
+        near: Result of coal: distance [m] and nearest points in the world.
     """
 
     surface: str
@@ -87,12 +87,12 @@ class SurfaceDistance(NamedTuple):
 
 
 class SolidPair(NamedTuple):
-    """Pair of shapes with the distance between them.
+    """Pair of collision shapes of a robot, with the distance between the shapes.
 
     Attributes:
         one: Index of the first shape.
         other: Index of the second shape.
-        near: Result of coal.
+        near: Result of coal: distance [m] and nearest points in the world.
     """
 
     one: int
@@ -130,7 +130,7 @@ far below each part of a robot. Chosen, not tuned."""
 
 
 class ClearanceShapes:
-    """Collision shapes of a robot, with the kinematics of CoM and feet.
+    """Collision shapes of a robot, for distances between links and heights above the ground.
 
     Args:
         robot: Robot.
@@ -166,7 +166,7 @@ class ClearanceShapes:
 
     @functools.cached_property
     def _pairs(self) -> IntArray:
-        """Index pairs, shape (n, 2), of shapes whose distances count.
+        """Index pairs, shape (n, 2), of the collision shapes between which distances are measured.
 
         Pairs on neighbouring links are left out. Links are neighbours if they are on equal or
         adjacent joints, the MJCF excludes their contact, or they overlap or touch in the home
@@ -192,13 +192,13 @@ class ClearanceShapes:
         return _to_index_pairs(pair for pair in checked if links[pair] not in never)
 
     def find_closest_links(self, qpos: Array) -> Clearance | None:
-        """Return the smallest distance between collision shapes of links that are not neighbours.
+        """Return the smallest distance [m] between links that are not neighbours.
 
         Args:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Distance [m] and both links; None if there are no such pairs.
+            Distance [m] and both links; None if no such links exist.
         """
         for pair in self.find_nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link
@@ -208,8 +208,8 @@ class ClearanceShapes:
     def find_nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Return the nearest pairs of collision shapes on links that are not neighbours.
 
-        The last result is cached, since the nonlinear program needs distances and Jacobian at the
-        same configuration.
+        The last result is cached, since a nonlinear program evaluates distances and their Jacobian
+        at the same configuration.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -260,7 +260,7 @@ class ClearanceShapes:
         ]
 
     def distance_jacobian(self, at: Configuration, most: int) -> Array:
-        """Return the Jacobian of the distances of the nearest pairs of collision shapes by qvel.
+        """Return the Jacobian by qvel of the distances between the nearest collision shapes.
 
         Args:
             at: Configuration.
@@ -285,7 +285,7 @@ class ClearanceShapes:
         targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Find the collision shape with the smallest height above the ground, without feet.
+        """Find the collision shape, except feet, with the smallest height above the ground.
 
         Args:
             at: Kinematics of the configuration.
@@ -295,8 +295,8 @@ class ClearanceShapes:
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Smallest height [m] of `measure_part_heights`, with the link and the surface below;
-            None if `measure_part_heights` is empty.
+            Smallest height [m] of `measure_part_heights`, with the link and the surface below; None
+            if `measure_part_heights` is empty.
         """
         heights = self.measure_part_heights(at, ground, targets, depths)
         if not heights:
@@ -382,9 +382,10 @@ class ClearanceShapes:
     def _measure_above_steps(
         self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
     ) -> Iterator[SurfaceDistance]:
-        """Yield the smallest distance [m] of each shape of ``parts`` to the slope and all steps.
+        """Yield the smallest distance [m] of each shape in ``parts`` from the slope and all steps.
 
-        The surface that a hand touches does not count for parts on the link of this hand.
+        ``parts`` are the shapes that must be above the ground. For shapes on the link of a hand,
+        the surface that this hand touches is ignored.
 
         Args:
             at: Kinematics of the configuration.
@@ -438,7 +439,7 @@ class ClearanceShapes:
             yield OffGround(index, shape, sunk)
 
     def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
-        """Return True if a shape on the link of a foot intersects the foot sphere."""
+        """Return True if a collision shape on the link of a foot intersects the foot's sphere."""
         self.kinematics.update(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)

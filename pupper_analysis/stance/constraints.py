@@ -24,8 +24,9 @@ from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
 
 TASK_TOLERANCE = 1e-9
-"""Residual [m, rad] below which a requirement of a task counts as satisfied, except clearances
-(`CLEARANCE_TOLERANCE`). Chosen, not tuned: far below any manufacturing tolerance."""
+"""Residual [m, rad] below which a requirement of a stand task counts as satisfied. Clearances have
+another tolerance (`CLEARANCE_TOLERANCE`). Chosen, not tuned: far below any manufacturing
+tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
 """Largest violation of a required clearance [m] that is accepted as rounding. The nonlinear program
@@ -34,11 +35,11 @@ Chosen, not tuned."""
 
 
 class Constraint:
-    """Constraint of a stand.
+    """Equation or inequality that a stand must satisfy, with residual, violation and Jacobian.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
 
     Attributes:
         name: Name of the constraint, which is the value of ``constraint`` in
@@ -63,8 +64,8 @@ class Constraint:
         An equality is satisfied if all elements are zero, an inequality if no element is negative.
 
         Args:
-            goal: The goal of the constructor, or a copy with relaxed values, such as foot targets,
-                base pose, CoM target or margins.
+            goal: The goal (task with computed targets) of the constructor, or a copy with relaxed
+                values, such as foot targets, base pose, CoM target or margins.
             at: Kinematics of the configuration.
         """
         raise NotImplementedError
@@ -87,7 +88,7 @@ class Constraint:
 
 
 class BaseHeight(Constraint):
-    """Height of the base frame."""
+    """Constraint: the base frame has the required height."""
 
     name, is_equality, is_presatisfied = "base-height", True, True
 
@@ -101,7 +102,7 @@ class BaseHeight(Constraint):
 
 
 class BaseOrientation(Constraint):
-    """Orientation of the base."""
+    """Constraint: the base has the required orientation."""
 
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
@@ -136,7 +137,7 @@ def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
 
 
 class Footholds(Constraint):
-    """Positions of the contact spheres."""
+    """Constraint: the centres of all contact spheres are at their targets."""
 
     name, is_equality = "footholds", True
 
@@ -161,11 +162,11 @@ class Footholds(Constraint):
 
 
 class Loops(Constraint):
-    """Closed loops and joint couplings, closed or open by the static deflection.
+    """Constraint: loops and joint couplings are closed, up to a given static deflection.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         closure: Closed loops and couplings of the robot.
     """
 
@@ -201,7 +202,7 @@ class Loops(Constraint):
 
 
 class PlaceConstraint(Constraint):
-    """Horizontal position of the CoM, or of the base if ``Goal.by_base``."""
+    """Constraint: CoM (base if ``Goal.by_base``) has the required horizontal position."""
 
     name, is_equality = "com-place", True
 
@@ -223,13 +224,13 @@ class PlaceConstraint(Constraint):
 
 
 class BasePlace(PlaceConstraint):
-    """Horizontal position of the base."""
+    """Constraint: the base has the required horizontal position."""
 
     name = "base-place"
 
 
 class SupportMargin(Constraint):
-    """Distance of the projected CoM from the edge of the support polygon."""
+    """Constraint: the projected CoM has the required distance from the support polygon's edge."""
 
     name = "support-margin"
 
@@ -265,7 +266,7 @@ class SupportMargin(Constraint):
 
 
 class JointLimits(Constraint):
-    """Joint limits with margin."""
+    """Constraint: all joints are within their limits, reduced by the margin of the task."""
 
     name = "joint-limits"
 
@@ -299,17 +300,17 @@ class JointLimits(Constraint):
 
 
 class GroundClearance(Constraint):
-    """Height of all parts except the feet above the ground."""
+    """Constraint: all parts except the feet have the required height above the ground."""
 
     name = "ground-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the heights of n shapes above the ground minus the required clearance, (n,) [m].
 
-        The shapes are the collision shapes in ``ClearanceShapes.parts``, in that order; n is 0
-        without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a stand with small errors is
-        still accepted. If a part intersects the sphere of a foot, the penetration of this foot is
-        added to the height of the part.
+        A residual >= 0 satisfies the constraint. The shapes are ``ClearanceShapes.parts``, in that
+        order; n is 0 without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a solver's
+        small errors do not violate the constraint. A part that intersects the sphere of a foot
+        sinks with this foot, so the penetration of the foot is added to the height of the part.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths
@@ -325,7 +326,7 @@ class GroundClearance(Constraint):
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
-        """Return height above the ground [m] and link of the lowest shape that is not of a foot.
+        """Return the lowest collision shape except those of feet: height above ground [m], link.
 
         None without such collision shapes, or without ground.
         """
@@ -333,15 +334,16 @@ class GroundClearance(Constraint):
 
 
 class SelfClearance(Constraint):
-    """Distance between links that are not neighbours."""
+    """Constraint: links that are not neighbours have the required distance."""
 
     name = "self-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
-        The collision shapes are on links that are not neighbours. Half of `CLEARANCE_TOLERANCE` is
-        added, so that a stand with small errors is still accepted.
+        A residual >= 0 satisfies the constraint. The collision shapes are on links that are not
+        neighbours. Half of `CLEARANCE_TOLERANCE` is added, so that a solver's small errors do not
+        violate the constraint.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
@@ -359,8 +361,8 @@ class SelfClearance(Constraint):
 def _has_fixed_com_on_planes(goal: Goal) -> bool:
     """Return True if the CoM target is fixed and feet have separate planes.
 
-    The support region is then slow to compute. For a target other than the centre of the feet,
-    `make_goal` has already checked the margin.
+    The CoM margin is then not a constraint, since the support region is slow to compute. For a
+    target other than the centre of the feet, `make_goal` has already checked the margin.
     """
     return bool(goal.task.ground.planes) and goal.task.com != "inside"
 
@@ -390,11 +392,11 @@ class ConstraintEvaluation(NamedTuple):
 def evaluate_constraints(
     shapes: ClearanceShapes, goal: Goal, at: Kinematics
 ) -> ConstraintEvaluation:
-    """Compute the violations and clearances of a configuration for the constraints of a goal.
+    """Compute the clearances of a configuration, and its violations of a task's requirements.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         at: Kinematics of the configuration.
 
     Returns:
@@ -413,7 +415,9 @@ def evaluate_constraints(
 
 
 def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
-    """Yield the constraints that a stand must satisfy for a goal, such as base height and limits.
+    """Yield the constraints that a stand task imposes, such as base height and joint limits.
+
+    ``goal`` is the task with all targets computed.
 
     The constraints can also be evaluated for copies of the goal with relaxed values.
     """

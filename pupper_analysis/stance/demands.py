@@ -1,4 +1,4 @@
-"""Demands: the requirements of a stand task that may be relaxed if the stance is out of reach.
+"""Demands: requirements of a stand task that may be relaxed if the stance is out of reach.
 
 A demand is an attribute of `StandTask`, for example the base height, a foot position or a margin.
 Its field in ``fields.toml`` has another value of ``gives`` than ``"no"``. `DemandVector` converts
@@ -46,27 +46,27 @@ DEMANDS = tuple(_FIELDS_BY_DEMAND)
 demand."""
 
 _MAX_RELAXATION = 3.0
-"""Upper bound of the change of a length by relaxation [stand heights], if the length may change in
-both directions. Chosen, not tuned."""
+"""Upper bound of the change of a length by relaxation, in units of the robot's stand height, if the
+length may change in both directions. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of a relaxed value, relative to the requested value. The bound applies to values that
-must stay positive (``open`` in ``fields.toml``). Chosen, not tuned."""
+"""Lower bound of the ratio (relaxed value) / (requested value), for values that must stay positive
+(``open`` in ``fields.toml``), such as the height. Chosen, not tuned."""
 
 _ROUNDING_ATOL = 1e-12
-"""Difference from the requested or nominal value [m, rad] below which a relaxed value is set to
-that value. Chosen as the size of rounding errors."""
+"""Largest difference [m, rad] with which a relaxed value counts as equal to the requested value, or
+to the value in the nominal stand. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
-"""Largest change of a reported value by rounding, relative to its difference from the nominal
-value. The number of decimals in mm or deg is chosen accordingly. Chosen, not tuned."""
+"""Largest change of a reported value by rounding, as a fraction of the difference from the value in
+the nominal stand. Determines the number of decimals in mm or deg. Chosen, not tuned."""
 
 _MAX_DIGITS = 12
 """Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
 
 
 class DemandValue(NamedTuple):
-    """Key of a number of a task.
+    """Key that identifies a number of a stand task: field, foot and axis.
 
     Attributes:
         field: Name of the field.
@@ -80,7 +80,7 @@ class DemandValue(NamedTuple):
 
 
 class DemandVector:
-    """Numbers of some demands of a task as a vector, with the bounds of a relaxation.
+    """Numbers of some relaxable requirements of a stand task as a vector, with bounds.
 
     Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
     directions.
@@ -91,12 +91,12 @@ class DemandVector:
         demands: Names of relaxable requirements, from `DEMANDS`.
 
     Attributes:
-        keys: Key of each number.
-        demands: Demand of each number.
+        keys: Key (field, foot, axis) of each number.
+        demands: Name of the requirement to which each number belongs.
         values: Values in the task, shape (n,) [m, rad].
-        nominal: Values in the nominal stand, shape (n,) [m, rad].
-        low: Lower bounds, shape (n,) [m, rad].
-        high: Upper bounds, shape (n,) [m, rad].
+        nominal: Values in the nominal stand (of the default `StandTask`), shape (n,) [m, rad].
+        low: Lower bounds of relaxed values, shape (n,) [m, rad].
+        high: Upper bounds of relaxed values, shape (n,) [m, rad].
         angles: 1 for angles, 0 for lengths, shape (n,).
         units: Unit of the relaxation of each number, shape (n,): stand height [m], or 1 rad.
     """
@@ -121,10 +121,12 @@ class DemandVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Return the values of another task for the requirements in ``keys``, shape (n,) [m, rad].
+        """Read the numbers that ``keys`` identifies (field, foot, axis) from a second task, (n,).
+
+        Values are in m or rad.
 
         Args:
-            task: Task that specifies the same fields for the same feet, with other values.
+            task: Task that specifies the same fields for the same feet as the task of this vector.
         """
         fields = task.values()
         values = [
@@ -136,10 +138,10 @@ class DemandVector:
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array, *, checked: bool = True) -> StandTask:
-        """Return a copy of the task in which the n numbers of this vector have other values.
+        """Return a copy of the task with other values of the n numbers in this vector.
 
         Args:
-            values: Values of the requirements that ``keys`` lists, shape (n,) [m, rad].
+            values: New values in the order of ``keys``, shape (n,) [m, rad].
             checked: If True, check the values. Values between ``low`` and ``high`` need no check.
         """
         changed: dict[str, dict[str, list[float]]] = {}
@@ -159,7 +161,7 @@ class DemandVector:
         )
 
     def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:
-        """Convert numbers [m, rad] of a field, or of a key in a field, to a value of the task."""
+        """Convert numbers [m, rad] to the value of a task's field (for ``foot``, unless empty)."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
             return contact.with_parameters(parts)
@@ -172,7 +174,9 @@ class DemandVector:
 
 
 def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
-    """Yield axis ("" for a scalar), value and nominal value [m, rad] of each number of a field.
+    """Yield (axis, value, nominal value) [m, rad] of each number in a field's value.
+
+    The axis of a scalar is "".
 
     Args:
         value: Value of the task: number, point (x, y), or contact with a surface.
@@ -244,7 +248,7 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Return the bounds (lower, upper) [m, rad] within which a relaxation may change a number.
+    """Return the bounds (lower, upper) [m, rad] within which a number of a task may be relaxed.
 
     ``value`` is the number in the stand task, and ``turns`` is True for an angle. Margins, lifts,
     slopes and steps may only change towards zero. Other numbers may change in both directions:
@@ -262,19 +266,19 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Return True if a relaxable requirement of a task has another value than the default stand.
+    """Return True if a requirement of a task differs from its value in the default stand.
 
     Args:
         robot: Robot.
         task: Task.
-        demands: Names of relaxable requirements, from `DEMANDS`.
+        demands: Names of the compared requirements, from `DEMANDS`.
     """
     numbers = DemandVector(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 
 
 def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Return a copy of a task in which some requirements have their values in the nominal stand.
+    """Return a copy of a task with some requirements reset to their values in the nominal stand.
 
     The nominal stand is the stand of the default `StandTask`. Each value is clipped to the bounds
     within which the requirement may change if the stance is out of reach (`DemandVector`).
@@ -291,7 +295,7 @@ def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> S
 def relax_further(
     robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
-    """Change the relaxed values of a task further away from the requested values, by a factor.
+    """Increase the relaxation of a task: move relaxed values further away from requested values.
 
     The new value is ``relaxed + share * (relaxed - requested)``, clipped to the relaxation's
     bounds.
@@ -301,7 +305,7 @@ def relax_further(
         task: Task with relaxed values.
         requested: Task with the requested values.
         demands: Names of the relaxable requirements to change, from `DEMANDS`.
-        share: Factor. A negative factor changes the values back towards the requested values.
+        share: Added fraction of the present relaxation. A negative fraction reduces the relaxation.
     """
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))
@@ -310,7 +314,7 @@ def relax_further(
 def round_outward(
     robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str]
 ) -> StandTask:
-    """Round relaxed values of a task to reporting precision, away from the requested values.
+    """Round the relaxed values of a task for a report, away from the requested values.
 
     The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
     0.1 mm or 0.1 deg, and by at most 0.5 % of its distance from the value in the nominal stand (of
@@ -329,7 +333,7 @@ def round_outward(
 
 
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
-    """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
+    """Round a relaxed ``number`` [m, or rad if ``angle``] for a report, away from ``requested``.
 
     A number within `_ROUNDING_ATOL` of ``requested`` or ``usual`` becomes that value; ``usual`` is
     the value in the stand of the default `StandTask`. The number is unchanged if the rounded number
@@ -353,7 +357,7 @@ def _round_number(number: float, usual: float, requested: float, *, angle: bool)
 def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
-    """Create the message that lists the reachable values of the relaxed requirements of a task.
+    """Create the message that lists reachable values of the requirements of an unreachable task.
 
     Args:
         robot: Robot.
@@ -370,7 +374,7 @@ def _describe_demand(
 ) -> Diagnostic:
     """Create the message with the value of a requirement (``demand``) in a relaxed task.
 
-    Of contacts, only those that differ from the task ``requested`` are described.
+    Contacts that equal those of the task ``requested`` are left out.
     """
     name = Term(demand)
     if demand == "ground":

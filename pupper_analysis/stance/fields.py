@@ -1,4 +1,4 @@
-"""Table of the requirements of a stand: a `Field` per requirement, read from ``fields.toml``.
+"""Table of the fields (requirements) of a stand task: a `Field` per entry of ``fields.toml``.
 
 Several parts of the package are derived from this table: the checks and texts of `StandTask`, the
 command-line options, the sliders and exports of the live page, and the variables of a study. The
@@ -41,13 +41,13 @@ _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
 
 @dataclass(frozen=True)
 class Slider:
-    """Slider of the live page: range, step and initial value.
+    """Slider of the live page (browser page that updates results): range, step and initial value.
 
     Attributes:
         folder: Heading of the group that contains the slider.
-        low: Lower end, in deg for angles, stand heights for lengths, and robot masses for a mass.
-            The range of a gain is not given here, but derived from the model's gains.
-        high: Upper end, in the unit of ``low``.
+        low: Lower end of the range, in deg for angles, stand heights for lengths, and robot masses
+            for a mass. The range of a gain is derived from the model's gains instead.
+        high: Upper end of the range, in the unit of ``low``.
         step: Step of the slider, in the unit of ``low``. None: derived from the range.
         start: Initial value on a new page, in SI units. None: the nominal value.
     """
@@ -77,7 +77,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Field:
-    """Requirement of a stand.
+    """Field of a stand task: type, bounds, default, texts and command-line option of a requirement.
 
     Attributes:
         name: Name of the attribute.
@@ -94,13 +94,13 @@ class Field:
         optional: Whether the default is None. Otherwise the default is 0 or an empty mapping.
         nominal: Value of the nominal stand: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the stance feet, ``"foot_places"``, or the robot's ``"own"``.
-        low: Lower bound (SI units).
-        high: Upper bound (SI units).
+        low: Lower bound of the value (SI units).
+        high: Upper bound of the value (SI units).
         open: Whether ``low`` itself is invalid.
         choices: Words that are valid values as well.
         constraint: Name of the constraint that the field defines.
-        gives: Direction in which a refusal may relax the value: ``"either"``, ``"less"`` (towards
-            0) or ``"no"``.
+        gives: Direction in which the value may be relaxed for the message about an unreachable
+            stance: ``"either"``, ``"less"`` (towards 0) or ``"no"``.
         always_said: Whether a task text contains the field if the value is the default.
         option: Command-line option without dashes; there is no option if ``help`` is empty.
         help: Text in ``--help``.
@@ -182,7 +182,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check and convert the value of a foot, joint or link, or the only value of the field.
+        """Check and convert one value of this field: the only one, or that of a foot or joint.
 
         Raises:
             ConfigurationError: If the value has another type, or is out of range.
@@ -217,7 +217,7 @@ class Field:
             name: Name of the field in the error.
             number: Number in ``unit``.
             unit: Unit that the error prints. Default: the SI unit.
-            factor: Number of ``unit`` per SI unit.
+            factor: Factor from the SI unit to ``unit``.
 
         Raises:
             ConfigurationError: If the number is out of range.
@@ -257,13 +257,13 @@ class Field:
 
 
 def read_field_table(package: str, file: str) -> Mapping[str, Field]:
-    """Read the field definitions in a TOML file of a package: {name: field}, in file order."""
+    """Read {name: field} from a TOML file with field definitions in a package, in file order."""
     stated = tomllib.loads(files(package).joinpath(file).read_text(encoding="utf-8"))
     return MappingProxyType({name: _make_field(name, facts) for name, facts in stated.items()})
 
 
 def _make_field(name: str, facts: dict[str, Any]) -> Field:
-    """Create the field of a table entry. The entry states bounds of angles in deg."""
+    """Create a field from an entry of the TOML table, in which bounds of angles are in deg."""
     scale = math.radians(1.0) if facts["kind"] == "angle" else 1.0
     bounds: dict[str, Any] = {
         key: scale * facts.pop(key) for key in ("low", "high") if key in facts
@@ -276,7 +276,7 @@ def _make_field(name: str, facts: dict[str, Any]) -> Field:
 
 
 FIELDS = read_field_table("pupper_analysis.stance", "fields.toml")
-"""{name: field} of the requirements of a stand, without ``ik_seed``."""
+"""{name: field} of all requirements of a stand task, without the initial guess ``ik_seed``."""
 
 ROBOT_FIELDS = read_field_table("pupper_analysis.stance", "robot_fields.toml")
 """{name: field} of the properties of a robot that a command can change: payload, servo gains,

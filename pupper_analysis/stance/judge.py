@@ -1,9 +1,9 @@
-"""A stand as a result: configuration, errors of the requirements [m, rad], and clearances [m].
+"""Result class `Stand`: a configuration, its errors [m, rad] for a stand task, and clearances [m].
 
-The inputs are a goal and a configuration from a solver. The output is a `Stand`. `evaluate_stand`
-computes the errors with Pinocchio's kinematics, independent of the solver that found the
-configuration. A `Stand` also provides quantities for simulations: servo commands, support region
-and lift-off directions.
+The inputs are a goal (stand task with computed targets) and a configuration from a solver. The
+output is a `Stand`. `evaluate_stand` computes the errors with Pinocchio's kinematics, independent
+of the solver that found the configuration. A `Stand` also provides quantities for simulations:
+servo commands, support region and lift-off directions.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ _ERROR_BY_CONSTRAINT = {
     "com-place": "com_error",
     "base-place": "com_error",
 }
-"""{constraint: attribute of the stand with the violation}; ``foot_error`` for other constraints."""
+"""{name of a constraint: attribute of `Stand` that contains its violation}. The violations of all
+other constraints are in ``foot_error``."""
 
 
 _UNPICKLED = ("_statics", "_robot")
@@ -53,7 +54,7 @@ _UNPICKLED = ("_statics", "_robot")
 
 @runtime_checkable
 class Posed(Protocol):
-    """Result with a configuration: for example a `Stand` or a ``SolvedPosture``."""
+    """Result that contains a configuration, for example a `Stand` or a ``SolvedPosture``."""
 
     @property
     def qpos(self) -> Array:
@@ -121,12 +122,12 @@ class Stand(Pictured, Tabular):
     def cached_statics(
         self, robot: Robot, distribution: str, compute: Callable[[], GravityCompensation]
     ) -> GravityCompensation:
-        """Return the statics of this stand from the cache, or compute and store them.
+        """Return the static equilibrium of this stand from the cache; compute it if missing.
 
         Args:
             robot: Robot with the masses and limits; compared by identity.
             distribution: Criterion that selects the contact forces.
-            compute: Function that computes the statics; called if they are not cached.
+            compute: Function that computes the equilibrium; called if the cache has no result.
         """
         for owner, criterion, statics in self._statics:
             if owner() is robot and criterion == distribution:
@@ -149,7 +150,7 @@ class Stand(Pictured, Tabular):
         }
 
     def lift_directions(self, robot: Robot) -> dict[str, Array]:
-        """Return the lift-off directions of the stance feet and their contact points.
+        """Return the direction in which each stance foot and contact point leaves the ground.
 
         Returns:
             {foot or contact point: unit vector, shape (3,), in the world frame}. The direction is
@@ -164,9 +165,9 @@ class Stand(Pictured, Tabular):
         return found
 
     def centre(self, robot: Robot) -> Array:
-        """Return the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
+        """Return the mean position (3,) [m] of the stance feet's contacts in the world frame.
 
-        `Goal.centre` and `feet_centre` describe which contacts count.
+        `Goal.centre` and `feet_centre` describe the exceptions, such as hands.
         """
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
@@ -190,7 +191,9 @@ class Stand(Pictured, Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Return points (x, y) [m], shape (n, 2), whose convex hull is the support region.
+        """Return points (n, 2) [m] whose convex hull is the support region of this stand.
+
+        The support region contains the horizontal CoM positions with equilibrium.
 
         Points are in the world frame. Shape (0,) if neither contacts nor sufficient grips exist.
         """
@@ -251,7 +254,7 @@ class Stand(Pictured, Tabular):
 
     @property
     def com_shortfall(self) -> float:
-        """Required minus actual CoM margin [m], at least 0.
+        """Required CoM margin minus the actual margin [m], at least 0.
 
         0 if the task has an ``offset`` of the base and no required margin, since the position of
         the CoM is then a result.
@@ -262,13 +265,16 @@ class Stand(Pictured, Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """Smallest slack of CoM margin and clearances [m]; 0 if all are kept, else negative."""
+        """Smallest excess of CoM margin and clearances over required values [m], at most 0.
+
+        0 if all required values are kept, negative if not.
+        """
         slacks = (near.distance - least for near, least in self._clearances())
         return min([-self.com_shortfall, *slacks])
 
     @property
     def solved(self) -> bool:
-        """Whether feet, closed loops and couplings are at their targets, and all limits are kept.
+        """Whether the stand was found: feet at their targets, loops closed, and all limits kept.
 
         The limits are those of joints, clearances and margins. The errors of base orientation, base
         height and CoM are not tested.
@@ -295,7 +301,7 @@ class Stand(Pictured, Tabular):
         return self.qpos[robot.nq - robot.nu :]
 
     def with_robot(self, robot: Robot) -> Stand:
-        """Return a copy of this stand that references its robot, for `ctrl` and `q_pin`.
+        """Return a copy of this stand that references a robot, as `ctrl` and `q_pin` require.
 
         `solve_stand` returns such a stand. A stand from another process references no robot.
 
@@ -368,16 +374,16 @@ class Stand(Pictured, Tabular):
 
 
 def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
-    """Set the robot of a new, not yet shared stand in place, and return the stand.
+    """Set the robot to which a new stand refers, in place, and return the stand.
 
-    With None, the stand references no robot.
+    With None, the stand refers to no robot.
     """
     vars(stand)["_robot"] = robot
     return stand
 
 
 def _describe_clearance(near: Clearance, ground: Ground) -> Diagnostic:
-    """Describe a violated clearance; ``ground`` is the ground of the task."""
+    """Create the message about a violated clearance; ``ground`` is the ground of the task."""
     overlaps, link = near.distance < 0, ("link", near.links[0])
     distance = Quantity(abs(near.distance), "m")
     if len(near.links) == 1:
@@ -396,11 +402,11 @@ def _describe_clearance(near: Clearance, ground: Ground) -> Diagnostic:
 
 
 def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
-    """Create the `Stand` of a configuration: compute its errors [m, rad] and clearances [m].
+    """Create the `Stand` of a configuration: compute errors [m, rad] for a task, and clearances.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         qpos: Configuration, shape (nq,).
         iterations: Number of solved or attempted quadratic programs.
 
@@ -440,9 +446,9 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 
 
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
-    """Return True if height and orientation of the base put the base link into the ground.
+    """Return True if the required base height and orientation put the base link into the ground.
 
-    If True, no stand of the goal exists. A collision shape of the base link, or of a link that is
+    If True, no stand of the task exists. A collision shape of the base link, or of a link that is
     fixed to the base, then has less than the required clearance above the plane z = 0. Slopes, and
     robots with a weld or grip, are not tested: the result is False. Steps and separate planes of
     feet are ignored.

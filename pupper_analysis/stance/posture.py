@@ -30,18 +30,17 @@ from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.task import StandTask
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
-"""Largest displacement [rad, m] of a joint position that the user gave, to close a loop. The
-displacement corrects the rounding of typed positions. Also used in the error of a joint beyond its
-range: if loops moved the joint by more than this value, the error names the loops. Chosen, not
-tuned."""
+"""Largest displacement [rad, m] of a joint with a given position, to close a loop. The displacement
+corrects the rounding of typed positions. If a joint is beyond its range and loops moved the joint
+by more than this value, the error names the loops. Chosen, not tuned."""
 
 LIMIT_TOLERANCE = 1e-6
-"""Distance beyond a joint limit [rad, m] that `steady_state` accepts as rounding. Chosen, not
-tuned."""
+"""Largest excess of a joint position over a joint limit [rad, m] that `steady_state` accepts as
+rounding. Chosen, not tuned."""
 
 
 class PostureSource(StrEnum):
-    """Source of the joint positions that were not given."""
+    """Source of the joint positions that the caller of `find_posture` did not give."""
 
     KEYFRAME = "a keyframe of the MJCF"
     MIDDLE = "the middle of the joints' ranges"
@@ -81,19 +80,19 @@ def check_fixed_base(robot: Robot) -> None:
 def find_posture(
     robot: Robot, joints: Mapping[str, float] | None = None, *, keyframe: str | None = None
 ) -> Posture:
-    """Complete given joint positions to a posture of all joints of a robot with a fixed base.
+    """Complete given joint positions to a posture of all joints, for a robot with a fixed base.
 
-    The positions of other joints are taken from a keyframe. Without a keyframe, other joints are in
-    the middle of their ranges. With an infinite limit, the position is zero, or the limit that is
-    nearest to zero. Coupled joints are changed to close loops.
+    Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
+    their ranges. If a limit is infinite, the position is zero, or the limit that is nearest to
+    zero. Joints of loops and couplings that are not given move to close loops.
 
     Args:
         robot: Robot with a fixed base.
         joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}. If several patterns
             match a joint, the last counts.
-        keyframe: Keyframe of the MJCF for other joints. Default: ``home``, or the first keyframe if
-            there is no ``home``. If the positions of this default keyframe are outside of the joint
-            ranges by more than rounding, no keyframe is used.
+        keyframe: Keyframe of the MJCF for joints that are not given. Default: ``home``, or the
+            first keyframe if there is no ``home``. If the positions of this default keyframe are
+            outside of the joint ranges by more than rounding, no keyframe is used.
 
     Raises:
         ConfigurationError: If the base is free, a position is out of range, or closed loops and
@@ -119,10 +118,10 @@ def find_posture(
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Return joint positions (nu,) near ``qpos`` (nu,) with closed loops and couplings.
+    """Return joint positions (nu,) near ``qpos`` (nu,) that close all loops and couplings.
 
-    The joints with the indices ``placed`` do not move. Only if the loops cannot be closed
-    otherwise, they move by at most `_MAX_CLOSING_DISPLACEMENT`.
+    The joints with the indices ``placed`` do not move. If the loops then cannot be closed, these
+    joints may move by `_MAX_CLOSING_DISPLACEMENT`.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.

@@ -1,4 +1,4 @@
-"""Find the tasks and joint limits that keep a task of a posture from its target.
+"""Find the tasks and joint limits that prevent a task of a posture from reaching its target.
 
 The input is the configuration with the smallest residuals that a solver found. The output is a
 `PostureConflict`. Let this configuration be a minimum of the weighted squared residuals. A step
@@ -28,15 +28,15 @@ _AT_LIMIT = 1e-6
 not tuned."""
 
 _MIN_SHARE = 0.01
-"""Bound of the share of an opposing task or limit in the gradient of the failed task (see
-`find_conflict`). A task or limit with a larger share is reported. Chosen, not tuned: rounding, and
-tasks that are nearly satisfied, have smaller shares."""
+"""Smallest effect of an opposing task or limit that is reported, relative to the gradient of the
+failed task (formulas in `find_conflict`). Chosen, not tuned: rounding, and tasks that are nearly
+satisfied, have smaller effects."""
 
 _MIN_RATE = 1e-3
-"""Norm of the derivative of the failed residual by base or joint displacements (m and rad mixed),
-below which these displacements count as without effect. This occurs for example for a stretched
-limb. Displacements without effect are not compared between tasks. Chosen, not tuned: the levers of
-joints exceed 1 cm."""
+"""Smallest norm of the derivative of the failed task's residual by displacements of base or joints
+(m and rad mixed) with which these displacements have an effect on the task. The norm is smaller,
+for example, for a stretched limb; such displacements are then not compared between tasks. Chosen,
+not tuned: the levers of joints exceed 1 cm."""
 
 
 class PostureConflict(NamedTuple):
@@ -66,7 +66,7 @@ def find_conflict(
     weights: Sequence[float],
     failed: int,
 ) -> PostureConflict:
-    """Find the tasks and limits that keep a task from its target in a configuration.
+    """Find the tasks and joint limits that prevent a task of a posture from reaching its target.
 
     The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
     v. A task i opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2. This is tested

@@ -62,7 +62,7 @@ def keep_points(robot: Robot, positions: dict[str, Array]) -> tuple[KeptContact,
 
 
 def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
-    """Return the tasks that keep the contacts of a stand in place.
+    """Create the IK tasks with which a posture keeps the contacts of a stand in place.
 
     Contact points and grips keep their positions [m] in the world frame; welded parts also keep
     their orientations.
@@ -93,7 +93,7 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
 
 
 def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
-    """Create the `Stand` of a posture that keeps the contacts of another stand.
+    """Create a `Stand` from a posture that keeps the contacts of a given stand.
 
     The task of the result requires the base orientation, height and CoM of the posture. It also
     requires the positions of joints that move no foot, and of lifted feet (`_place_lifted_feet`).
@@ -127,7 +127,9 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
 
 
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
-    """Return the task of a stand with base pose, CoM and footless joints of a configuration.
+    """Return a stand's task that requires base pose, CoM and footless joints of a configuration.
+
+    Footless joints move no foot, for example of an arm.
 
     For an arm, which has hands only, the position of the base is required instead of the CoM.
     """
@@ -160,7 +162,7 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 
 
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
-    """Return a task in which lifted feet have the positions and heights of a configuration.
+    """Return a task that requires the positions and heights of lifted feet in a configuration.
 
     The lifted feet are those of ``stand``; the configuration is ``at``. A lifted hand, and a lifted
     foot whose contact states a place, keep their horizontal positions in the task. Only their

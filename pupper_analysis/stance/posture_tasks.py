@@ -33,9 +33,10 @@ Chosen: more than the rounding of matrices with seven digits."""
 
 
 CLEARANCE_WEIGHT = 1e2
-"""Weight of the squared violation of the self clearance, relative to other tasks. In a conflict,
-the clearance is kept and other tasks miss their targets. Measured on Pupper v3: with 1e4, PlaCo's
-quadratic programs are so badly conditioned that 180 iterations are needed instead of 18."""
+"""Weight of the squared violation of the self clearance (distance between links), relative to other
+tasks. In a conflict, the clearance is kept and other tasks miss their targets. Measured on Pupper
+v3: with 1e4, PlaCo's quadratic programs are so badly conditioned that 180 iterations are needed
+instead of 18."""
 
 
 class WholeBody(Protocol):
@@ -76,7 +77,8 @@ class PlacoTask(NamedTuple):
 
     Attributes:
         task: PlaCo's task, with ``update`` and ``error_norm``.
-        update_target: Function that moves the target before an iteration; None if it is fixed.
+        update_target: Function that changes the target of ``task`` before an iteration; None if the
+            target is fixed.
     """
 
     task: Any
@@ -84,7 +86,7 @@ class PlacoTask(NamedTuple):
 
 
 class PostureTask(ABC):
-    """Requirement of a posture.
+    """Requirement of a whole-body posture, for example the position of a link.
 
     Attributes:
         unit: Unit of the residual.
@@ -102,7 +104,7 @@ class PostureTask(ABC):
 
     @abstractmethod
     def residual(self, body: WholeBody) -> float:
-        """Return the magnitude of this task's error at a posture, in ``unit`` (m or rad)."""
+        """Return the distance of a posture from the target of this task, in ``unit`` (m or rad)."""
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
@@ -119,7 +121,7 @@ class PositionTask(PostureTask):
     Attributes:
         frame: Name of the link.
         position: Target (x, y, z) [m].
-        axes: World axes that count, for example "xy".
+        axes: World axes along which the position is required, for example "xy".
     """
 
     frame: str
@@ -208,7 +210,7 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] between actual and required position of the link ``target``.
+        """Return the distance [m] of the link ``target`` from its required position.
 
         Both positions are relative to the link ``frame``, in its axes.
         """
@@ -238,7 +240,7 @@ class CoMTask(PostureTask):
 
     Attributes:
         position: Target (x, y, z) [m].
-        axes: World axes that count, for example "xy".
+        axes: World axes along which the position is required, for example "xy".
     """
 
     position: ArrayLike
@@ -298,7 +300,7 @@ class AxisAlignTask(PostureTask):
         return (self.frame,)
 
     def _required(self, body: WholeBody) -> Array:
-        """Return the unit vector (3,), in world axes, along which the axis of the frame must point.
+        """Return the required direction of the link's axis, unit vector (3,) in world axes.
 
         If the target point is the origin of the frame, the result is vertical.
         """
@@ -335,7 +337,7 @@ class AxisAlignTask(PostureTask):
 
 @dataclass(frozen=True, eq=False)
 class JointsTask(PostureTask):
-    """Joint positions: required, or preferred (regularisation of redundant joints).
+    """Positions of joints: required, or only preferred (regularisation of redundant joints).
 
     Attributes:
         positions: {joint: target [rad, m]}.
@@ -367,7 +369,7 @@ class JointsTask(PostureTask):
 
 @dataclass(frozen=True, eq=False)
 class SelfClearanceTask(PostureTask):
-    """Smallest distance between links that are not neighbours, by MuJoCo's collision shapes.
+    """Smallest distance between links that are not neighbours, measured on MuJoCo's shapes.
 
     Links that the MJCF excludes from contact, and links that overlap in the home configuration, may
     overlap. Shapes of a fixed base are checked; floors and height fields are not. If the base is
@@ -391,7 +393,9 @@ class SelfClearanceTask(PostureTask):
         return self._shortfall(body.self_clearances())
 
     def _shortfall(self, distances: Array) -> float:
-        """Return the required ``distance`` minus the smallest distance of a sorted array [m].
+        """Return the required ``distance`` minus the smallest distance [m], at least 0.
+
+        ``distances`` are ascending, shape (n,) [m].
 
         0 if the smallest distance is sufficient, or if there are no distances.
         """
@@ -419,7 +423,7 @@ class SelfClearanceTask(PostureTask):
 
 
 class _MeasuredClearance:
-    """Stand-in for a PlaCo task, with the residual of a constraint as its error."""
+    """Replacement for a PlaCo task, whose error is the violation of the self clearance."""
 
     residual = 0.0
 
@@ -441,9 +445,12 @@ def _freeze_array(task: object, name: str, value: Array) -> None:
 
 
 def _make_vector(name: str, value: Any) -> Array:
-    """Return a copy as a vector (3,); ConfigurationError if the value is no finite vector.
+    """Convert an argument to a new vector (3,) of finite numbers.
 
-    ``name`` is the name of the argument, for the error message.
+    ``name`` is the name of the argument, for the error.
+
+    Raises:
+        ConfigurationError: If the value is no finite vector (3,).
     """
     vector = real_array(name, value)
     if vector.shape != (3,) or not np.isfinite(vector).all():
@@ -452,7 +459,11 @@ def _make_vector(name: str, value: Any) -> Array:
 
 
 def _check_rotation(value: Any) -> Array:
-    """Return a copy as a matrix (3, 3); ConfigurationError if the value is no rotation matrix."""
+    """Convert an argument to a new rotation matrix (3, 3).
+
+    Raises:
+        ConfigurationError: If the value is no rotation matrix.
+    """
     matrix = real_array("rotation", value)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ConfigurationError("rotation", diagnose("no-rotation", given=repr(value)))

@@ -1,4 +1,6 @@
-"""Numerical goal of a stand task: targets of the feet, base pose, CoM position and joint limits.
+"""Goal of a stand: a stand task converted to numbers for one robot.
+
+A goal contains targets of the feet, base pose, CoM position and joint limits.
 
 `make_goal` combines a robot and a `StandTask` into a `Goal`. The function places the contact points
 on the ground and determines the support region. It rejects tasks that no stand can satisfy, for
@@ -38,9 +40,9 @@ their mean. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
-"""{number of contact points of a foot: number of coordinates of the foot that these points fix}.
-Three or more points fix all 6. With two points, the foot may rotate about the line through the
-points."""
+"""{number of contact points of a foot: number of degrees of freedom of the foot that planted points
+fix}. Three or more points fix all 6. With two points, the foot may rotate about the line through
+the points."""
 
 
 _NUM_RANDOM_POSES = 3
@@ -48,19 +50,18 @@ _NUM_RANDOM_POSES = 3
 configuration may be singular. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
-"""Smallest horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and
-m mixed), with planted feet. The robot can move the CoM in a direction if the displacement is
-larger. Chosen, not tuned."""
+"""Horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and m mixed),
+above which a robot with planted feet can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Second criterion for a horizontal direction in which the robot can move the CoM, besides
-`_MIN_COM_RATE`. The CoM displacement per unit displacement, relative to the direction with the
-largest displacement, must exceed this ratio. Feet, base height and base orientation are fixed.
-Soles that are a microradian off level cause smaller ratios. Chosen, not tuned."""
+"""Ratio [1] above which a robot with planted feet can move the CoM in a horizontal direction. The
+ratio is the CoM displacement per unit displacement, relative to the direction with the largest
+value. `_MIN_COM_RATE` must be exceeded, too. Soles that are a microradian off level cause smaller
+ratios. Chosen, not tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
-    """Return True if joints remain free when the base and all feet keep their poses.
+    """Return True if some joints can move while the base and all feet keep their poses.
 
     Only coordinates are counted: nv must exceed the number of fixed coordinates. These are 6 of the
     base, plus the number in `_FIXED_COORDINATES` for the contact points of each foot.
@@ -70,7 +71,7 @@ def has_redundant_joints(robot: Robot) -> bool:
 
 
 def can_move_com(robot: Robot) -> bool:
-    """Return True if the legs can move the CoM in x and y with planted feet.
+    """Return True if the legs can move the CoM in both horizontal directions, with planted feet.
 
     The base keeps height and orientation. Legs with three joints suffice. Legs with two joints in
     one plane cannot move the CoM sideways. Joints that move no foot (neck, arms) do not count,
@@ -112,7 +113,9 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
 
 
 class Support:
-    """Support region of contacts, computed at first access and shared by goals.
+    """Support region of contacts (CoM positions with equilibrium), computed at first access.
+
+    Several goals share an object of this class.
 
     Args:
         contacts: Contact points, shape (n, 3) [m].
@@ -141,7 +144,9 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Numerical goal of a stand task for one robot. Do not change its arrays: goals share arrays.
+    """Stand task converted to numbers for one robot: targets, base pose and joint limits.
+
+    Do not change the arrays, since goals share arrays.
 
     Attributes:
         task: Task, with height and CoM filled in.
@@ -191,7 +196,7 @@ class Goal:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the contact points as on rigid ground, to place steps and planes below feet.
+        """Targets of the contact points without penetration, to locate the ground below the feet.
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. Without
         separate planes of feet, these are the ``targets``. If a foot has a separate plane, the
@@ -213,7 +218,7 @@ def make_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Convert a stand task to the numerical `Goal` for a robot: targets [m], base pose and limits.
+    """Convert a stand task to numbers for a robot (`Goal`): foot targets, base pose and limits.
 
     Args:
         robot: Robot.
@@ -252,7 +257,7 @@ def _list_position_limits(robot: Robot) -> list[list[float]]:
 
 
 class _Defaults(NamedTuple):
-    """Defaults of the tasks of a robot.
+    """Values of a robot's default stand task (nominal stand), computed once per robot.
 
     Attributes:
         com: CoM requirement: ``centre`` or ``inside``.
@@ -284,7 +289,7 @@ def _build_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Build the numerical goal of a task for a robot.
+    """Convert a task to a goal for a robot, and reuse equal parts of another goal.
 
     Args:
         robot: Robot.
@@ -363,11 +368,11 @@ def _build_goal(
 def feet_centre(
     robot: Robot, ground: Ground, contact_by_foot: Mapping[str, Array], targets: Mapping[str, Array]
 ) -> Array:
-    """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
+    """Compute the reference point of a stand: mean (3,) [m] of the stance contacts, world frame.
 
-    Hands, and feet on steep planes, are left out. Feet with separate planes are left out of the
-    height. If no contact would remain, none is left out. Welded and gripping feet count as
-    contacts. If all feet are lifted, the result is the horizontal mean of all targets, at z = 0.
+    Welded and gripping feet count as contacts. Exceptions: hands, and feet on steep planes, are
+    left out; feet with separate planes are left out of the height. If no contact would remain, none
+    is left out. If all feet are lifted, the result is the horizontal mean of all targets, at z = 0.
     For an arm (a robot with a weld or grip, and without feet other than hands), the result is the
     point at z = 0 below the base in the home pose.
 
@@ -427,8 +432,8 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
 
 
 _PROPOSED_INSET = 1e-4
-"""Extra distance [m] of a proposed CoM position from the edge of the support region, in addition to
-the required margin. An error message proposes this position. Chosen, not tuned."""
+"""Distance [m], in addition to the required margin, of the CoM position that an error message
+proposes from the edge of the support region. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
@@ -459,7 +464,7 @@ def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...])
 
 
 def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Return a task with the default height and CoM (``com``), and the units of the posture.
+    """Complete a task with the default height, the default CoM (``com``), and units of the posture.
 
     The CoM of a task with an ``offset`` of the base is "centre" by default.
     """
@@ -492,7 +497,7 @@ def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
 
 
 def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
-    """Raise a ConfigurationError if the support region is narrower than `_MIN_SUPPORT_WIDTH`.
+    """Raise a ConfigurationError if the support region is too narrow (`_MIN_SUPPORT_WIDTH`).
 
     Args:
         robot: Robot.
@@ -512,7 +517,7 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
 
 
 def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Check robot and names of a task, and return the contact points that carry load.
+    """Select the contact points that carry load in a task, after checks of robot and names.
 
     Raises:
         ConfigurationError: If the base is fixed, gravity does not point downward, the robot has no
@@ -550,25 +555,24 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
 
 
 _NUM_FIT_ITERATIONS = 4
-"""Number of iterations in which a plane is fitted to the spheres of a sole. With unequal radii, the
-contact points depend on the normal of the plane. Chosen, not tuned."""
+"""Number of iterations of the fit of a plane to the contact points of a sole. Iterations are needed
+since the contact points of spheres with unequal radii depend on the normal of the plane. Chosen,
+not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Lower bound of the vertical component of a plane's unit normal. A steeper plane is more than 60
-deg from horizontal. A foot on such a plane is left out of the centre of the feet. The error of an
-unreachable stand describes such a plane as a wall. Chosen, not tuned."""
+"""Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot. A
+plane with a smaller component is more than 60 deg from horizontal: the mean position of the feet
+excludes its foot, and error messages call the plane a wall. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
-"""Extent [m] of a sole's contact points perpendicular to their fitted line, below which the points
-count as collinear. The extent is the second singular value of the centred points. Chosen, not
-tuned."""
+"""Extent [m] of a sole's contact points perpendicular to a fitted line, below which the points
+count as collinear: second singular value of the centred points. Chosen, not tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Return {contact point: default position of its sphere centre, shape (3,) [m]}.
+    """Return {contact point: default target of its sphere centre, (3,) [m]}, world frame.
 
-    Positions are in the world frame, for the base upright at the origin and the joints at
-    ``robot.nominal``.
+    Positions are those with the base upright at the origin and the joints at ``robot.nominal``.
     """
     return {point: place.copy() for point, place in robot.compute_once(_compute_nominal_points)}
 
@@ -583,7 +587,7 @@ def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
 
 
 def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
-    """Return {foot: default horizontal position, shape (2,) [m]} in the world frame.
+    """Return {foot: default horizontal target position, shape (2,) [m]}, in the world frame.
 
     The position is the mean of the foot's sphere centres at the nominal joint positions, with the
     base upright at the origin.
@@ -602,8 +606,8 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Return {foot: horizontal position that a task requires, shape (2,) [m]} in the world frame.
 
-    This is the position in ``task.feet``, or else the default position, plus the offset of the foot
-    in ``task.foot_offsets``.
+    The position is that in ``task.feet``, or else the default (`nominal_foot_positions`), plus the
+    offset in ``task.foot_offsets``.
     """
     nominal = nominal_foot_positions(robot)
     return {
@@ -613,7 +617,7 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Compute the targets of the sphere centres on rigid ground: {contact point: (3,) [m]}.
+    """Compute {contact point: target of its sphere centre, (3,) [m]} on rigid ground for a task.
 
     Targets are in the world frame. A sole is flat on the plane or slope, rotated from the default
     orientation by the shortest rotation. A welded hand is at the requested position. A swing foot
@@ -645,7 +649,7 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
-    """Compute the sphere centres of a foot or hand on a separate plane, shape (3,) each [m].
+    """Compute {contact point: target of its sphere centre, (3,) [m]} on a foot's separate plane.
 
     The contact (for a sole, the mean of the contacts) is the point of the plane that is nearest to
     the requested position. A swing foot is translated from there by the swing height, along the
@@ -684,7 +688,7 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
 
 
 def _add_planes(robot: Robot, task: StandTask) -> StandTask:
-    """Return the task with the planes of its contacts added to its ground."""
+    """Return a copy of a task in which the ground contains the separate planes of the contacts."""
     planes = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None
@@ -717,7 +721,7 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 
 
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
-    """Return sphere centres (n, 3) [m], rotated and translated so that the sole is on a plane.
+    """Rotate and translate the sphere centres (n, 3) [m] of a sole, so that the sole is on a plane.
 
     The plane passes through the origin and has the unit normal ``normal``, shape (3,). The mean
     distance of the contact points from the plane is zero.
@@ -744,7 +748,7 @@ def _fit_upward_normal(points: Array) -> Array:
 
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
-    """Return {contact point: unit normal out of its ground or plane, (3,), in the world frame}."""
+    """Return {contact point: unit normal (3,) out of the ground below the point}, world frame."""
     if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
@@ -785,18 +789,20 @@ def remove_penetration(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Remove the penetration from targets, to locate the steps and planes below the feet.
+    """Remove the penetration from foot targets, to compute where the ground below the feet is.
 
+    A target includes the penetration, but steps and planes must be placed below the rigid target.
     If any foot has a separate plane, the target of each contact point in ``normals`` is moved out
     of the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
     the horizontal position of a step on level ground does not depend on the penetration.
 
     Args:
         ground: Ground.
-        targets: {contact point: target of the sphere centre, shape (3,) [m]}, which includes the
-            penetration.
+        targets: {contact point: target of the sphere centre, shape (3,) [m], in the world frame},
+            which includes the penetration.
         depths: {contact point that carries load: penetration [m]}.
-        normals: {contact point that carries load: unit normal out of the ground, shape (3,)}.
+        normals: {contact point that carries load: unit normal out of the ground, shape (3,), world
+            frame}.
     """
     if not ground.planes:
         return targets
@@ -807,11 +813,11 @@ def remove_penetration(
 
 
 def move_rigidly(before: Array, after: Array) -> Array:
-    """Rotate and translate points as a rigid body, to fit other points by least squares.
+    """Rotate and translate points as a rigid body, with the least-squares fit to given points.
 
     Args:
         before: Points to be moved, shape (n, 3) [m].
-        after: Points to be fitted, shape (n, 3) [m], in the same order and frame.
+        after: Points to which ``before`` is fitted, shape (n, 3) [m], in the same order and frame.
 
     Returns:
         Moved points, shape (n, 3) [m].

@@ -1,4 +1,4 @@
-"""A stand as a nonlinear program: all constraints at once, with relaxable requirements (demands).
+"""Solve for a stand by a nonlinear program, in which requirements (demands) may be relaxed.
 
 Variables are the horizontal base position, the joint positions, and two slacks for each number of a
 relaxable requirement: a decrease and an increase. The sum of the slacks is minimised. Minimising a
@@ -37,47 +37,48 @@ _SATISFIED_VIOLATION = 1e-6
 IK solve after the program reduces the violation further. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of the SLSQP iterations of a solve: the first value without slacks, the second value
-with slacks (of relaxable requirements). The second value also bounds the first run of
-`minimise_foot_distances`. Measured on solves that led to a stand: without slacks, all of 1,500
-solves took 12 iterations or fewer; with slacks, 90 % of 350 solves took 45 or fewer."""
+"""Upper bounds of the number of SLSQP iterations of a solve: first value without relaxable
+requirements (no slack variables), second value with relaxable requirements. The second value also
+bounds the first run of `minimise_foot_distances`. Measured on solves that led to a stand: without
+slacks, all of 1,500 solves took 12 iterations or fewer; with slacks, 90 % of 350 solves took 45 or
+fewer."""
 
 _FINE_UNIT_DIVISOR = 200.0
-"""Divisor [1] of the stand height. The quotient is the smallest unit of length in the second run of
-`minimise_foot_distances`. The unit is the foot distance that remains after the first run, but not
-less than the quotient. Measured with flat minima: SLSQP stops before the minimum if the unit is the
-stand height, or a thousandth of the stand height."""
+"""Divisor [1] of the stand height, which gives the smallest unit of length in the second run of
+`minimise_foot_distances`: max(foot distance after the first run, stand height / divisor). Measured
+with flat minima: SLSQP stops before the minimum if the unit is the stand height, or a thousandth of
+the stand height."""
 
 _MAX_ITERATIONS = 100
-"""Upper bound of the SLSQP iterations in the second run of `minimise_foot_distances`, which uses a
-finer unit of distance. About 45 are needed if the feet are at the limit of reach. Chosen, not
-tuned."""
+"""Upper bound of the number of SLSQP iterations in the second run of `minimise_foot_distances`,
+which uses a finer unit of distance. About 45 are needed if the feet are at the limit of reach.
+Chosen, not tuned."""
 
 _MIN_PROGRESS_RATIO = 0.9
 """Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Upper bounds of the number of successive SLSQP iterations without progress: the first value
-without relaxation of requirements, the second value with relaxation. After more iterations without
-progress the solve ends. Measured without relaxation: 1 of 138 solves that led to a stand exceeded
-the bound, and two thirds of 206 solves without a stand. Measured with relaxation: 1 of 350, and one
-eighth of 633."""
+"""Upper bounds of the number of successive SLSQP iterations without progress, after which a solve
+ends: first value without relaxable requirements, second value with relaxable requirements. Measured
+without relaxation: 1 of 138 solves that led to a stand exceeded the bound, and two thirds of 206
+solves without a stand. Measured with relaxation: 1 of 350, and one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Bound of the linear independence of equality constraints. An equality is dropped as dependent if
-its diagonal element in the pivoted QR factor of the equalities' Jacobian is at most this fraction
-of the largest element. SLSQP fails with dependent equalities. Chosen, not tuned."""
+"""Largest diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the
+largest element, with which an equality constraint is dropped as linearly dependent. SLSQP fails
+with dependent equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Relaxed values of a task, with the configuration at which they are satisfied best.
+    """Task with changed (relaxed) values, and the configuration that satisfies the task best.
 
     Attributes:
         task: Task with relaxed numbers.
         qpos: Configuration, shape (nq,).
-        relaxations: {demand: sum of the relaxations of the demand's numbers} [stand heights, rad].
+        relaxations: {requirement: sum of the changes of its numbers}, lengths in stand heights,
+            angles in rad.
         violation: Largest violation of the program's constraints with the relaxed values [m, rad].
     """
 
@@ -93,7 +94,7 @@ class Relaxation:
 
     @property
     def slack(self) -> float:
-        """Sum of the changes of the task's numbers, as lengths / stand height and angles [rad]."""
+        """Sum of the changes of all numbers in the task: lengths / stand height, angles [rad]."""
         return sum(self.relaxations.values())
 
 
@@ -119,7 +120,7 @@ class _NoProgressError(Exception):
 
 
 class _Progress:
-    """Monitor of the violation along a solve, updated by each iteration.
+    """Monitor of the constraint violation during a solve, which ends a solve without progress.
 
     Args:
         enough: Violation that counts as satisfied [m, rad].
@@ -162,7 +163,7 @@ class _Progress:
 
 
 class StanceProgram:
-    """Nonlinear program that finds a configuration for a goal, with the smallest relaxations.
+    """Nonlinear program that finds a configuration for a stand, with the smallest relaxations.
 
     The v variables ``x`` are the horizontal base position, the joint positions, and the
     relaxations. Base position and relaxations of lengths are in stand heights, joint positions and
@@ -171,7 +172,7 @@ class StanceProgram:
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         demands: Names of requirements that may be relaxed, from `DEMANDS`.
         without: Names of constraints that are left out of the program.
     """
@@ -210,7 +211,7 @@ class StanceProgram:
         self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
-        """Find a stand with the smallest changes of the task's relaxable values.
+        """Find a configuration for the stand, with the smallest changes of the relaxable values.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -240,11 +241,11 @@ class StanceProgram:
         )
 
     def minimise_foot_distances(self, qpos: Array) -> Array:
-        """Return the configuration, shape (nq,), with the contact points nearest to the targets.
+        """Find the configuration (nq,) with the contact points nearest to their targets.
 
-        The sum of squared distances is minimised subject to the constraints of this program, in
-        two runs. The unit of distance is the stand height in the first run, and the remaining
-        distance (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run.
+        The sum of squared distances is minimised subject to the constraints of this program, in two
+        runs. The unit of distance is the stand height in the first run, and the remaining distance
+        (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -256,9 +257,10 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Return ``scale`` times the sum of squared foot distances [m^2], and the gradient (v,).
+        """Compute the objective, squared distances of feet from their targets, and its gradient.
 
-        ``x`` are the variables, shape (v,); the gradient is the derivative by ``x``.
+        The objective is ``scale`` times the sum of squared distances [m^2]. The gradient (v,) is
+        the derivative by the variables ``x`` (v,).
         """
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
@@ -279,7 +281,7 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Minimise a function under the constraints by SLSQP; the result is within the bounds.
+        """Minimise a function under the constraints of this program, by SLSQP.
 
         Args:
             function: Returns value and gradient, shape (v,), at the variables.
@@ -289,15 +291,15 @@ class StanceProgram:
             progress: Monitor that ends the solve early.
 
         Returns:
-            Variables, shape (v,); if ``progress`` ends the solve, those with the smallest violation
-            so far.
+            Variables, shape (v,), within their bounds. If ``progress`` ends the solve: the
+            variables with the smallest violation so far.
         """
         from scipy import optimize  # slow to import
 
         equal = self._rows[1]
 
         def rates(x: Array, rows: slice) -> Array:
-            """Return rows of the constraint Jacobian at ``x``; record the progress, if required."""
+            """Return rows of the constraint Jacobian at ``x``; record progress, if monitored."""
             if progress is not None:
                 progress.update(x, self._max_violation(x))
             return self._jacobian(x)[rows]
@@ -335,7 +337,7 @@ class StanceProgram:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
-        """Return the variables (v,) of an initial configuration (nq,) and initial relaxations.
+        """Convert an initial configuration (nq,) and initial relaxations to variables (v,).
 
         The relaxations are the differences of ``task`` from the requirements of the goal, such as
         another height; zero without a task. The result is clipped to the bounds of the variables.
@@ -348,7 +350,7 @@ class StanceProgram:
         return start
 
     def _demand_values(self, x: Array) -> Array:
-        """Return the relaxed task values that the program's variables x encode, (n,) [m, rad]."""
+        """Convert the variables ``x`` (v,) to the relaxed values of the task, (n,) [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
@@ -364,7 +366,7 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Return the goal (numerical task) for values of the relaxable requirements [m, rad].
+        """Convert values of the relaxable requirements [m, rad] to a goal (numerical task).
 
         Foot targets and joint limits of the goal ``like`` are reused if they are equal.
         """
@@ -396,7 +398,7 @@ class StanceProgram:
         return self._jacobian_there[1]
 
     def _derivative(self, x: Array) -> Array:
-        """Compute the derivative of all r residuals by the v variables, shape (r, v).
+        """Compute the Jacobian (r, v) of all r constraint residuals by the v variables.
 
         Derivatives by robot motion are analytic. The derivative by a relaxable value is the effect
         of the resulting base motion, plus a difference quotient of the residuals at a constant
@@ -458,7 +460,7 @@ def _stack(blocks: Sequence[Array], columns: int) -> Array:
 
 
 def _base_motion(goal: Goal, other: Goal) -> Array:
-    """Return the small base displacement between two goals, shape (6,), in the order of qvel.
+    """Return the small displacement (6,) of the base from one goal to another, in qvel's order.
 
     Translation [m] along world axes, vertical only; rotation vector [rad] along base axes.
     """

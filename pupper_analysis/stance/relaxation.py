@@ -1,4 +1,4 @@
-"""Explanation of an unreachable stance: requirements to relax (demands), and the smallest change.
+"""Explain an unreachable stance: find requirements (demands) to relax, and the smallest change.
 
 `explain_refusal` first relaxes each requirement alone. If none suffices alone, the search continues
 with a small set of requirements that suffices together. The nonlinear program with slacks
@@ -38,14 +38,14 @@ from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 
 _DEAD_POINT_RATIO = 1e-2
-"""Ratio [1] of a foot's mobility with closed loops to its mobility without the loops, below which a
-dead point of the loops is reported. Mobility is a singular value of the foot Jacobian. At 1 mrad
-from a dead point the ratio is about 1e-3. A singular value without the loops is tested only if it
-exceeds this fraction of the largest one. Chosen, not tuned."""
+"""Ratio [1] (mobility of a foot with closed loops) / (mobility without the loops), below which a
+dead point of the loops is reported. A mobility is a singular value of the foot Jacobian. At 1 mrad
+from a dead point the ratio is about 1e-3. Singular values below this fraction of the largest
+singular value are not tested. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] up to which the search tolerance explains the error of a foot. If the closed loops
-are at a dead point, such a foot is not reported as out of reach. Chosen, not tuned."""
+"""Foot error [m] below which a foot is not reported as out of reach if the closed loops are at a
+dead point. The tolerance of the search explains such an error. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
 """Fractions by which the relaxation of an unreachable task is increased, in this order, until the
@@ -53,18 +53,18 @@ relaxed task with rounded values has a stand. Without an increase, the relaxed t
 of reach, where a search from other initial guesses may fail. Chosen, not tuned."""
 
 _NONZERO_DEMANDS = ("swing", "com_margin")
-"""Relaxable requirements whose value must not become close to zero. A foot with a swing height of
-zero would carry load. With a CoM margin of zero, the CoM of a task with an offset may be outside
-the support polygon."""
+"""Names of relaxable requirements whose values must not become close to zero. A foot with a swing
+height of zero would carry load. With a CoM margin of zero, the CoM of a task with an offset may be
+outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Bound of the values of `_NONZERO_DEMANDS`, relative to the base height of the nominal stand. A
-smaller value counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
+"""Smallest permitted value of the requirements in `_NONZERO_DEMANDS`, relative to the base height
+of the nominal stand. A relaxed task with a smaller value is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
-"""Fractions by which `_relax_one` reduces the relaxation of a task, to test for a local minimum of
-the nonlinear program. If the task with less relaxation has a stand, the program starts again from
-this stand. Otherwise the next fraction is tried. Chosen from a measurement with Pupper v3 on a
+"""Fractions by which `_relax_one` reduces a computed relaxation, to test if the nonlinear program
+ended in a local minimum. If the task with less relaxation has a stand, the program starts again
+from this stand. Otherwise the next fraction is tried. Chosen from a measurement with Pupper v3 on a
 slope: the program left two local minima, and the relaxation decreased by 6 % and by 1 %."""
 
 _MIN_RELAXATION = 1e-6
@@ -75,13 +75,13 @@ reported. Chosen, not tuned."""
 def explain_refusal(
     context: SearchContext, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
-    """Create the error for a goal without stand: foot errors [m], joints at limits, relaxations.
+    """Create the error that no stand was found: foot errors [m], joints at limits, relaxations.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`), for which no stand was found.
         nearest: Best failure of the search (`search_stand`, `minimise_foot_errors`).
-        explain: Compute the requirements to relax, and the smallest relaxation.
+        explain: Whether to compute the requirements to relax, and the smallest relaxation.
     """
     robot = context.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
@@ -122,7 +122,9 @@ def explain_refusal(
 
 
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
-    """Return True if closed loops block a direction in which the joints could move a foot.
+    """Return True if closed loops are at a dead point: joints cannot move a foot in some direction.
+
+    Without the loops, the joints could move the foot.
 
     At such a dead point a motor rotates while the coupled joints stay at rest, to first order.
     """
@@ -142,7 +144,7 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _StatedRelaxation:
-    """Relaxed requirements, and a stand of the relaxed task.
+    """Relaxation for a report: relaxed requirements, and a stand for the rounded relaxed values.
 
     Attributes:
         demands: Names of the relaxed requirements, from `DEMANDS`.
@@ -156,12 +158,13 @@ class _StatedRelaxation:
 
 
 class _RelaxationSearch:
-    """Search for relaxations of an unreachable goal.
+    """Search for small changes (relaxations) of an unreachable stand task that make it reachable.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
-        nearest: Best failure of the search. The nonlinear program starts from it, and from home.
+        goal: Unreachable stand task with all targets computed (`Goal`).
+        nearest: Best failure of the search. The nonlinear program starts from this stand, and from
+            the home configuration.
     """
 
     def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:
@@ -171,7 +174,7 @@ class _RelaxationSearch:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Return relaxations of a task that make it reachable, each with its stand.
+        """Find the relaxations that make the task reachable, each with a stand.
 
         Each relaxation changes a single requirement. If no single requirement suffices, the result
         is one relaxation of a small set of requirements. The result is empty if no such set is
@@ -187,7 +190,7 @@ class _RelaxationSearch:
         return [] if fewest is None else [fewest]
 
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
-        """Return the smallest relaxation of requirements (``demands``) with which a stand exists.
+        """Find the smallest relaxation of the requirements ``demands`` with which a stand exists.
 
         The nonlinear program starts from each initial configuration (nq,) in ``starts``. It also
         starts from the stand of the task with nominal values of these demands, if the default
@@ -207,7 +210,7 @@ class _RelaxationSearch:
         )
 
     def _relax_one(self, demand: str) -> Relaxation | None:
-        """Return the smallest relaxation of one demand; None without a feasible relaxation.
+        """Find the smallest relaxation of one requirement; None without a feasible relaxation.
 
         The nonlinear program may end in a local minimum. If a search finds a stand with less
         relaxation, the program starts again from this stand.
@@ -252,11 +255,12 @@ class _RelaxationSearch:
         return relaxation
 
     def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
-        """Round the values of a relaxed task; return the relaxation with the stand of the task.
+        """Round the values of a relaxation, and verify that the rounded task has a stand.
 
         If the rounded task has no stand, the relaxation is increased (`_EXTRA_RELAXATIONS`). None
         if ``relaxation`` is None, if no requirement is relaxed by more than `_MIN_RELAXATION`, or
-        if no rounded task has a stand and values that `_is_degenerate` accepts.
+        or if no rounded task has a stand. Values close to zero are rejected, too
+        (`_is_degenerate`).
         """
         if relaxation is None:
             return None
@@ -277,11 +281,12 @@ class _RelaxationSearch:
     def _round_task(
         self, relaxation: Relaxation, demands: Sequence[str], share: float
     ) -> StandTask | None:
-        """Return the relaxed task with rounded values; None if it becomes infeasible.
+        """Round the relaxed values of a task; None if the task becomes infeasible.
 
-        The fields ``demands`` are rounded one after another, the largest relaxation first. After
-        each rounding, the relaxation of the remaining fields is computed again. Before rounding,
-        the distance of a value from the requested value is increased by the fraction ``share``.
+        The requirements ``demands`` are rounded one after another, the largest relaxation first.
+        After each rounding, the relaxation of the remaining requirements is computed again. Before
+        rounding, the distance of a value from the requested value is increased by the fraction
+        ``share``.
         """
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task
@@ -307,7 +312,7 @@ class _RelaxationSearch:
         return stand if stand.solved else None
 
     def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Convert a task to a goal with the deflections of the original goal ``self.goal``.
+        """Convert a task to a goal with the same static deflections as the unreachable goal.
 
         Deflections are the penetrations of the feet into soft ground, and the openings of loops.
 
@@ -320,7 +325,7 @@ class _RelaxationSearch:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if ``demand`` is in `_NONZERO_DEMANDS`, and a value is negligible."""
+    """Return True if a requirement must not be zero (`_NONZERO_DEMANDS`), but a value nearly is."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()

@@ -1,9 +1,9 @@
-"""Equations of a servo-driven robot at rest on soft ground, and the solution by Newton's method.
+"""Equations of a robot at rest on position servos and soft ground, solved by Newton's method.
 
-`SagEquilibrium` contains the balance of generalised forces, a slip law and a depth law per
-contact. The unknowns are the configuration and the contact forces. The set of touching contacts is
-fixed in a solve; `SagEquilibrium.switch_contact` changes it. `stance.sag.steady_state` follows a
-solution while feed-forward is removed and feet creep.
+`SagEquilibrium` contains the balance of generalised forces, a slip law and a depth law per contact.
+The unknowns are the configuration and the contact forces. The set of touching contacts is fixed in
+a solve; `SagEquilibrium.switch_contact` changes it. `stance.sag.steady_state` follows a solution
+while feed-forward is removed and feet creep.
 
 The "contact frame" of a contact has two tangents of the ground as x and y axes. Its z axis is the
 ground normal. "Height" as a unit means `EquilibriumScales.length`.
@@ -35,7 +35,7 @@ from pupper_analysis.statics.cone_program import split_force
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Pose of a foot at the first contact, from which a pinned foot rolls.
+    """Pose of a foot at its first contact, from which slip and rolling of the foot are measured.
 
     Attributes:
         position: Centre of the contact sphere, shape (3,) [m], in the world frame.
@@ -61,15 +61,15 @@ class Solution:
     residual: float = math.inf
 
     def force(self, foot: str) -> Array:
-        """Return the force of the ground on the contact point ``foot``, shape (3,) [N].
+        """Return the ground force (3,) [N] on the contact point ``foot``, in the contact frame.
 
-        Expressed in the contact frame of the contact. Zero if the point is not in contact.
+        The z axis of the contact frame is the ground normal. Zero if the point is not in contact.
         """
         return self.forces.get(foot, np.zeros(3))
 
 
 def integrate_step(qpos: Array, step: Array) -> Array:
-    """Return the configuration, shape (nq,), that is reached from another by a displacement.
+    """Add a displacement in the tangent space (nv,) to a configuration (nq,).
 
     Args:
         qpos: Initial configuration, shape (nq,).
@@ -174,10 +174,10 @@ class ContactKinematics:
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the derivative of the unbalanced generalised force, shape (nv, nv).
+        """Compute the Jacobian (nv, nv) of the unbalanced generalised force by displacements.
 
-        This force is the gravity load minus the contact forces (and weld wrenches, if given). The
-        derivative is with respect to displacements in the order of qvel.
+        This force is the static load minus the contact forces (and weld wrenches, if given), which
+        are constant. Displacements are in the order of qvel.
 
         Args:
             forces: Contact forces, shape (n, 3) [N], in the contact frame; constant in the
@@ -207,9 +207,10 @@ GROUND_NORMAL = (0.0, 0.0, 1.0)
 """Unit normal of the ground in the contact frame, whose z axis is the normal."""
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
-"""Upper bounds of a Newton step: rotation of the base or displacement of a joint [rad, m], and
-displacement of the base [`EquilibriumScales.length`]. With a longer step the solve fails, since the
-step may lead to another solution. Chosen, not tuned."""
+"""Upper bounds of a Newton step: first value for the rotation of the base or the displacement of a
+joint [rad, m]; second value for the displacement of the base, in units of
+`EquilibriumScales.length`. With a longer step the solve fails, since the step may lead to another
+solution. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
 """Stiffness of a numerical spring along the ground at contacts without friction
@@ -224,7 +225,7 @@ solution. Chosen, not tuned."""
 
 @dataclass(frozen=True)
 class EquilibriumScales:
-    """Weight and height of a robot, as units of residuals and steps.
+    """Weight and height of a robot, by which residuals and steps of the solver are divided.
 
     Attributes:
         weight: Weight [N].
@@ -272,7 +273,7 @@ class EquilibriumScales:
         return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
-        """Return the largest absolute element of the scaled residual of the equations [1].
+        """Return the largest absolute element [1] of the residual, after scaling to common units.
 
         Forces are divided by the weight, torques by weight x height, and lengths by the height.
 
@@ -299,45 +300,45 @@ class EquilibriumScales:
 
 
 SlipLaw = Literal["pinned", "sliding"]
-"""Slip law of the feet: ``pinned`` feet hold tangential forces up to the limit of their friction,
-``sliding`` feet hold none (final state of MuJoCo's creep)."""
+"""Law of tangential contact forces: ``pinned`` feet stick, up to the friction limit; ``sliding``
+feet have no friction (final state of MuJoCo's creep)."""
 
 RESIDUAL_TOLERANCE = 3e-12
 """Upper bound of the residual of an accepted equilibrium, in units of robot weight (forces), weight
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Bound of the predicted scaled residual [1] of a Newton step that reuses the Jacobian of the
-previous step. The prediction is e[k]^2 / e[k-1], with the scaled residual e[k]
+"""Upper bound of the predicted scaled residual [1] after a Newton step, with which the step reuses
+the Jacobian of the previous step. The prediction is e[k]^2 / e[k-1], with the scaled residual e[k]
 (`EquilibriumScales.max_residual`) after k steps. Above this bound, a new Jacobian is computed.
 Chosen as the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""Penetration plus contact margin of MuJoCo, in units of `EquilibriumScales.length`, above which a
-contact point without contact is added as a contact. For Pupper v3 the force at this penetration is
-1e-6 N. Chosen, not tuned."""
+"""Penetration plus MuJoCo's contact margin, in units of `EquilibriumScales.length`, above which a
+point that is assumed to have no contact becomes a contact. For Pupper v3 the force at this
+penetration is 1e-6 N. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
-"""Factors of the tangential compliance of contact points (`contact_compliance`). If Newton's method
-fails for a robot with soles, the equilibrium is solved with these factors in this order. Each
-solution is the initial guess of the next solve. Chosen, not tuned."""
+"""Factors [1] on the tangential compliance of contact points (`contact_compliance`). If Newton's
+method fails for a robot with soles, the equilibrium is solved with each factor in turn, from the
+previous solution as initial guess. Chosen, not tuned."""
 
 _MAX_ITERATIONS = 16
 """Upper bound of the Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured solutions
 took 12 or fewer."""
 
 _ALTERNATION_RTOL = 1e-6
-"""Two residuals of Newton's method, two iterations apart, count as equal up to this relative
-difference. If two successive pairs are equal, the solve fails. Measured on variants of Pupper
-without a solution: contacts change between slip and stick in each iteration, and the residuals
-repeat to 1e-6 after 6 to 12 iterations, then to rounding."""
+"""Relative difference up to which residuals of Newton's method count as equal, to detect an
+alternation. If the last two residuals equal those two iterations before, the solve fails. Measured
+on variants of Pupper without a solution: contacts change between slip and stick in each iteration,
+and the residuals repeat to 1e-6 after 6 to 12 iterations, then to rounding."""
 
 _ZERO_SLIP = np.zeros(2)
 """Slip [m] of a contact that has not crept."""
 
 
 class SagEquilibrium:
-    """Equilibrium equations for a servo ``target`` (nu,) and a set of touching contacts.
+    """Equilibrium equations of a robot on position servos, for a fixed set of touching contacts.
 
         g(q) - S^T tau - sum J_i^T f_i = 0,  depth_i(q) = depth of f_i
 
@@ -362,7 +363,8 @@ class SagEquilibrium:
 
     Attributes:
         anchors: {touching contact: pose at the first contact}. `switch_contact` changes it.
-        target: Commanded joint positions, shape (nu,) [rad, m], set by `set_command`.
+        target: Joint positions that the servos are commanded to, shape (nu,) [rad, m], set by
+            `set_command`.
         crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
         yielding: {contact: compliance [m/N] of the creep step}.
     """
@@ -435,7 +437,7 @@ class SagEquilibrium:
         }
 
     def equilibrium_depths(self, forces: Array) -> Array:
-        """Return the penetrations at which the ground exerts the given normal forces, (n,) [m].
+        """Compute the penetrations (n,) [m] at which the soft ground exerts given normal forces.
 
         Args:
             forces: Forces on the n touching contacts, shape (n, 3) [N], in the contact frames. Only
@@ -453,7 +455,7 @@ class SagEquilibrium:
         return self._depth_cache[1].copy()
 
     def set_command(self, target: Array) -> None:
-        """Set the commanded joint positions, shape (nu,) [rad, m], clipped to command ranges."""
+        """Set the target positions (nu,) [rad, m] of the servos, clipped to the command ranges."""
         low, high = self._commands
         self.target: Array = np.minimum(np.maximum(target, low), high)
 
@@ -489,11 +491,10 @@ class SagEquilibrium:
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
-        A slip is the displacement along the ground since the first contact. If ``feet`` is "pinned"
-        and creep or compliance exists, three terms change the slip. The slip before the current
-        creep step is subtracted. The slips of soles are projected (`project_soles`). The product of
-        compliance and tangential force is added, so that the result is zero for a contact that
-        sticks.
+        A slip is the displacement along the ground since the first contact, corrected so that it is
+        zero for a contact that sticks. The corrections apply if ``feet`` is "pinned" and creep or
+        compliance exists: the slip before the current creep step is subtracted, slips of soles are
+        projected (`project_soles`), and compliance times tangential force is added.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -510,7 +511,7 @@ class SagEquilibrium:
         return places
 
     def project_soles(self, slips: Array) -> Array:
-        """Project the slips of contact points onto the rigid motions of the soles.
+        """Replace the slips of a sole's contact points by the nearest rigid motion of the sole.
 
         A sole is a foot with several contact points; slips of other feet are unchanged.
 
@@ -551,11 +552,14 @@ class SagEquilibrium:
         return np.concatenate([balance, places.ravel()])
 
     def is_sole_point(self) -> NDArray[np.bool_]:
-        """Return a mask of the touching contacts, shape (n,): True for a point of a sole."""
+        """Return a mask (n,) of the touching contacts that belong to a foot with several points."""
         return np.array([self._sole_compliance[point] > 0 for point in self.anchors], dtype=bool)
 
     def _normal_forces(self, depths: Array) -> Array:
-        """Return normal force [N] and stiffness [N/m] at penetrations (n,); shape (n, 2)."""
+        """Return normal force [N] and stiffness [N/m] of each touching contact, shape (n, 2).
+
+        ``depths`` are the penetrations, shape (n,) [m].
+        """
         laws = [self.laws[point] for point in self.anchors]
         return np.array(
             [
@@ -567,7 +571,7 @@ class SagEquilibrium:
         ).reshape(-1, 2)
 
     def _force_scales(self) -> Array:
-        """Return the normal stiffness of each touching contact at the start of contact, (n,) [N/m].
+        """Return the normal stiffness (n,) [N/m] of each touching contact at first contact.
 
         Forces [N] divided by this stiffness are penetrations [m].
         """
@@ -631,8 +635,8 @@ class SagEquilibrium:
     def _slip_compliances(self) -> Array:
         """Return slip per tangential force of the n touching contacts, shape (n,) [m/N].
 
-        This is the sum of two compliances: that of the creep step (``yielding``), and the one that
-        keeps the slip equations independent (`contact_compliance`).
+        The result is the sum of two compliances: one represents creep in the current step
+        (``yielding``), the other keeps the slip equations independent (`contact_compliance`).
         """
         return np.array(
             [
@@ -644,10 +648,11 @@ class SagEquilibrium:
     def find_slipping_contacts(
         self, forces: Array, places: Array
     ) -> list[tuple[int, float, Array]]:
-        """Find the touching contacts whose augmented tangential force exceeds mu f_n.
+        """Find the touching contacts that slip, by the criterion |f_t - rho s| > mu f_n.
 
-        This force is f_t - rho s, with the slip s [m] and the ``friction_penalty`` rho [N/m]. The
-        result is empty if feet are assumed to slide without friction (``feet="sliding"``).
+        The augmented tangential force f_t - rho s contains the slip s [m] and the
+        ``friction_penalty`` rho [N/m]. The result is empty if feet are assumed to slide without
+        friction (``feet="sliding"``).
 
         Args:
             forces: Forces on the n touching contacts in their contact frames (two tangents, then
@@ -680,9 +685,9 @@ class SagEquilibrium:
 
         Args:
             guess: Initial guess.
-            exact: Selects a bound. A step reuses the previous Jacobian if the predicted residual
-                after the step is below this bound. If True, the bound is the size of rounding
-                errors. If False, it is a quarter of `RESIDUAL_TOLERANCE`, and the solve is faster.
+            exact: Selects when a step reuses the previous Jacobian. If True: if the predicted
+                residual is of the size of rounding errors. If False: if it is at most a quarter of
+                `RESIDUAL_TOLERANCE`, which is faster.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -693,9 +698,9 @@ class SagEquilibrium:
         return found
 
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
-        """Solve with a large compliance of the contact points, then reduce the compliance in steps.
+        """Solve with a large compliance of the contact points first, then with smaller compliances.
 
-        None if one of these solves fails.
+        The result is None if one of these solves fails.
 
         If all points of a sole slip, their slip directions depend on each other, and Newton's
         method may alternate between two solutions. With compliance the directions change gradually.
@@ -743,14 +748,16 @@ class SagEquilibrium:
         return None
 
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
-        """Replace part of the balance equations of a robot with welds by the weld constraints.
+        """Insert weld constraints into the equilibrium equations, in place of the unknown wrenches.
 
-        The wrenches of the welds are unknown. Therefore only the balance along motions that the
-        welds permit remains. If nothing is welded or grips, the equations are returned unchanged.
+        The balance along motions that the welds permit remains; the weld constraints replace the
+        other balance equations. For a derivative, the constraints are their Jacobian. A grip is a
+        weld of a point. If nothing is welded or grips, the equations are returned unchanged.
 
         Args:
             qpos: Configuration, shape (nq,).
-            equations: Residual or derivative of the equilibrium equations; not modified.
+            equations: Residual (nv + 3 n,) or derivative (nv + 3 n, nv + 3 n) of the equilibrium
+                equations; not modified.
         """
         if self._welds is not None:
             return self._welds.insert(self.contacts_at(qpos).config, equations, self.units.weight)
@@ -776,7 +783,7 @@ class SagEquilibrium:
         return self._welds.jacobian(self.contacts_at(qpos).config)
 
     def find_violations(self, solution: Solution) -> dict[str, float]:
-        """Return the contact points whose assumed contact state contradicts a solution.
+        """Find the contact points whose assumed state (touching or not) contradicts a solution.
 
         The ground must not pull a contact point in ``anchors``. A contact point that is not in
         ``anchors`` must not penetrate the ground. Welded and gripping feet are not tested.
@@ -789,7 +796,9 @@ class SagEquilibrium:
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
 
     def violation_of(self, foot: str, solution: Solution) -> float:
-        """Return the violation of the assumed contact state of a point; positive if violated.
+        """Return how far a solution contradicts a point's assumed state (touching or not).
+
+        A positive result is a contradiction.
 
         If the point is assumed in contact, the violation is the force [N] with which the ground
         would pull the point. For a point of a sole in contact, the violation is zero, because the
@@ -804,7 +813,7 @@ class SagEquilibrium:
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch_contact(self, foot: str, solution: Solution) -> Solution:
-        """Release the contact point ``foot`` if it touches; otherwise add it as a contact.
+        """Change the assumed state of a contact point: release a contact, or add a new contact.
 
         Returns:
             Initial guess of the next solve.
@@ -887,14 +896,14 @@ class Welds:
         self._independent = independent_rows(self.jacobian(config))
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian of w welded bodies and g gripped points, in the world frame.
+        """Return the Jacobian by qvel of w welded bodies and g gripped points, in world axes.
 
         Shape (6 w + 3 g, nv): linear and angular velocity of a body, linear velocity of a point.
         """
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
-        """Return the wrenches of w welds and grips, world axes, that balance a generalised force.
+        """Compute the wrenches of w welds and grips that balance a generalised force, world axes.
 
         The moment of a grip is zero. If exact balance is not possible, the squared error is
         minimised. If welds are redundant, the wrenches with the smallest norm (N and N m mixed) are
@@ -918,7 +927,7 @@ class Welds:
         return rows, wrenches
 
     def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
-        """Return the equilibrium equations, or their derivative, for a robot with welds; a copy.
+        """Return a copy of equilibrium equations (or their derivative) that contains the welds.
 
         The first ``nv`` equations, the balance of generalised forces, are replaced by the weld
         constraints and by the balance along the motions that the welds permit.
@@ -938,7 +947,7 @@ class Welds:
         return changed
 
     def _pose_errors(self, config: Configuration) -> Array:
-        """Return the deviations of w welds and g grips from their poses, shape (6 w + 3 g,).
+        """Return the deviations (6 w + 3 g,) of w welds and g grips from their poses in the stand.
 
         A weld has a translation [m] and a rotation vector [rad], a grip only a translation.
         """
@@ -959,7 +968,7 @@ class Welds:
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
-    """Return the ascending indices of a largest set of linearly independent rows of (m, n)."""
+    """Select a largest set of linearly independent rows of a matrix (m, n); ascending indices."""
     triangle, order = lapack.pivoted_qr(rows.T)
     sizes = np.abs(np.diag(triangle))
     tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
@@ -972,7 +981,7 @@ _TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Return {contact point: a point of its ground plane, shape (3,) [m], in the world frame}.
+    """Return {contact point: any point of the plane below, shape (3,) [m], in the world frame}.
 
     The returned point is in general not vertically below the contact point.
     """
@@ -990,13 +999,14 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
 def contact_compliance(
     robot: Robot, units: EquilibriumScales
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return two mappings of tangential compliance, each {contact point: compliance [m/N]}.
+    """Return small tangential compliances [m/N] that keep slip equations independent.
 
-    If two points have a constant distance, their slip equations are linearly dependent. Compliance
-    avoids this. In the first mapping, only the points of soles (feet with several points) are
-    compliant. All other points have 0. The second mapping is used in the slip equations. If
-    `can_move_com` is True, it equals the first mapping. Otherwise all points are compliant, since
-    two feet on legs that swing in planes also have a constant distance.
+    If two points have a constant distance, their slip equations are linearly dependent without
+    compliance. The result is two mappings {contact point: compliance [m/N]}. In the first mapping,
+    only the points of soles (feet with several points) are compliant. All other points have 0. The
+    second mapping is used in the slip equations. If `can_move_com` is True, it equals the first
+    mapping. Otherwise all points are compliant, since two feet on legs that swing in planes also
+    have a constant distance.
 
     Args:
         robot: Robot.
@@ -1012,7 +1022,7 @@ def contact_compliance(
 def rigid_slips(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
-    """Return the matrix that projects slips of contact points onto rigid motions of flat feet.
+    """Compute the matrix that projects slips of contact points onto rigid motions of the soles.
 
     The points of a flat foot (sole) slip with the translation and rotation of the foot along the
     ground. A tilt of the foot adds micrometres of slip between its points, which would cause large

@@ -51,13 +51,13 @@ from pupper_analysis.statics.cone_program import split_force
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 MAX_PIVOT_RATIO = 0.01
-"""Slip of a sole [stand heights] up to which `find_sliding_feet` does not report the sole as
-sliding, even if friction is saturated at all points. For a biped of 0.3 m this is 3 mm. Measured:
-soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
+"""Largest slip of a sole, in units of the robot's stand height, with which `find_sliding_feet` does
+not report the sole as sliding although friction is saturated at all points. For a biped of 0.3 m
+this is 3 mm. Measured: soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the pinned feet that slide: friction is saturated at all their loaded contact points.
+    """Find the feet that slide in an equilibrium: friction is saturated at all loaded points.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
     leg is no longer twisted. A sole whose slip is at most `MAX_PIVOT_RATIO` stand heights counts as
@@ -81,7 +81,7 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the contact points that slip, because the friction limit is too low to hold them.
+    """Find the contact points that slip in an equilibrium, because friction is too low.
 
     The limit is zero if the ground does not press against the point. The result is empty if
     ``feet`` is "sliding", since contacts then have no friction.
@@ -92,7 +92,7 @@ def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[st
 
 
 def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
-    """Measure the slip of the touching contact points along the ground.
+    """Compute the slip of each touching contact point along the ground in an equilibrium.
 
     The slip is measured from the first contact, or from the start of the current creep step (slow
     slip during a short time). The slips of a sole's points are projected onto a rigid motion.
@@ -112,14 +112,15 @@ def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
 def compute_smallest_stiffness(
     system: SagEquilibrium, solution: Solution, derivative: Array
 ) -> float:
-    """Compute the smallest eigenvalue of the stiffness relative to the mass matrix [1/s^2].
+    """Compute the smallest eigenvalue [1/s^2] of the stiffness matrix relative to the mass matrix.
+
+    The result decides the stability: an equilibrium is stable if the eigenvalue is positive.
 
     The stiffness matrix is the Hessian of the potential energy in the motions that the feet permit,
-    plus the stiffness of saturated friction. The matrix is not symmetric if feet slip. An
-    equilibrium is stable if the eigenvalue is positive.
+    plus the stiffness of saturated friction. The matrix is not symmetric if feet slip.
 
     Args:
-        system: Equations.
+        system: Equilibrium equations of the robot on its servos.
         solution: Solution of the equations.
         derivative: Derivative of the equations at the solution (`SagEquilibrium.derivative`).
 
@@ -171,13 +172,14 @@ def compute_smallest_stiffness(
 
 
 _MIN_SHARE_STEP = 1 / 64
-"""Smallest step of the removed fraction (0 to 1) of the feed-forward in `HomotopyPath.follow`. If
-no equilibrium is found with this step, the path of equilibria ends. Chosen, not tuned."""
+"""Smallest step in which `HomotopyPath.follow` removes feed-forward, as a fraction of all
+feed-forward. If no equilibrium is found with this step, the path of equilibria ends. Chosen, not
+tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
-"""Largest step of the removed fraction of the feed-forward (0 to 1) after which the stability of
-the equilibrium is not checked. A longer step may end at another, unstable equilibrium. Chosen, not
-tuned."""
+"""Largest step of the removed feed-forward, as a fraction of all feed-forward, after which the
+stability of the equilibrium is not checked. A longer step may end at another, unstable equilibrium.
+Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
 """Tolerance of the bisection for the removed fraction of the feed-forward (0 to 1) at which a
@@ -185,15 +187,14 @@ contact opens or closes. Chosen: it corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Upper bound of the number of contact changes (contacts that open or close) along a path of
-equilibria. With more changes the solve fails, since the same contacts probably open and close in
-turn. For robots with more than six contact points, the bound is four per point. Chosen, not
-tuned."""
+equilibria. With more changes the path ends with an error, since the same contacts probably open and
+close in turn. For robots with more than six contact points, the bound is four changes per point.
+Chosen, not tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
-"""Fraction of the friction limit above which an error reports a foot as about to slide. The error
-is raised if the path of equilibria ends before all feed-forward is removed. Chosen below 1, since
-the last computed equilibrium may be before the actual end of the path, by up to
-`_MIN_SHARE_STEP`."""
+"""Fraction of the friction limit above which a foot counts as about to slide, in the error that the
+path of equilibria ends before all feed-forward is removed. Chosen below 1, since the last computed
+equilibrium may be before the actual end of the path, by up to `_MIN_SHARE_STEP`."""
 
 CREEP_STEPS = 20
 """Number of backward Euler steps into which a creep duration is divided. Measured: with 20, a robot
