@@ -218,7 +218,7 @@ class Stand(Pictured, Tabular):
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy of this stand with another task. It must satisfy the task (not checked).
+        """Return a copy of this stand with another task that this stand must satisfy (unchecked).
 
         The ground remains that of this stand, since it includes the planes of the contacts.
         """

@@ -1,4 +1,4 @@
-"""Search for a stand of a goal, from several initial guesses.
+"""Search for the stand of a goal (a stand task with computed targets), from several guesses.
 
 `search_stand` tries, in this order: PlaCo's IK from the default joint positions (the task's
 ``ik_seed``, home, middle of the ranges); IK from combinations of the legs' IK branches; and, if the
@@ -55,12 +55,12 @@ _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
 
 _MISS_TOLERANCE = 0.1
-"""A foot error counts as equal to the smallest foot error if it exceeds that error by at most this
-fraction. The search ends after `_MIN_AGREEING_GUESSES` equal errors. Chosen, not tuned."""
+"""Largest relative excess of a foot error over the smallest foot error, with which both count as
+equal. The search ends after `_MIN_AGREEING_GUESSES` equal errors. Chosen, not tuned."""
 
 _MIN_AGREEING_GUESSES = 8
-"""The search ends if this number of initial guesses of the nonlinear program lead to nearly the
-same smallest foot error (`_MISS_TOLERANCE`). Measured on 400 stands, most at the limit of reach:
+"""Number of initial guesses of the nonlinear program that lead to nearly the smallest foot error
+(`_MISS_TOLERANCE`), with which the search ends. Measured on 400 stands, most at the limit of reach:
 all but one were found before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
@@ -69,9 +69,9 @@ leg has no exact IK branches. Measured on 48 stands of six bipeds: the guesses f
 stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the clearance constraints. `minimise_foot_errors` omits these constraints. The nonlinear
-program of a search omits them, too, if the base would be in the ground, so that the error of the
-search reports the clearances."""
+"""Names of the clearance constraints. `minimise_foot_errors` omits these constraints. If the
+required pose puts the base into the ground, the nonlinear program of a search also omits
+clearances, so that the search ends with a clearance error."""
 
 
 def search_stand(
@@ -81,7 +81,7 @@ def search_stand(
     default_guesses_only: bool = False,
     com_at_centre_only: bool = False,
 ) -> Stand:
-    """Search for the stand of a goal from all initial guesses, and return it or the best failure.
+    """Search for the stand of a goal from all initial guesses; return the stand or best failure.
 
     The nonlinear program is used only if the CoM is free, or if the robot has redundant joints and
     a stand with the feet in place violates another requirement. The program starts at the best
@@ -89,7 +89,7 @@ def search_stand(
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         default_guesses_only: If True, use only IK from `default_initial_guesses`.
         com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is above the
             centre of the feet. Exception: the CoM may move to lay soles flat on legs with fewer
@@ -110,13 +110,13 @@ def search_stand(
 
 
 def search_near_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
-    """Search for the stand of a goal from a nearby stand as the only initial guess.
+    """Search for the stand of a goal, with a nearby stand as the only initial guess.
 
     None if no stand is found, which does not prove that no stand exists.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         near: Stand of a similar goal.
     """
     found = search_from_joints(context, goal, near.joint_positions(context.robot))
@@ -132,7 +132,7 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         joints: Initial joint positions, shape (nu,) [rad, m].
 
     Returns:
@@ -148,13 +148,13 @@ def solve_constraints(
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Two values. First, the solved stand, or None if the program does not reach a stand. Second,
-        the smallest foot error [m] if the program fails and the error is minimised, else 0. If this
-        error exceeds ``NEAR_MISS``, the feet are out of reach, unless the minimum is only local.
+        Solved stand, or None if the program fails; and smallest foot error [m]. The foot error is
+        minimised only if the program fails and the CoM is free; otherwise it is 0. An error above
+        ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only local.
     """
     there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -166,7 +166,7 @@ def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         qpos: Initial configuration, shape (nq,).
 
     Returns:
@@ -176,14 +176,14 @@ def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -
 
 
 class _StandSearch:
-    """State of a search: evaluated solver results, and the stands with feet in place.
+    """State of a search for a stand: results of the solvers so far, and stands with feet in place.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
 
     Attributes:
-        iterations: Number of QPs so far.
+        iterations: Number of quadratic programs so far.
         closest: Stand with the smallest minimised foot error; None before a minimisation.
         misses: Minimised foot errors [m] (`minimise_foot_errors`), one per initial configuration.
         points: Results of the IK solver that were added by `add`.
@@ -202,20 +202,20 @@ class _StandSearch:
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
-        """True if no stand of the goal exists because the base would be in the ground."""
+        """Whether no stand exists, because the required base pose puts the base into the ground."""
         return is_base_in_ground(self.shapes, self.goal)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first solved stand.
 
-        If the goal puts the base into the ground, no stand can be solved. The result is then the
-        first configuration with the feet at the targets, if there is one.
+        Exception: if the required base pose puts the base into the ground, no stand can be solved.
+        The result is then the first stand with the feet at the targets.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
 
         Returns:
-            Stand, or this configuration as a stand; None if no guess leads to either.
+            Stand; None if no guess leads to a stand.
         """
         for start in joints:
             stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
@@ -226,7 +226,9 @@ class _StandSearch:
         return None
 
     def try_branches(self) -> Stand | None:
-        """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
+        """Solve IK from combinations of the legs' IK branches, and return the first solved stand.
+
+        Branches whose feet are estimated to be out of reach are omitted.
 
         Returns:
             First result of `try_initial_guesses` for these combinations; None if no combination
@@ -250,8 +252,8 @@ class _StandSearch:
     def try_program(self) -> Stand:
         """Solve the nonlinear program from one initial configuration after another.
 
-        Skipped if it cannot help, for example if the task prescribes the horizontal position of the
-        CoM or base, and no joints are redundant.
+        The program is skipped if it cannot help, for example if the task prescribes the horizontal
+        position of the CoM or base, and no joints are redundant.
 
         Returns:
             First solved stand. If no stand is solved, the best stand of the search, which may
@@ -279,11 +281,14 @@ class _StandSearch:
 
     @cached_property
     def _is_underactuated(self) -> bool:
-        """True if a sole is on a leg with fewer than six joints."""
+        """Whether a sole is on a leg with fewer than six joints, which cannot lay the sole flat."""
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
-        """Return True if `_MIN_AGREEING_GUESSES` guesses nearly reach the smallest foot error."""
+        """Return True if several guesses lead to nearly the same smallest foot error.
+
+        Several means at least `_MIN_AGREEING_GUESSES`; the search then ends.
+        """
         least = min(self.misses, default=0.0)
         bound = (1 + _MISS_TOLERANCE) * least
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
@@ -331,15 +336,15 @@ class _StandSearch:
         return self.solve_program(programme, closest.qpos) or self._refine(closest.qpos)
 
     def _nearest(self) -> SolverResult:
-        """Return the IK result with the smallest foot error."""
+        """Return the IK result of this search with the smallest foot error."""
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
         """Register an IK result in this search; return its stand if it is solved, else None.
 
         A stand is added to ``reached`` if its foot error is below twice `TASK_TOLERANCE`, even if
-        it is not solved. So is a stand with soles that a leg of fewer than six joints cannot lay
-        flat.
+        it is not solved. A stand with slightly tilted soles on legs of fewer than six joints is
+        added, too.
         """
         self.points.append(point)
         self.iterations += point.iterations
@@ -365,9 +370,9 @@ class _StandSearch:
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 
     def _refine(self, qpos: Array) -> Stand | None:
-        """Return the stand near a configuration (nq,), if the feet reach their targets; else None.
+        """Remove the foot errors of a configuration (nq,) by IK; return the stand, None on failure.
 
-        IK removes the remaining foot errors; soles of underactuated legs may stay tilted.
+        Soles on legs with fewer than six joints may stay tilted.
         """
         goal = self.goal
         if goal.com_is_free:
@@ -392,7 +397,10 @@ class _StandSearch:
         return self.closest or self._evaluate(self._nearest())
 
     def _evaluate(self, point: SolverResult, goal: Goal | None = None) -> Stand:
-        """Create the stand of an IK result for ``goal``, by default the goal of this search."""
+        """Create the `Stand` of an IK result, with its errors for a goal.
+
+        The default goal is that of this search.
+        """
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
@@ -413,7 +421,7 @@ def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
 def minimise_foot_errors(
     context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0
 ) -> Stand:
-    """Minimise the distances of the feet from the targets of a goal; return the resulting `Stand`.
+    """Minimise the distances of the feet from the targets of a goal, and return the `Stand`.
 
     The sum of the squared distances is minimised. The nonlinear program starts at the configuration
     ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that the errors
@@ -433,7 +441,7 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
+        goal: Stand task with all targets computed (`Goal`).
         stand: Stand of the goal with tilted soles.
 
     Returns:
@@ -462,8 +470,8 @@ MAX_SOLE_ERROR = 5e-5
 as in place. Chosen as a tenth of the usual penetration of feet into MuJoCo's ground."""
 
 _NUM_POSE_JOINTS = 6
-"""Number of joints with which a leg can give the sole any position and orientation: a pose has six
-degrees of freedom."""
+"""Smallest number of joints with which a leg can place its sole in any pose: six, the degrees of
+freedom of a pose."""
 
 
 def has_underactuated_feet(robot: Robot) -> bool:
@@ -486,7 +494,7 @@ def count_joints_of_short_legs(robot: Robot) -> dict[str, int]:
 
 
 def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
-    """Create a message if the robot's mechanism may be the reason why a goal has no stand.
+    """Create a message if the robot's mechanism may be the reason why no stand was found.
 
     Returns:
         Message with the reason. Either closed loops open under the load, or the task moves or lifts
@@ -517,11 +525,11 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 
 
 def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
-    """Replace the foot targets of a goal by the positions that IK reached, if the error is small.
+    """Replace foot targets by the positions that IK reached, if a sole cannot lie exactly flat.
 
-    A leg with fewer than six joints may be unable to lay a flat foot exactly on the ground. The
-    goal is unchanged if IK converged, the position error of the feet is at least
-    `MAX_SOLE_ERROR`, or no flat foot is on a leg with fewer than six joints.
+    A leg with fewer than six joints may be unable to lay a sole exactly on the ground. The goal is
+    unchanged if IK converged, the position error of the feet is at least `MAX_SOLE_ERROR`, or no
+    flat foot is on a leg with fewer than six joints.
 
     Args:
         robot: Robot.
@@ -535,9 +543,9 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
 
 NEAR_MISS = 1e-3
-"""Foot error [m], or constraint violation of the nonlinear program [m, rad], up to which IK refines
-a configuration. The feet may be in reach after a small displacement of the CoM. The bounds in
-`branch_initial_guesses` and `bound_com_shift` contain the same value as a reserve [m]. Chosen, not
+"""Largest foot error [m], or constraint violation of the nonlinear program [m, rad], with which IK
+refines a configuration, since a small displacement of the CoM may bring the feet to their targets.
+Also a reserve [m] in the bounds of `branch_initial_guesses` and `bound_com_shift`. Chosen, not
 tuned."""
 
 _MAX_BASE_SHIFT = 0.75
@@ -549,8 +557,8 @@ _NUM_SHIFTS = 11
 positions are 20 mm apart for Pupper v3. Measured: with 5, a stand was missed."""
 
 _MAX_TRIED_COMBINATIONS = 64
-"""Upper bound of the combinations of IK branches that are evaluated per displaced base position.
-Measured: with 16, a stand of a Mini Cheetah on a slope of 62 deg was missed."""
+"""Upper bound of the number of combinations of IK branches that are evaluated per displaced base
+position. Measured: with 16, a stand of a Mini Cheetah on a slope of 62 deg was missed."""
 
 _GUESSES_PER_BASE_POSITION = 4
 """Upper bound of the number of initial guesses per displaced base position. The guesses with the
@@ -561,7 +569,7 @@ _MAX_REACH_ERROR = 5e-3
 displaced base position. Chosen, not tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
-"""Safety factor [1] of the base displacement that `bound_com_shift` estimates for a change of IK
+"""Safety factor [1] on the base displacement that `bound_com_shift` estimates for a change of IK
 branches. If the estimate is too small, branches that are in reach are rejected. Chosen, not
 tuned."""
 
@@ -584,7 +592,7 @@ def branch_initial_guesses(
     reach: float,
     most: int,
 ) -> Iterator[Array]:
-    """Yield initial guesses of the joint positions, (nu,) [rad, m], by combining IK branches.
+    """Yield initial guesses of the joint positions, (nu,) [rad, m]: combinations of IK branches.
 
     Combinations near ``ik_seed`` of the task, or else near the home position, come first.
 
@@ -608,12 +616,12 @@ def branch_initial_guesses(
 def bound_com_shift(
     robot: Robot, qpos: Array, found: Mapping[IndependentLimb, tuple[Branch, ...]]
 ) -> float:
-    """Estimate an upper bound of the base displacement [m] when legs change the IK branch.
+    """Estimate how far [m] the base must move at most if legs change to other IK branches.
 
-    If a leg changes the IK branch, the CoM moves relative to the base. To keep the horizontal
-    position of the CoM, the base moves by this distance. The estimate is ``_SHIFT_SAFETY_FACTOR *
-    sum_limbs max_b |c_b - c_0| + NEAR_MISS``. c_b is the horizontal CoM [m] if the limb is in
-    branch b, and c_0 if it is in its first branch.
+    A change of the branch moves the CoM relative to the base. The base must move by the opposite
+    displacement, so that the CoM stays in place. The estimate is
+    ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``. c_b is the horizontal CoM
+    [m] if the limb is in branch b, and c_0 if it is in its first branch.
 
     Args:
         robot: Robot.
@@ -632,7 +640,7 @@ def bound_com_shift(
 
 
 def support_radius(goal: Goal) -> float:
-    """Return the largest horizontal distance [m] of a support region's corner from the feet centre.
+    """Return the largest horizontal distance [m] from the centre of the feet to a support corner.
 
     If the support region has no corners (all feet are welded), the largest horizontal distance of a
     foot target from the feet centre; 0 without foot targets.
@@ -660,13 +668,13 @@ def make_initial_configuration(robot: Robot, goal: Goal, joints: Array, place: A
 
 
 def displaced_initial_guesses(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
-    """Yield initial configurations (nq,) with a displaced base, in several IK branches.
+    """Yield initial configurations (nq,) with a displaced base, in the best IK branches.
 
     The cost of a configuration is the sum of the violations of all constraints except the foot
     positions [m and rad mixed]. For each base position, up to `_MAX_TRIED_COMBINATIONS`
     combinations of branches with all feet near their targets are evaluated, and the
-    `_GUESSES_PER_BASE_POSITION` with the smallest cost are kept. They are yielded in ascending
-    order of cost.
+    `_GUESSES_PER_BASE_POSITION` configurations with the smallest cost are kept. The kept
+    configurations of all base positions are yielded in ascending order of cost.
 
     Args:
         shapes: Robot with collision shapes.

@@ -40,8 +40,8 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 DEPTH_TOLERANCE = 1e-9
-"""Bound of the largest change of a penetration depth or loop opening [m, rad] in an iteration.
-Below this bound the fixed-point iteration has converged. Chosen, not tuned."""
+"""Largest change of a penetration depth or loop opening [m, rad] in an iteration, below which the
+fixed-point iteration has converged. Chosen, not tuned."""
 
 
 _MAX_ITERATIONS = 50
@@ -54,9 +54,10 @@ after which the fixed-point iteration fails. Example: a sole that is loaded at i
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Ratio of two successive changes of the feet's penetration depths. If a ratio is larger, the steps
-of the fixed-point iteration are scaled by a relaxation factor. Chosen, not tuned: with this ratio,
-the iteration without relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
+"""Upper bound of the ratio of two successive changes of the feet's penetration depths with which
+the fixed-point iteration takes full steps. With a larger ratio, steps are scaled by a relaxation
+factor. Chosen, not tuned: with this ratio, the iteration without relaxation needs 20 rounds from 1
+mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
 """Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's
@@ -67,7 +68,7 @@ penetration depths. Chosen, not tuned."""
 def solve_stand_on_soft_ground(
     robot: Robot, task: StandTask | Stand | None = None, *, explain: bool = True
 ) -> Stand:
-    """Solve a stand task on ground with MuJoCo's contact softness.
+    """Solve a stand task on MuJoCo's soft ground, with base and CoM at the required positions.
 
     MuJoCo's ground yields under the load of a foot, by 4 mm for Pupper v3. If a robot is commanded
     to the joint positions of `solve_stand`, it sinks. With unequal loads it also tilts. This
@@ -82,8 +83,8 @@ def solve_stand_on_soft_ground(
         robot: Robot with a floating base and a ground.
         task: Stand task, or a stand that satisfies a task on rigid ground. Such a stand is not
             solved again. Default: the nominal stand, ``StandTask()``.
-        explain: If the stance is unreachable, compute the smallest foot error and the requirements
-            to relax, for the error; takes about a second.
+        explain: Whether the error about an unreachable stance contains the smallest foot error and
+            the requirements to relax; takes about a second.
 
     Returns:
         The stand; ``depths`` are the penetrations [m] by MuJoCo's contact model under the computed
@@ -152,10 +153,10 @@ def solve_stand_on_soft_ground(
 
 
 def _update_relaxation(relaxation: float, before: Array, residual: Array) -> float:
-    """Return the relaxation factor of the next step of the fixed-point iteration.
+    """Compute the factor on the next step of the fixed-point iteration, by Aitken's method.
 
-    Aitken's method for vectors, with residuals r: w' = -w r_before (r - r_before) / |r -
-    r_before|^2, within `_RELAXATION_RANGE`. The factor is unchanged if the residuals are equal.
+    With residuals r (changes of the depths): w' = -w r_before (r - r_before) / |r - r_before|^2,
+    within `_RELAXATION_RANGE`. The factor is unchanged if the residuals are equal.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).
@@ -211,7 +212,9 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Return joint positions (nu,) [rad, m] with the static deflection of MuJoCo's couplings.
+    """Deflect the joint couplings of a posture, as MuJoCo's soft constraints do under static load.
+
+    ``qpos`` and the result are joint positions, shape (nu,) [rad, m].
 
     Unchanged without dependent joints, or if the deflected couplings cannot be closed.
     """
@@ -261,7 +264,7 @@ def solve_loaded_stand(
 
 
 def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
-    """Compute the static deflections of MuJoCo's soft loop and coupling constraints in a stand.
+    """Compute how far MuJoCo's soft loop and coupling constraints open under the load of a stand.
 
     Args:
         robot: Robot with closed loops or joint couplings (``closure``).
@@ -285,11 +288,12 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Return {contact point: penetration [m]} of the contact points of rigid soles.
+    """Compute the penetrations of rigid soles from those of independent contact points.
 
-    ``depths`` are the penetrations {contact point: depth [m]} as if each contact point moved
-    independently. The contact points of a rigid sole stay in one plane, with the same resultant
-    force and moment of the contact forces. If a corner lifts, its penetration is negative.
+    ``depths`` are {contact point: penetration [m]} as if each contact point moved independently.
+    The result {contact point: penetration [m]} contains the points of soles only. The contact
+    points of a rigid sole stay in one plane, with the same resultant force and moment of the
+    contact forces. If a corner lifts, its penetration is negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
@@ -307,20 +311,20 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Return the penetrations of the contact points of a rigid sole, shape (n,) [m].
+    """Compute the penetrations (n,) [m] of a rigid sole that exert required force and moments.
 
     The contact forces have the same resultant force and moments as those of the penetrations
     ``given``. The potential of the forces is convex, so that all solutions give equal forces.
 
     Args:
-        table: Row per contact point: 1 and the position in the sole's plane, normalised, shape
-            (n, k). Penetrations of a rigid sole are linear combinations of the columns.
+        table: Row per contact point: 1 and the position in the sole's plane, normalised, shape (n,
+            k). Penetrations of a rigid sole are linear combinations of the columns.
         laws: Force-penetration law of each contact point.
         given: Penetrations that a rigid sole cannot have, shape (n,) [m].
     """
 
     def compute_forces(depths: Array) -> Array:
-        """Return the normal force of each point [N] at penetrations ``depths``, shape (n,) [m]."""
+        """Return the normal forces (n,) [N] of the contact points at penetrations (n,) [m]."""
         return np.array(
             [
                 law.force(max(-law.margin, depth))

@@ -1,4 +1,4 @@
-"""Solve stand tasks: whole-body configurations with planted feet, and statics.
+"""Solve stand tasks (configurations with planted feet), and compute the statics of stands.
 
 Inputs are a robot and stand tasks. Outputs are stands with errors below 1e-9 m or rad, or 0.05 mm
 for soles on legs with fewer than six joints. If a task has no stand, an error states the
@@ -55,7 +55,7 @@ def solve_stand(
     start: Posed | ArrayLike | None = None,
     explain: bool = True,
 ) -> Stand:
-    """Solve a stand task within the joint limits.
+    """Solve a stand task: find a configuration with planted feet within the joint limits.
 
     PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
     the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). If
@@ -67,9 +67,10 @@ def solve_stand(
         task: Stand task. Default: the nominal stand, ``StandTask()``.
         start: Initial guess: a stand, a ``SolvedPosture``, or a configuration, shape (nq,). Its
             joint positions select the IK branch. Default: ``ik_seed`` of the task.
-        explain: If the stance is unreachable, compute the smallest foot error, the requirements to
-            relax, and their smallest change. Takes about a second, longer with a free CoM. If
-            False, the reported foot errors are results of the IK, and may be larger.
+        explain: Whether the error about an unreachable stance contains the smallest foot error, and
+            the smallest change of requirements that makes the stance reachable. Takes about a
+            second, longer with a free CoM. If False, the reported foot errors are results of the
+            IK, and may be larger.
 
     Returns:
         The stand; each error is below 1e-9 m or rad. A sole on a leg with fewer than six joints may
@@ -95,7 +96,7 @@ def solve_stand(
 
 
 def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stand]:
-    """Return a robot with the contacts of a stance, and the stand, which is solved for a task.
+    """Solve a stance if it is a task, and return the stand with the robot that has its contacts.
 
     Returns:
         Robot with the contacts of the stance; stand of this robot.
@@ -112,7 +113,7 @@ def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stan
 
 
 def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
-    """Return the robot whose stand is searched: with the contacts of a task, else without servos.
+    """Return the robot for the search of a stand: with the contacts of the task, or without servos.
 
     Stands do not depend on servos, which may still have to be tuned (`Robot.before_servos`).
     """
@@ -122,13 +123,13 @@ def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
 
 
 def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
-    """Search for the stand of a goal, a stand task in numbers for one robot.
+    """Search for the stand of a goal, and raise an error with the reason if none is found.
 
     Args:
         context: Search context of the robot.
-        goal: Goal.
-        explain: If the goal is unreachable, compute the smallest foot error, the requirements to
-            relax, and their smallest change, for the error.
+        goal: Stand task with all targets computed (`Goal`).
+        explain: Whether the error about an unreachable goal contains the smallest foot error, and
+            the smallest change of requirements that makes the goal reachable.
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.
@@ -190,8 +191,8 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
 
 _MAX_JOINT_DISTANCE = 0.5
 """Upper bound of the norm of the joint displacement [rad and m mixed] between successive stands of
-a sequence. If the displacement is larger, the stand may be in another IK branch, and the task is
-solved again from all initial guesses. Chosen, not tuned; samples of a path are much closer."""
+a sequence, with which both count as one IK branch. With a larger displacement, the task is solved
+again from all initial guesses. Chosen, not tuned; samples of a path are much closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
@@ -212,9 +213,9 @@ def solve_stands(
 
     Each search starts at an extrapolation of up to four previous stands, then at the previous
     stand. If neither leads to a stand near the previous stand, the task is solved as by
-    `solve_stand`. The first task is also solved in this way. So are tasks with an ``ik_seed``, a
-    free CoM or ``self_clearance``, and all tasks of robots with redundant joints, since the result
-    then depends on the initial guess.
+    `solve_stand`. Exceptions: the first task, tasks with an ``ik_seed``, a free CoM or
+    ``self_clearance``, and all tasks of robots with redundant joints are solved as by
+    `solve_stand`, since the result depends on the initial guess.
 
     The errors of each stand are bounded as in `solve_stand`: 1e-9 m or rad, or 0.05 mm for a sole
     on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps the
@@ -224,8 +225,8 @@ def solve_stands(
         robot: Robot with a floating base.
         tasks: Stand tasks. Their ``contacts`` must be at the same parts, and have the same friction
             and forces, as those of the first task; surfaces and positions may differ.
-        explain: If a task is unreachable, compute the smallest foot error, the requirements to
-            relax, and their smallest change; takes about a second.
+        explain: Whether the error about an unreachable task contains the smallest foot error, and
+            the smallest change of requirements that makes the task reachable; takes about a second.
 
     Returns:
         The stands, in the order of the tasks.
@@ -260,7 +261,7 @@ def solve_stands(
 
 
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
-    """Search a stand near the previous stands of a sequence; None if no such stand is found.
+    """Search for the next stand of a sequence near the previous stands; None if not found.
 
     None also if there are no previous stands, or if the stand may depend on the initial guess, for
     example because of redundant joints. The search starts from the extrapolated configuration, if

@@ -86,10 +86,10 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 
 
 def _read_table(text: str) -> Any:
-    """Return the content of a CSV: a mapping {joint: position}, or a list of numbers.
+    """Read a CSV: a mapping {joint: position}, a list of numbers, or None.
 
-    Cells that contain no number stay texts, which `_find_positions` rejects. None if the text is
-    neither, for example if several rows of numbers follow each other.
+    Cells that contain no number stay texts, which `_find_positions` rejects. None if the text has
+    another form, for example several rows of numbers.
     """
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
@@ -118,10 +118,12 @@ def _parse_cell(cell: str) -> float | str:
 
 
 def _find_positions(content: Any) -> tuple[_Positions, str]:
-    """Return the positions in the content of a file, and the fingerprint of their robot.
+    """Find the joint positions or the configuration in the content of a file.
 
-    The positions are None if the content has none. The fingerprint is empty if the file states
-    none, or if the positions have names.
+    Returns:
+        Positions, None if the content has no positions. Fingerprint (name and hash) of the robot to
+        which the positions belong; empty if the file states no robot, or if the positions have
+        names.
     """
     if _is_numbers(content):
         return content, ""
@@ -141,7 +143,7 @@ def _find_positions(content: Any) -> tuple[_Positions, str]:
 
 
 def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield the mapping in a JSON file, and mappings nested in mappings, higher levels first."""
+    """Yield all mappings in the content of a JSON file, with nested mappings, top level first."""
     level = [content]
     while level:
         tables = [one for one in level if isinstance(one, Mapping)]

@@ -30,7 +30,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class StandTask:
-    """Requirements of a stand.
+    """Requirements of a stand: positions of feet and base, CoM, contacts, margins and clearances.
 
     The default is the nominal stand. All feet are on level ground at z = 0. Each foot is at its
     horizontal position for the robot's nominal joint positions, with the base at the origin. The
@@ -127,7 +127,7 @@ class StandTask:
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> StandTask:
-        """Create a stand task from a mapping with plain data, for example from JSON or TOML.
+        """Create a stand task from a mapping {field: value}, for example from JSON or TOML.
 
         Args:
             given: {field in ``stance/fields.toml``, or ``ik_seed``: value in m or rad}. The fields
@@ -249,7 +249,7 @@ class StandTask:
 
 
 def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
-    """Refuse the contact of a lifted foot if the contact exerts a force: a weld, grip or press.
+    """Raise an error if the contact of a lifted foot exerts a force (weld, grip or given force).
 
     A lifted foot may have a plane: the foot is lifted along the normal of the plane.
 
@@ -271,12 +271,12 @@ _CONVERTED_KINDS = ("contact", "position")
 """Kinds of fields whose values `Field.check_value` converts to other types."""
 
 _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
-"""Fields that are attributes of `StandTask`, and are checked on construction. The other fields are
-attributes of its ``ground``."""
+"""Fields of ``fields.toml`` that are attributes of `StandTask`. All other fields are attributes of
+the ``ground`` of a task."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute of `StandTask`: default value}. The validation skips an attribute whose value is this
-same object (``is``)."""
+"""{attribute of `StandTask`: default value}. An attribute whose value is the default object itself
+(``is``) is not checked."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""

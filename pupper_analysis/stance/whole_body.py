@@ -1,4 +1,4 @@
-"""Whole-body inverse kinematics: a posture that satisfies tasks, by PlaCo's kinematics solver.
+"""Whole-body inverse kinematics: find a posture that satisfies tasks, with PlaCo's solver.
 
 `solve_posture` finds joint positions, and the pose of a free base, for targets of links, CoM and
 joints (`stance.posture_tasks`) [m, rad]. Each iteration linearises all tasks and solves a quadratic
@@ -59,8 +59,8 @@ POSTURE_TOLERANCE = 1e-6
 the tolerances of usual robots. Residuals of tasks without conflict are about 1e-12."""
 
 _MAX_ITERATIONS = 200
-"""Upper bound of the trust-region iterations from one initial guess, per stage of the solver (with
-and without preferred tasks). Chosen, not tuned."""
+"""Upper bound of the number of trust-region iterations from one initial guess, in each of the two
+stages of the solver (with and without preferred tasks). Chosen, not tuned."""
 
 _MAX_FULL_STEPS = 30
 """Upper bound of the number of full Gauss-Newton steps before the trust-region iteration. Measured
@@ -71,8 +71,8 @@ _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
 
 _MAX_MEASURED_DISTANCE = 1e3
-"""Upper bound of the distances that MuJoCo measures [m]: larger than any robot. Chosen, not tuned.
-"""
+"""Upper bound of the distances [m] between links that MuJoCo measures for the second residual.
+Larger than any robot. Chosen, not tuned."""
 
 _CONTACT_WEIGHT = 1e4
 """Weight of the squared residuals of contacts that a posture must keep, relative to required tasks.
@@ -116,7 +116,7 @@ the regularization selects a step of redundant joints, but does not bias the sol
 
 @dataclass(frozen=True, eq=False)
 class SolvedPosture(Pictured, Tabular):
-    """Posture that satisfies tasks.
+    """Posture that satisfies the tasks of `solve_posture`, with residuals by both engines.
 
     Attributes:
         qpos: Configuration, shape (nq,).
@@ -168,15 +168,15 @@ def solve_posture(
     start: Stand | SolvedPosture | ArrayLike | None = None,
     contacts: Iterable[str] | None = None,
 ) -> SolvedPosture:
-    """Solve for a configuration that satisfies tasks within the joint limits.
+    """Find a configuration that satisfies posture tasks within the joint limits (whole-body IK).
 
     PlaCo minimises the weighted squared residuals. The iteration starts at ``start``. If it fails,
     it starts again at up to eight random postures. Without a ``SelfClearanceTask``, links of the
     result may collide. See ``examples/first_look.ipynb`` for pictures of the result
     (``posture.show()``).
 
-    If ``start`` is a stand, its feet, hands and welds stay in place, and base and joints stay
-    near the stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
+    If ``start`` is a stand, its feet, hands and welds stay in place. Base and joints stay near the
+    stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
     ``pa.stance.stand_statics(robot, posture.stand)``. Otherwise the statics on level ground are
     ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
 
@@ -240,7 +240,7 @@ def solve_posture(
 def _keep_points_of(
     initial: Configuration, contacts: Iterable[str] | None
 ) -> tuple[KeptContact, ...]:
-    """Return the tasks that keep contact points at their positions in a configuration.
+    """Create the IK tasks that keep contact points at their positions in a configuration.
 
     Args:
         initial: Configuration.
@@ -260,9 +260,10 @@ def _keep_points_of(
 
 
 def _stay_near(initial: Configuration) -> tuple[tuple[float, PostureTask], ...]:
-    """Return weighted tasks that keep base and joints near a configuration.
+    """Create weak IK tasks that keep base and joints near a configuration.
 
-    The weights are those of the squared errors, relative to required tasks.
+    Returns:
+        Pairs (weight of the squared error relative to required tasks, task).
     """
     robot = initial.robot
     joints = initial.qpos[robot.nq - robot.nu :].tolist()
@@ -278,7 +279,7 @@ def _stay_near(initial: Configuration) -> tuple[tuple[float, PostureTask], ...]:
 
 
 class _Limits(NamedTuple):
-    """Joint limits of a posture.
+    """Joint limits of a posture, narrowed by a margin.
 
     Attributes:
         lower: Lower limits plus margin, shape (nu,) [rad, m].
@@ -295,14 +296,14 @@ class _Limits(NamedTuple):
 
 
 class _Problem:
-    """Tasks of a posture, with the contacts that it keeps and its joint limits.
+    """IK problem of a posture: requested tasks, kept contacts and joint limits.
 
     Args:
         robot: Robot, with the contacts of the stand.
         requested: Tasks of the caller.
         kept: Contacts that the posture keeps.
         limits: Joint limits.
-        near: Weighted tasks that select one of the postures that satisfy the other tasks.
+        near: Pairs (weight, task) that select one of the postures that satisfy the other tasks.
     """
 
     def __init__(
@@ -357,7 +358,7 @@ class _Problem:
     def _explain_failure(
         self, residuals: Array, qpos: Array, collision: _LazyShapes
     ) -> PostureUnreachableError:
-        """Return the error of an unreachable posture.
+        """Create the error about an unreachable posture, with the tasks and limits that prevent it.
 
         The error names the required task with the largest residual, and the tasks and joint limits
         that oppose this task (`find_conflict`). The unit of a `JointsTask` is that of the joint
@@ -413,7 +414,7 @@ def _check_task_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
 
 
 def _list_guesses(robot: Robot, qpos: Array, limits: _Limits) -> Iterable[Array]:
-    """Yield initial guesses (nq,): ``qpos``, then random joint positions, within the limits."""
+    """Yield initial guesses (nq,) within the limits: ``qpos``, then random joint positions."""
     first = robot.nq - robot.nu
     lower, upper = limits
     start = qpos.copy()
@@ -428,7 +429,7 @@ def _list_guesses(robot: Robot, qpos: Array, limits: _Limits) -> Iterable[Array]
 
 
 class _Stage(NamedTuple):
-    """PlaCo solver with tasks.
+    """PlaCo solver with weighted tasks; a posture is solved in one or two stages.
 
     Attributes:
         solver: PlaCo solver.
@@ -440,7 +441,7 @@ class _Stage(NamedTuple):
 
 
 class _PostureSolver:
-    """PlaCo solvers with the tasks of a posture: with preferred tasks, then without.
+    """Solver for the tasks of a posture, in two stages: with preferred tasks, then without.
 
     Args:
         robot: Robot.
@@ -448,7 +449,8 @@ class _PostureSolver:
         num_contacts: Number of kept contacts.
         collision: Collision shapes.
         limits: Joint limits.
-        near: Weighted tasks of the first stage, in addition to the preferred tasks in ``tasks``.
+        near: Pairs (weight, task) for the first stage, in addition to the preferred tasks in
+            ``tasks``.
 
     Attributes:
         iterations: Number of solved or attempted quadratic programs.
@@ -514,7 +516,7 @@ class _PostureSolver:
         return self._current_qpos()
 
     def _take_full_steps(self, stage: _Stage) -> bool:
-        """Move PlaCo's robot by full steps; return True if they converge without a larger error.
+        """Take full Gauss-Newton steps; return True if converged without an increase of the error.
 
         The error is compared with the initial error only at the end. Contacts are nonlinear
         constraints with a large weight. A trust-region iteration would therefore need many short
@@ -535,7 +537,7 @@ class _PostureSolver:
         return False
 
     def _iterate_trust_region(self, stage: _Stage) -> None:
-        """Move PlaCo's robot by steps of bounded length that do not increase the error.
+        """Take Gauss-Newton steps within a trust radius that do not increase the error.
 
         A step that increases the error is taken back, and the trust radius is reduced. Ends if the
         error, a step or the radius is negligible, after `_MAX_ITERATIONS`, or if a quadratic
@@ -595,7 +597,7 @@ class _PostureSolver:
 
 
 class _LazyShapes:
-    """Collision shapes of a robot, prepared when a task needs them."""
+    """Collision shapes of a robot, prepared at first access."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -607,7 +609,7 @@ class _LazyShapes:
 
 
 class _PinocchioBody:
-    """Poses of links by Pinocchio's kinematics of the URDF.
+    """Poses of links at a configuration, by Pinocchio's kinematics of the URDF.
 
     Args:
         robot: Robot.
@@ -641,7 +643,7 @@ class _PinocchioBody:
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of `self_clearances` by the configuration, and the configuration.
+        """Return the derivatives of `self_clearances` by the configuration q, and q itself.
 
         The configuration q is that of PlaCo's robot, shape (nq,). The derivatives of n distances
         have the shape (n, nq); those by the pose of the base are zero.
@@ -656,10 +658,10 @@ class _PinocchioBody:
 
 
 class _MujocoBody(_PinocchioBody):
-    """Poses of links by MuJoCo's kinematics of the MJCF.
+    """Poses of links at a configuration, by MuJoCo's kinematics of the MJCF.
 
-    The constant pose of a link in its body is that of the neutral configuration, because the frames
-    of a URDF and an MJCF may differ.
+    The frames of URDF links and MJCF bodies may differ. The constant offset between both is taken
+    from the neutral configuration.
 
     Args:
         robot: Robot.

@@ -29,15 +29,14 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
 BISECTION_RTOL = 1e-3
-"""Accuracy of the ends of a reachable interval, relative to the first step of the search
+"""Tolerance of the ends of a reachable interval, relative to the first step of the search
 (`_FIRST_STEPS`). Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
-"""Step length of the outward search, relative to the first step (`_FIRST_STEPS`). If IK from the
-last stand fails and the step is longer than this value, a full search from all initial guesses
-follows. If the step is shorter, it is halved without a full search. Full searches are also used
-before the end of an interval is accepted, and after the search has crossed a gap. Chosen, not
-tuned."""
+"""Step length of the outward search, relative to the first step (`_FIRST_STEPS`), above which a
+full search from all initial guesses follows if IK from the last stand fails. A shorter step is
+halved without a full search. Full searches are also used before the end of an interval is accepted,
+and after the search has crossed a gap. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
 """Step length after the outward search has crossed a gap, relative to the first step
@@ -45,10 +44,9 @@ _RESTART_RATIO = 0.2
 the gap a full search finds a stand. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
-"""Distance beyond the last reachable value of the coordinate, relative to the first step of the
-search. Before the search ends, one more stand is tried at this distance, since another IK branch
-may begin there. For pitch the distance is 3.2 mrad. Chosen larger than a gap of 1.3 mrad in the
-pitch of Pupper v3."""
+"""Distance beyond the last reachable value at which one more stand is tried before the search ends,
+relative to the first step of the search. Another IK branch may begin there. For pitch the distance
+is 3.2 mrad. Chosen larger than a gap of 1.3 mrad in the pitch of Pupper v3."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 """Base coordinates whose reachable intervals `base_workspace` determines."""
@@ -63,7 +61,7 @@ rotations."""
 
 @dataclass(frozen=True)
 class Interval(Result):
-    """Reachable interval of a coordinate, with all other coordinates unchanged.
+    """Reachable interval of one base coordinate, with all other coordinates unchanged.
 
     Attributes:
         low: Lower end (m, or rad).
@@ -95,7 +93,7 @@ class BaseWorkspace(Result):
 
 @check_arguments
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
-    """Find the reachable interval of base heights [m], with all other requirements of the task.
+    """Find the interval of base heights [m] that satisfy all other requirements of a task.
 
     Feet stay planted. The CoM keeps the horizontal position that the task requires. If the task
     permits any position inside the support polygon, the CoM keeps its position in the task's stand,
@@ -160,21 +158,21 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
 
 _LIMIT_DISTANCE = 0.01
-"""A joint limit is reported as the reason for the end of an interval under two conditions. The
-distance of the joint from its limit with margin is below this value [rad, m], and the joint has
-moved by more than this value since the start. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm,
-and joints move several times as fast as the base."""
+"""Distance [rad, m] of a joint from its limit (with margin) below which the limit is reported as
+the reason for the end of an interval. The joint must also have moved by more than this value since
+the start. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several times as
+fast as the base."""
 
 _EDGE_DISTANCE = 1e-3
-"""Difference [m] between a margin or clearance and its required value at the end of an interval. If
-the difference is smaller, this requirement is reported as the reason for the end. Chosen: ten times
-the accuracy of the ends in height."""
+"""Excess [m] of a margin or clearance over its required value, below which this requirement is
+reported as the reason for the end of an interval. Chosen: ten times the accuracy of the ends in
+height."""
 
 
 def _describe_base_limit(
     robot: Robot, start: Stand, end: Stand, direction: str, value: float
 ) -> Diagnostic:
-    """Create the text about the requirement that limits an interval of a base coordinate.
+    """Create the message about the reason why an interval of a base coordinate ends.
 
     A requirement limits the interval if the stand at the end just meets it. The requirements are
     tested in this order, and the first match is reported: largest searched angle, limits of joints
@@ -226,9 +224,10 @@ def find_interval(
         robot: Robot.
         start: Stand at which the search starts.
         direction: An element of ``DIRECTIONS``.
-        enough: Distance [m or rad] from the start at which the search ends, even if larger values
+        enough: Distance [m or rad] from the start at which the search ends, even if values beyond
             are reachable.
-        default_guesses_only: Search from `default_initial_guesses` only, not in all IK branches.
+        default_guesses_only: Whether to search from `default_initial_guesses` only, not in all IK
+            branches.
     """
     (low, _), (high, _) = (
         _find_limit(robot, start, direction, sign, enough, default_guesses_only)
@@ -259,7 +258,8 @@ def _find_limit(
         direction: Name of the coordinate, an element of ``DIRECTIONS``.
         sign: 1 to search towards larger values, -1 towards smaller values.
         enough: Distance [m or rad] from the start at which the search ends.
-        default_guesses_only: Omit the IK branches and the nonlinear program in `search_stand`.
+        default_guesses_only: Whether to omit the IK branches and the nonlinear program in
+            `search_stand`.
 
     Returns:
         The coordinate at the end [m or rad], and the stand there.
@@ -343,9 +343,9 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return the task of a stand with another value [m or rad] of a base coordinate.
+    """Return a stand's task with another value [m or rad] of a base coordinate.
 
-    The task requires the CoM, or the offset of the base, that `base_workspace` describes.
+    `base_workspace` describes which CoM position or base offset the task then requires.
     """
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):

@@ -208,17 +208,20 @@ not tuned."""
 
 
 class HomotopyPath:
-    """Path of an equilibrium from the stand: feed-forward is removed, then the feet creep.
+    """Path of equilibria from a stand to its rest position without feed-forward.
+
+    First the feed-forward is removed, the part of the servo commands that balances the load in
+    advance. Then feet creep (loaded feet slip slowly).
 
     Args:
-        system: Equations.
+        system: Equilibrium equations of the robot on its servos.
         end: Servo target at the end of the path, shape (nu,) [rad, m]. Default: the joint positions
             of the stand, without feed-forward.
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Attributes:
         system: Equations, with the touching contacts at the current point of the path.
-        balance: Statics of the stand.
+        balance: Static equilibrium of the stand.
         share: Removed fraction of the feed-forward, 0 to 1.
         solution: Current equilibrium.
         crept: Creep time so far [s].
@@ -249,7 +252,7 @@ class HomotopyPath:
         self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
     def follow(self, fraction: float) -> None:
-        """Move along the path of equilibria until a fraction of the feed-forward is removed.
+        """Follow the equilibrium in steps until a fraction of the feed-forward is removed.
 
         The step of the fraction is adaptive.
 
@@ -288,7 +291,7 @@ class HomotopyPath:
                 )
 
     def linearise(self, solution: Solution) -> tuple[Array, float]:
-        """Return the Jacobian of the equations and the smallest stiffness at a solution.
+        """Compute Jacobian and smallest stiffness of the equilibrium equations at a solution.
 
         The result for the last solution is cached.
 
@@ -339,7 +342,7 @@ class HomotopyPath:
             self._euler_step = 2 * step
 
     def reset_creep(self, anchors: dict[str, Anchor]) -> None:
-        """Set the touching contacts, and undo the creep of all contacts.
+        """Set the touching contacts, with a creep (slow slip) of zero for all contacts.
 
         Args:
             anchors: {touching contact: pose at the first contact}.
@@ -349,7 +352,7 @@ class HomotopyPath:
         self.crept, self._euler_step = 0.0, math.inf
 
     def remove_feedforward(self) -> None:
-        """Set the servo commands without feed-forward; the equilibrium is not solved."""
+        """Set the servo commands to joint positions without feed-forward; solve no equilibrium."""
         self.share = 1.0
         self._set_command(1.0)
 
@@ -369,7 +372,7 @@ class HomotopyPath:
         return feet
 
     def _set_command(self, share: float) -> None:
-        """Command the servos with the fraction 1 - ``share`` of the feed-forward."""
+        """Set the servo commands with the fraction 1 - ``share`` of the feed-forward."""
         system = self.system
         full = system.stand.joint_positions(system.robot) + compute_command_lead(
             self.balance.joint_torques, system.kp
@@ -377,17 +380,17 @@ class HomotopyPath:
         system.set_command(full + share * (self.end - full))
 
     def _solve_at(self, share: float) -> Solution | None:
-        """Solve the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
+        """Solve for the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
 
-        The contacts in ``system`` touch the ground. None if no solution is found.
+        The touching contacts are those of ``system``, unchanged. None if no solution is found.
         """
         self._set_command(share)
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Reduce the feed-forward until the first contact opens or closes, and switch this contact.
+        """Move along the path to the next opening or closing of a contact, and switch this contact.
 
-        The removed fraction of the feed-forward at which this occurs is found by bisection.
+        The removed fraction of the feed-forward at this event is found by bisection.
 
         Args:
             wanted: Removed fraction of the feed-forward at which contacts contradict the solution.
@@ -426,7 +429,7 @@ class HomotopyPath:
         self.solution = self.system.switch_contact(foot, found)
 
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
-        """Solve the equilibrium, and switch contacts until none contradicts the solution.
+        """Solve for the equilibrium, and switch contacts until no contact contradicts the solution.
 
         ``when`` describes the moment for the error message, for example a creep time; ``exact`` is
         an argument of `SagEquilibrium.solve`.
@@ -449,14 +452,14 @@ class HomotopyPath:
 
 
 RELEASE_MARGIN = 0.06
-"""Friction reserve of the feet (`SteadyState.release_margin`) [robot weights], above which the feet
-stay in place if the feed-forward is removed in one step. Chosen as an allowance for contact effects
-that the first-order estimate of the overshoot neglects."""
+"""Smallest friction reserve of the feet (`SteadyState.release_margin`), in robot weights, with
+which the feet are expected to stay in place if the feed-forward is removed in one step. Chosen as
+an allowance for contact effects that the first-order estimate of the overshoot neglects."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Predicted height loss by creep within ``HOLD_DURATION``, relative to the base height in the
-stand. Up to this ratio, creep is not integrated. Measured on a quadruped 2 % above its minimum
-stiffness: creep ends the equilibrium after 5 s, with a ratio of 0.025."""
+"""Upper bound of the predicted height loss by creep within ``HOLD_DURATION``, relative to the base
+height in the stand, up to which creep is not simulated. Measured on a quadruped 2 % above its
+minimum stiffness: creep ends the equilibrium after 5 s, with a ratio of 0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -550,8 +553,8 @@ def steady_state(
         robot: Robot.
         stand: Stand from which the robot sags.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
-        feedforward: If True, the command is ctrl = q* + tau / kp, with the torques tau of the
-            stand. Otherwise it is ctrl = q*.
+        feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques of the
+            stand); otherwise ctrl = q*.
         feet: ``pinned``: the feet do not slip (as of rubber, or in MuJoCo for some seconds).
             ``sliding``: no tangential forces, the final state of MuJoCo's creep.
         seconds: Creep time of pinned feet [s].
@@ -582,9 +585,9 @@ def steady_state(
 def make_homotopy_path(
     robot: Robot, stand: Stand, kp: ArrayLike | None, feet: SlipLaw, *, exact: bool = False
 ) -> HomotopyPath:
-    """Create the path along which the feed-forward of a stand is removed, at the start of the path.
+    """Create the path of equilibria of a stand, at its start: the equilibrium with feed-forward.
 
-    The start is the equilibrium of the stand with full feed-forward.
+    Along the path, the feed-forward is removed.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -605,7 +608,7 @@ def make_homotopy_path(
 
 
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
-    """Compute how long an equilibrium lasts while its feet creep on the ground [s].
+    """Compute how long [s] an equilibrium lasts while its feet creep (slip slowly).
 
     Creep is simulated for up to ``HOLD_DURATION`` (12 s). No creep is simulated in two cases: no
     foot creeps, or the change of the base height in this time would be at most
@@ -677,7 +680,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
 
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Compute the equilibrium to which a stand sags when its feed-forward is removed.
+    """Compute the equilibrium to which a stand sags if its feed-forward is removed.
 
     The path of equilibria starts at the stand. The servo commands of the stand are the joint
     positions plus feed-forward torque / kp. The feed-forward is removed in steps. Then the contact
@@ -685,7 +688,7 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 
     Args:
         path: Path at its start, with the full feed-forward; modified.
-        feedforward: Keep the full feed-forward instead of removing it.
+        feedforward: Whether to keep the full feed-forward.
         seconds: Duration of the creep [s]; 0 for no creep.
 
     Raises:
@@ -700,7 +703,7 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 
 
 def release_margin(path: HomotopyPath) -> float:
-    """Compute the smallest friction reserve of all feet if the feed-forward is removed in one step.
+    """Compute the smallest friction reserve of a foot if feed-forward is removed in one step.
 
     The reserve is (friction coefficient x normal force - tangential force) / weight. The contact
     forces of the overshoot after the step are 2 f - f_0, with the forces f at the current
@@ -721,7 +724,7 @@ def release_margin(path: HomotopyPath) -> float:
 def find_sag_failure(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: SlipLaw = "pinned"
 ) -> Diagnostic | None:
-    """Return the reason why a robot does not stand without feed-forward; None if it stands.
+    """Predict if a robot stands without feed-forward; return the reason if not, else None.
 
     The robot does not stand in any of these cases:
 
@@ -752,7 +755,7 @@ def find_sag_failure(
 
 
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
-    """Return the reason why a robot does not stand in an equilibrium; None if it stands.
+    """Return the reason why an equilibrium does not count as standing; None if the robot stands.
 
     The reason is a base at half of the stand's base height or less, unless the base is fixed or the
     task has a weld or grip. Otherwise the reasons are ``pose.failures``.
@@ -819,7 +822,7 @@ def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
 
 
 def _make_rest_data(robot: Robot) -> mujoco.MjData:
-    """Create data of the robot's MuJoCo model."""
+    """Create MuJoCo data of the robot's model, for the cache of `_find_failures`."""
     return mujoco.MjData(robot.mj_model)
 
 

@@ -36,28 +36,30 @@ from pupper_analysis.stance.sag.steady_state import (
 from pupper_analysis.stance.stand import Stand
 
 HIGHEST_KP = 2500.0
-"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`.
-If the robot does not stand with any tested kp up to this bound, NoStiffnessError is raised. For
-Pupper v3 the bound is 1,600 times the kp of its servos (5 N m/rad). Chosen, not tuned."""
+"""Upper bound of the servo stiffness kp that `minimum_stiffness` tests, in units of
+`EquilibriumScales.stiffness` (robot weight x height). If the robot does not stand with any tested
+kp up to this bound, NoStiffnessError is raised. For Pupper v3 the bound is 1,600 times the kp of
+its servos (5 N m/rad). Chosen, not tuned."""
 
 _FIRST_KP = 4.0
-"""First kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`. Measured: v3,
-Go2 and T1 need 0.5 to 2.1 units. Smaller values take longer, since the feed-forward is then removed
-in many steps."""
+"""First servo stiffness kp that `minimum_stiffness` tests, in units of
+`EquilibriumScales.stiffness` (robot weight x height). Measured: v3, Go2 and T1 need 0.5 to 2.1
+units. Smaller values take longer, since the feed-forward is then removed in many steps."""
 
 _LEAST_KP = 1 / 4096
-"""Lower bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`.
-A robot that stands with this kp, for example on straight legs, needs no servos. Chosen, not
-tuned."""
+"""Lower bound of the servo stiffness kp that `minimum_stiffness` tests, in units of
+`EquilibriumScales.stiffness` (robot weight x height). A robot that stands with this kp, for example
+on straight legs, needs no servos. Chosen, not tuned."""
 
 _LEAST_STEP = 0.1
-"""Smallest step of the logarithm of kp in a continuation, after which the equilibrium counts as
-lost. A failed step is repeated with half its length, since Newton's method may miss an equilibrium
-that is far away. Smaller intervals of the bisection are tried in one step. Chosen, not tuned."""
+"""Smallest step of ln(kp) with which an equilibrium is continued to another kp. A failed step is
+repeated with half the length, since Newton's method may miss an equilibrium that is far away; below
+the smallest step, the equilibrium counts as lost. Smaller intervals of the bisection are tried in
+one step. Chosen, not tuned."""
 
 _FIRST_CREEP_RATIO = 0.04
-"""Relative distance of the kp at which creep is simulated first, above the least kp of the static
-equilibrium. Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
+"""Relative excess over the least kp of the static equilibrium, at which creep is simulated first.
+Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
 
 _MAX_PREDICTIONS = 4
 """Number of creep simulations of `_bisect_stiffness` at predicted kp: the first follows from
@@ -65,8 +67,8 @@ _MAX_PREDICTIONS = 4
 Chosen, not tuned."""
 
 _ESTIMATE_TOLERANCE = 0.02
-"""Relative width of the bracket of the static limit in `estimate_minimum_stiffness`. Chosen for
-results with two digits."""
+"""Relative width to which `estimate_minimum_stiffness` brackets the least kp of the static
+equilibrium. Chosen for results with two digits."""
 
 _MIN_DURATION = HOLD_DURATION / CREEP_STEPS
 """Lower bound of the time [s] by which `_predict_stiffness` divides: the longest backward Euler
@@ -82,7 +84,9 @@ def minimum_stiffness(
     tolerance: float = 0.01,
     ratios: ArrayLike | None = None,
 ) -> float:
-    """Find the smallest kp with which a robot stands without feed-forward, by bisection.
+    """Find the smallest servo stiffness kp with which a robot stands without feed-forward.
+
+    The method is bisection.
 
     The robot stands if the result of `steady_state` has no failures, and a free base keeps more
     than half of the stand's height. Examples of failures are a swing foot on the ground, and creep
@@ -129,7 +133,7 @@ def minimum_stiffness(
 def estimate_minimum_stiffness(
     robot: Robot, stand: Stand, *, ratios: ArrayLike | None = None
 ) -> float:
-    """Estimate the smallest kp [N m/rad] with which a robot stands without feed-forward.
+    """Estimate the smallest servo stiffness kp [N m/rad] for a stand without feed-forward.
 
     Unlike in `minimum_stiffness`, creep near the result is simulated only once: a prediction
     replaces the bisection (`_predict_stiffness`). If the robot stands with all tested kp, the
@@ -167,7 +171,7 @@ def estimate_minimum_stiffness(
 def _bracket_stiffness(
     robot: Robot, stand: Stand, feet: SlipLaw, ratios: ArrayLike | None
 ) -> tuple[_StiffnessSearch, float, float]:
-    """Bracket the least kp [N m/rad] by powers of two.
+    """Bracket the smallest servo stiffness kp [N m/rad] of a stand, by steps of a factor 2.
 
     Returns:
         Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low. The
@@ -202,11 +206,11 @@ def _bracket_stiffness(
 
 
 class _Grid:
-    """Division of a bracket into 2^n equal cells, up to a largest width.
+    """Division of a stiffness bracket into 2^n equal cells with a bounded width.
 
     Args:
         low: Lower end of the bracket [N m/rad].
-        high: Upper end.
+        high: Upper end of the bracket [N m/rad].
         tolerance: Largest width of a cell, relative to ``low``.
 
     Attributes:
@@ -228,7 +232,7 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Return the index in ``grid`` of the largest kp with which the robot does not stand.
+    """Find the largest grid value of kp with which the robot does not stand; return its index.
 
     Creep is ignored. The index is 0 if the robot stands with all inner values of the grid.
     """
@@ -241,15 +245,15 @@ def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
 
 
 def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
-    """Predict the kp [N m/rad] with which an equilibrium lasts for `HOLD_DURATION`.
+    """Predict the servo stiffness kp [N m/rad] with which a stand lasts for `HOLD_DURATION`.
 
     The time for which an equilibrium lasts grows nearly linearly with kp, from zero at the least kp
     of the statics (measured on v3, original and Go2).
 
     Args:
-        start: Largest kp without equilibrium.
-        tried: kp of a simulation of creep.
-        lasts: Time for which this equilibrium lasts [s].
+        start: Largest kp without a static equilibrium [N m/rad].
+        tried: kp with which creep was simulated [N m/rad].
+        lasts: Time for which the equilibrium lasts with this kp [s].
     """
     return start + (tried - start) * HOLD_DURATION / max(lasts, _MIN_DURATION)
 
@@ -257,7 +261,7 @@ def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
 def _bisect_stiffness(
     search: _StiffnessSearch, low: float, high: float, tolerance: float
 ) -> tuple[float, float]:
-    """Reduce a bracket of the least kp [N m/rad] to a relative width; return the new bracket.
+    """Narrow a bracket (low, high) of the smallest kp [N m/rad] to a relative width.
 
     The result equals that of a bisection in which each kp is tested with creep. A simulation of
     creep takes ten times as long as statics. Therefore statics bound kp first, and predictions
@@ -312,7 +316,7 @@ def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
 
 
 class _StiffnessSearch:
-    """Test of stiffnesses. Each test starts at the nearest known equilibrium.
+    """Test of servo stiffnesses: does the robot stand? A test starts at a known equilibrium.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -337,14 +341,18 @@ class _StiffnessSearch:
         self.lost: set[float] = set()
 
     def stands(self, value: float) -> bool:
-        """Return True if the robot stands without feed-forward with kp [N m/rad] times ratios."""
+        """Return True if the robot stands without feed-forward, with kp = ``value`` times ratios.
+
+        ``value`` is in N m/rad; the ratios are those of the constructor.
+        """
         return math.isinf(self.measure_duration(value))
 
     def measure_duration(self, value: float) -> float:
-        """Return the time [s] until creep of the feet ends the equilibrium with kp [N m/rad].
+        """Return the time [s] until creep of the feet ends the equilibrium, with kp = ``value``.
 
-        0 if the robot does not stand even before the creep. Infinite if the robot stands. Until the
-        search has found a kp with which the robot stands, the result is either 0 or infinite.
+        The result is 0 if the robot does not stand even before the creep. Infinite if the robot
+        stands. Until the search has found a kp with which the robot stands, the result is either 0
+        or infinite.
         """
         if self._path is None:
             return math.inf if self.follow(value) else 0.0
@@ -357,7 +365,7 @@ class _StiffnessSearch:
         return self._durations[value]
 
     def follow(self, value: float) -> bool:
-        """Test kp times ratios [N m/rad] by a new path: remove feed-forward, then simulate creep.
+        """Test kp = ``value`` [N m/rad] from the stand: remove feed-forward, then simulate creep.
 
         Returns:
             True if the robot stands. The equilibrium is then the initial guess of the next tests.
@@ -381,7 +389,7 @@ class _StiffnessSearch:
         return self.problem is None
 
     def stands_at_first(self, value: float) -> bool:
-        """Return True if the robot stands with kp [N m/rad] before the feet creep.
+        """Return True if the robot stands with kp = ``value`` [N m/rad], before the feet creep.
 
         If no equilibrium is known yet, or a contact opens or closes, creep is simulated as well.
         """
@@ -417,11 +425,11 @@ class _StiffnessSearch:
         path.remove_feedforward()
 
     def _continue(self, path: HomotopyPath, value: float) -> Solution | None:
-        """Return the stable equilibrium with kp [N m/rad], continued from the nearest known one.
+        """Find the stable equilibrium with kp = ``value`` [N m/rad] from a known equilibrium.
 
-        The contacts of the first equilibrium are kept. Steps of the logarithm of kp are halved if
-        Newton's method fails, or if it finds an unstable equilibrium; None if a step becomes
-        shorter than `_LEAST_STEP`.
+        The nearest known equilibrium is the start; its touching contacts stay unchanged. A step of
+        ln(kp) is halved if Newton's method fails, or finds an unstable equilibrium. None if a step
+        becomes shorter than `_LEAST_STEP`.
         """
         at = min(self._poses, key=lambda known: abs(math.log(known / value)))
         solution = self._poses[at][0]
