@@ -14,7 +14,7 @@ from typing import Final
 
 _FORMULA_START: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """Pattern of the first character of a text that spreadsheets may execute as a formula. The last
-four are full-width forms (OWASP, CSV Injection)."""
+four characters are full-width forms (OWASP, CSV Injection)."""
 
 _TEXT_MARK: Final = "'"
 """Apostrophe at the start of a cell, with which spreadsheets display the cell as text."""

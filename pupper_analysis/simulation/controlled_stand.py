@@ -93,8 +93,8 @@ before the middle of a simulation) with which an oscillation counts as decaying.
 taken in intervals of `_COMPARED_SHARE`. Chosen, not tuned."""
 
 _MAX_JOINT_SPEED = 100.0
-"""Bound of the joint velocity [rad/s, m/s]. A simulation of the controller fails if a joint reaches
-the bound. Chosen, not tuned."""
+"""Joint velocity [rad/s, m/s] at which a simulation of the controlled stand fails. Chosen, not
+tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
 """Factor [1] in the upper bound of the largest joint displacement in the second half of a
@@ -445,18 +445,17 @@ def find_largest_damping_factor(
 def bisect_factor(
     is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
 ) -> float:
-    """Find the boundary of a set of factors by bisection on a logarithmic scale.
+    """Find by bisection, on a logarithmic scale, the factor at which a condition changes.
 
     Args:
-        is_inside: Function that returns True if a factor is in the set: True at ``inside``, False
-            at ``outside``.
-        inside: Factor in the set.
-        outside: Factor outside of the set.
+        is_inside: Condition of a factor: True at ``inside``, False at ``outside``.
+        inside: Factor for which the condition is True.
+        outside: Factor for which the condition is False.
         tolerance: Upper bound of the width of the final interval, as a difference of natural
             logarithms [1].
 
     Returns:
-        End of the final interval that is in the set.
+        End of the final interval for which the condition is True.
     """
     while abs(math.log(outside / inside)) > tolerance:
         middle = math.sqrt(inside * outside)

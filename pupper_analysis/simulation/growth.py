@@ -391,9 +391,12 @@ def _make_displacement(
         return displacement
 
     def scale(displacement: Array) -> Array:
-        """Scale a displacement (2 nv + na,) so that it reaches the bound ``angle`` or ``speed``.
+        """Scale a displacement (2 nv + na,) to the bounds of positions and of velocities.
 
-        One factor is applied to all components; neither bound is exceeded.
+        The bounds are ``angle`` [rad, m] and ``speed`` [rad/s, m/s].
+
+        One factor is applied to all components, so that one bound is reached and no bound is
+        exceeded.
         """
         largest_angle = np.abs(displacement[:nv]).max() / angle
         largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
@@ -421,13 +424,13 @@ _NUM_TRANSLATIONS = {int(JointKind.FREE): 3, int(JointKind.SLIDE): 1}
 
 
 def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
-    """Return a state (mjSTATE_FULLPHYSICS) that is displaced in the tangent space.
+    """Add a displacement in the tangent space to a state (mjSTATE_FULLPHYSICS).
 
     Args:
         model: MuJoCo model.
         start: State (mjSTATE_FULLPHYSICS).
-        displacement: Changes of position [m, rad], velocity [m/s, rad/s] and activation, shape
-            (2 nv + na,).
+        displacement: Changes of position [m, rad], velocity [m/s, rad/s] and activation, shape (2
+            nv + na,).
     """
     data, nv = mujoco.MjData(model), model.nv
     mujoco.mj_setState(model, data, start, STATE_SPEC)
@@ -443,7 +446,7 @@ def _doubling_time(mode: Mode) -> float:
 
 
 def _window_duration(mode: Mode) -> float:
-    """Return the time window [s] in which the maximum of a mode's deviation is taken.
+    """Return the length [s] of the time window in which a mode's maximum deviation is taken.
 
     The window is the longer of two times: a period, and a quarter of the doubling time.
     `simulate_growth` bounds the result by ``_MAX_WINDOW``.

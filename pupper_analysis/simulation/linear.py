@@ -49,7 +49,8 @@ class LinearStep:
         """Predict with the linear model how far the robot moves from a state, at n later times.
 
         The times are equally spaced; the last is ``duration``, rounded up to a multiple of the
-        interval between samples. The first change of the state is ``state`` minus ``before``.
+        interval between samples. The prediction starts with the change in the last step, ``state``
+        minus ``before``.
 
         Args:
             before: State a step earlier (mjSTATE_FULLPHYSICS), shape (size,).

@@ -145,7 +145,7 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position (3,) [m] of the reference point in a simulated state.
+        """Return the world position (3,) [m] of the base point that represents the CoM, in a state.
 
         The point moves with the base. In the expected stand, it is at the CoM of the robot.
         """
@@ -154,7 +154,7 @@ class StandReference:
         return position
 
     def check_stand(self, state: Array, touching: Collection[str]) -> StandCheck:
-        """Check if a robot stands in a simulated state: tilt [rad], height [m], contacts.
+        """Check if a robot stands in a simulated state, by tilt [rad], height [m] and contacts.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -481,7 +481,9 @@ class ContactRecord:
     lifted: dict[str, float] = field(default_factory=dict)
 
     def compute_foot_drops(self, stand: Stand) -> dict[str, Array]:
-        """Compute target minus settled position of the contact points of a stand.
+        """Compute how far contact points moved from their targets: target minus mean position.
+
+        The mean is taken over the last second before the nudge.
 
         Args:
             stand: Stand, with the target positions.

@@ -631,7 +631,9 @@ class _NudgedEvaluation:
         self._lowest, self._highest = displacement, displacement
 
     def advance(self, states: Array, stride: int, remaining: float) -> None:
-        """Evaluate the next interval of this simulation: update ``failure`` and ``is_decided``.
+        """Evaluate the states of the next interval; update ``failure`` and ``is_decided``.
+
+        ``is_decided`` becomes True if the simulation may end.
 
         Args:
             states: States after each step of the interval (mjSTATE_FULLPHYSICS), shape (n, size).

@@ -65,7 +65,7 @@ example a body denser than tungsten."""
 
 
 class Question(StrEnum):
-    """Question that a verdict answers, as text for reports."""
+    """Question about a robot that a verdict answers, as text for reports."""
 
     STANDS = "whether it holds"
     CARRIES = "whether it carries its payload"

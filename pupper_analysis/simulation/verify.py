@@ -707,9 +707,10 @@ def _find_standing_failures(
     record: ContactRecord,
     result: StandVerification,
 ) -> list[Diagnostic]:
-    """Report why a robot does not stand still on its feet, apart from the response to the nudge.
+    """Create messages about the reasons why a simulated robot does not stand still on its feet.
 
-    Empty without a reason. ``states`` are the simulated states after each step, shape (n, size).
+    The response to the nudge is not evaluated. The result is empty without a reason. ``states`` are
+    the simulated states after each step, shape (n, size).
     """
     failures = list(record.failures)
     if monitor.has_diverged(states, result.timestep):
@@ -762,7 +763,7 @@ def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
 def _compare_with_equilibrium(
     robot: Robot, result: StandVerification, settled: SteadyState
 ) -> list[Diagnostic]:
-    """Report deviations from the predicted equilibrium that dry friction cannot explain.
+    """Create messages about deviations from an equilibrium that dry friction cannot explain.
 
     The settled joint positions and torques of ``result`` (a simulation without feed-forward) are
     compared with ``settled``. The result is empty if both agree; otherwise saturated motors are

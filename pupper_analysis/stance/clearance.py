@@ -252,7 +252,7 @@ class ClearanceShapes:
         return nearest[:most]
 
     def _shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
-        """Return the pose of each shape in the world frame [m], for the kinematics ``at``."""
+        """Return the pose of each collision shape in the world frame, for the link poses ``at``."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
             coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)
@@ -314,10 +314,11 @@ class ClearanceShapes:
         targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
-        """Return the height [m] of each collision shape in ``parts`` above slope and steps.
+        """Compute the heights [m] above the ground (slope and steps) of the shapes in ``parts``.
 
-        ``parts`` are the shapes that must be above the ground. If no step is above the slope and no
-        foot has a separate plane, all heights are measured from the slope, even over lower steps.
+        ``parts`` are the collision shapes that must be above the ground. If no step is above the
+        slope and no foot has a separate plane, all heights are measured from the slope, even over
+        lower steps.
 
         If a part, such as a calf, intersects the sphere of a foot, the penetration of this foot is
         added to the height of the part. The part may then be as deep in the ground as the foot.
@@ -348,9 +349,9 @@ class ClearanceShapes:
     def height_jacobian(
         self, at: Configuration, ground: Ground, targets: Mapping[str, Array]
     ) -> Array:
-        """Return the Jacobian of the heights of ``parts`` above the ground by qvel, shape (n, nv).
+        """Compute the Jacobian (n, nv) by qvel of the heights of shapes above the ground.
 
-        ``parts`` are the shapes that must be above the ground. The lowest point of a shape is
+        The n shapes are ``parts``, which must be above the ground. The lowest point of a shape is
         treated as fixed to the link.
 
         Args:

@@ -186,7 +186,7 @@ class Loops(Constraint):
         return left if goal.give is None else left - goal.give
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian (m, nv) by qvel of the violations of m loop or coupling equations."""
+        """Return the Jacobian (m, nv) by qvel of the residuals of m loop or coupling equations."""
         rows = self._closure.jacobian(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
@@ -237,16 +237,17 @@ class SupportMargin(Constraint):
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Return the CoM's distances from the sides of the support polygon minus the margin.
 
-        Shape (m,) [m], horizontal, positive inside. All values are >= 0 if the margin is kept.
+        Shape (m,) [m], horizontal, one value per side, positive inside. All values are >= 0 if the
+        required margin is kept.
         """
         sides, com = self._polygon_sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the derivative by qvel, shape (m, nv), of the CoM's distances from the sides.
+        """Return the Jacobian (m, nv) by qvel of the CoM's distances from the support sides.
 
-        The sides are those of the support polygon, which is treated as constant.
+        The m sides are those of the support polygon, which is treated as constant.
         """
         jacobian: Array = self._polygon_sides(goal)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
@@ -271,9 +272,9 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances of the joints to finite lower, then to upper limits, (n,) [rad, m].
+        """Return the distances of the joints from the finite joint limits, shape (n,) [rad, m].
 
-        Distances are negative beyond a limit.
+        First the distances from lower limits, then from upper limits; negative beyond a limit.
         """
         joints, low, high = at.qpos[-len(goal.lower) :], *self._has_limits
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
@@ -295,7 +296,7 @@ class JointLimits(Constraint):
 
     @cached_property
     def _has_limits(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Masks of joints with a finite lower and upper limit."""
+        """Two masks (nu,): joints with a finite lower limit, joints with a finite upper limit."""
         return np.isfinite(self._goal.lower), np.isfinite(self._goal.upper)
 
 
@@ -354,7 +355,10 @@ class SelfClearance(Constraint):
         return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
-        """Return the smallest distance [m] of links that are not neighbours; None without such."""
+        """Return the smallest distance [m] of links that are not neighbours, with both links.
+
+        None if the robot has no such links.
+        """
         return self._shapes.find_closest_links(at.qpos)
 
 

@@ -138,7 +138,7 @@ class DemandVector:
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
     def make_task(self, values: Array, *, checked: bool = True) -> StandTask:
-        """Return a copy of the task with other values of the n numbers in this vector.
+        """Return a copy of the stand task with new values of the requirements in ``keys``.
 
         Args:
             values: New values in the order of ``keys``, shape (n,) [m, rad].
@@ -168,7 +168,10 @@ class DemandVector:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def clip(self, values: Array) -> Array:
-        """Clip values in the order of ``keys``, shape (n,) [m, rad], to the relaxation's bounds."""
+        """Clip values of the requirements, (n,) [m, rad], to the bounds of relaxed values.
+
+        Values are in the order of ``keys``; the bounds are ``low`` and ``high``.
+        """
         inside: Array = np.clip(values, self.low, self.high)
         return inside
 
@@ -191,10 +194,10 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
 
 
 def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
-    """Yield (name of a foot, joint or link; value) for each value of a task's field.
+    """Yield (name, value) for each value of a field in a stand task.
 
-    The name is "" if the field has a single value. A single value that is a text or None is left
-    out.
+    The name is that of a foot, joint or link, or "" if the field has a single value. A single value
+    that is a text or None is left out.
     """
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
@@ -266,7 +269,9 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Return True if a requirement of a task differs from its value in the default stand.
+    """Return True if a requirement of a task differs from its value in the nominal stand.
+
+    The nominal stand is that of the default `StandTask`.
 
     Args:
         robot: Robot.
@@ -398,7 +403,7 @@ def _describe_demand(
 
 
 def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
-    """Yield a message for each foot, joint or link with its value in a field of a task."""
+    """Yield a message per foot, joint or link with its value in a mapping field of a task."""
     return (
         _describe_requirement(foot, field.quantity(value))
         for foot, value in _list_values(task, field)

@@ -246,7 +246,7 @@ class Stand(Pictured, Tabular):
         return tuple(violations)
 
     def _clearances(self) -> Iterator[tuple[Clearance, float]]:
-        """Yield (clearance, required minimum [m]) to the ground and between links."""
+        """Yield (measured clearance, required minimum [m]): to the ground, between links."""
         if self.ground_clearance is not None:
             yield self.ground_clearance, self.task.ground_clearance
         if self.self_clearance is not None:

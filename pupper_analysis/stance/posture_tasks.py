@@ -99,7 +99,7 @@ class PostureTask(ABC):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of the links that this posture task refers to; none by default."""
+        """Names of the links whose poses this posture task requires; none by default."""
         return ()
 
     @abstractmethod

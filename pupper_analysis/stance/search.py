@@ -477,7 +477,7 @@ freedom of a pose."""
 def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
-    Such a leg does not determine all six coordinates of the sole: with four joints, for example,
+    The joints of such a leg cannot reach every pose of the sole. With four joints, for example,
     roll and yaw may follow from position and pitch. IK may therefore leave the sole tilted.
     """
     return bool(count_joints_of_short_legs(robot))
@@ -598,7 +598,7 @@ def branch_initial_guesses(
 
     Args:
         robot: Robot.
-        goal: Goal.
+        goal: Goal with joint limits and the initial guess ``ik_seed`` of the task.
         found: {limb: IK branches of the limb}.
         reach: Upper bound of the base displacement [m] from the base pose for which the branches
             were computed. A displacement of the base by d changes a foot error by at most d.
@@ -657,7 +657,7 @@ def make_initial_configuration(robot: Robot, goal: Goal, joints: Array, place: A
 
     Args:
         robot: Robot.
-        goal: Goal.
+        goal: Goal with height and orientation of the base, and joint limits.
         joints: Joint positions, shape (nu,) [rad, m]; clipped to the limits.
         place: Horizontal CoM position, shape (2,) [m], in the world frame.
     """

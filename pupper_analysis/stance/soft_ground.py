@@ -155,14 +155,15 @@ def solve_stand_on_soft_ground(
 def _update_relaxation(relaxation: float, before: Array, residual: Array) -> float:
     """Compute the factor on the next step of the fixed-point iteration, by Aitken's method.
 
-    With residuals r (changes of the depths): w' = -w r_before (r - r_before) / |r - r_before|^2,
-    within `_RELAXATION_RANGE`. The factor is unchanged if the residuals are equal.
+    With the residuals r (changes of the depths), the factor w of the last step and the new factor
+    w': w' = -w r_before (r - r_before) / |r - r_before|^2, within `_RELAXATION_RANGE`. The factor
+    is unchanged if the residuals are equal.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).
 
     Args:
-        relaxation: Factor w of the last step.
+        relaxation: Factor w on the last step.
         before: Change of the penetration depths in the previous iteration, shape (n,) [m].
         residual: Change of the penetration depths in this iteration, shape (n,) [m].
     """

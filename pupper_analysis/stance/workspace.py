@@ -318,11 +318,10 @@ def _solve_at(
     near: Stand | None,
     default_guesses_only: bool,
 ) -> Stand | None:
-    """Solve the stand at a value [m or rad] of a base coordinate.
+    """Search for a stand with a given value [m or rad] of a base coordinate; None if not found.
 
     The search starts at the stand ``near`` only, or from all initial guesses if ``near`` is None.
-    The result is None if the task is rejected, if no stand is found, or if the CoM margin at an x
-    or y is too small.
+    The result is also None if the task is rejected, or if the CoM margin at an x or y is too small.
     """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})

@@ -335,7 +335,10 @@ class Balance:
         return parts
 
     def _contact_part(self, forces: Array) -> Array:
-        """Return the contact part (n, 3) [N] of forces (size,) of contacts, welds and grips."""
+        """Select the contact forces (n, 3) [N] from the forces of contacts, welds and grips.
+
+        ``forces`` has the shape (size,) and the order contacts, welds, grips.
+        """
         return forces[: self.normals.size].reshape(-1, 3)
 
     def _is_balanced(self, forces: Array) -> bool:

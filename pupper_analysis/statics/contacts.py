@@ -66,7 +66,7 @@ class Contacts:
 
     @functools.cached_property
     def is_level(self) -> bool:
-        """True if all normals point upward (within `BALANCE_TOLERANCE`)."""
+        """Whether all contact normals point upward (each component within `BALANCE_TOLERANCE`)."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
@@ -143,7 +143,7 @@ class Contacts:
         return np.hstack([contacts, *self.weld_columns(config).values()])
 
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
-        """Return {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
+        """Compute {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
         The transposed Jacobian of a grip converts the force [N] on the part to generalised forces.
         The transposed Jacobian of a weld converts force [N] and moment [N m]. Force and moment are
@@ -235,7 +235,7 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create contacts on level ground with MuJoCo's friction, with read-only arrays per contact."""
+    """Create contacts on level ground with MuJoCo's friction; arrays are read-only, for a cache."""
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False

@@ -816,7 +816,7 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
     """
 
     def holds(factor: float) -> bool:
-        """Return True if balance is possible with ``factor`` times the grip limits."""
+        """Return True if contact forces balance the robot with ``factor`` times the grip limits."""
         stronger = replace(problem, grips=factor * problem.grips)
         return stronger.minimum_tangential(carrying.friction, carrying.metric) is not None
 

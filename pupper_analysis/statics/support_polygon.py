@@ -124,9 +124,10 @@ given, and largest number of sides of the result. Chosen: a regular polygon with
 % less area than its circumscribed circle."""
 
 _MIN_FAILURES = 3
-"""Number of failures of the cone program, in the first directions, with which the support region
-counts as empty. A direction with a single failure is left out. Measured on 300 random sets of 2 to
-5 contacts: in 6 of 207 regions, the cone program failed by rounding in a single direction."""
+"""Number of first directions in which the cone program must fail, so that the support region counts
+as empty. Otherwise, each direction in which the program fails is left out. Measured on 300 random
+sets of 2 to 5 contacts: in 6 of 207 regions, the cone program failed by rounding in a single
+direction."""
 
 
 def support_corners(

@@ -154,9 +154,9 @@ class ContactKinematics:
 
     @cached_property
     def _depth_rates(self) -> Array:
-        """Derivatives of the penetrations of n contact points, shape (n, nv) [m/rad, m/m].
+        """Jacobian by qvel of the penetrations of n contact points, shape (n, nv) [m/rad, m/m].
 
-        The derivatives are with respect to displacements in the nv degrees of freedom of the robot.
+        A penetration increases if the sphere centre moves against the ground normal.
         """
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
@@ -324,8 +324,8 @@ method fails for a robot with soles, the equilibrium is solved with each factor 
 previous solution as initial guess. Chosen, not tuned."""
 
 _MAX_ITERATIONS = 16
-"""Upper bound of the Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured solutions
-took 12 or fewer."""
+"""Upper bound of the number of Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured
+solutions took 12 or fewer."""
 
 _ALTERNATION_RTOL = 1e-6
 """Relative difference up to which residuals of Newton's method count as equal, to detect an
@@ -466,9 +466,10 @@ class SagEquilibrium:
         return torques
 
     def contacts_at(self, qpos: Array) -> ContactKinematics:
-        """Return slips, penetrations and Jacobians of the touching contacts at a configuration.
+        """Compute slips, penetrations and Jacobians of the touching contacts at a configuration.
 
-        The last result is cached.
+        A slip is a displacement along the ground since the first contact. The last result is
+        cached.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -716,7 +717,10 @@ class SagEquilibrium:
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Return a solution's forces on the touching contacts, (n, 3) [N], in contact frames."""
+        """Return the contact forces of a solution as an array, shape (n, 3) [N], in contact frames.
+
+        Rows are in the order of the touching contacts, ``anchors``.
+        """
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:

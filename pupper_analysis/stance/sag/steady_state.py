@@ -182,8 +182,8 @@ stability of the equilibrium is not checked. A longer step may end at another, u
 Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
-"""Tolerance of the bisection for the removed fraction of the feed-forward (0 to 1) at which a
-contact opens or closes. Chosen: it corresponds to nanometres of motion."""
+"""Tolerance of the bisection that finds at which removed fraction of the feed-forward (0 to 1) a
+contact opens or closes. Chosen: corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Upper bound of the number of contact changes (contacts that open or close) along a path of
@@ -220,7 +220,7 @@ class HomotopyPath:
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Attributes:
-        system: Equations, with the touching contacts at the current point of the path.
+        system: Equilibrium equations, with the touching contacts at the current point of the path.
         balance: Static equilibrium of the stand.
         share: Removed fraction of the feed-forward, 0 to 1.
         solution: Current equilibrium.
@@ -352,12 +352,12 @@ class HomotopyPath:
         self.crept, self._euler_step = 0.0, math.inf
 
     def remove_feedforward(self) -> None:
-        """Set the servo commands to joint positions without feed-forward; solve no equilibrium."""
+        """Remove all feed-forward from the servo commands, without solving for an equilibrium."""
         self.share = 1.0
         self._set_command(1.0)
 
     def _feet_about_to_slide(self) -> list[str]:
-        """Return the contact points whose tangential force is close to their friction limit.
+        """Find the contact points whose tangential force is close to the friction limit.
 
         Empty unless the equations hold the feet in place (``pinned``).
         """
