@@ -68,8 +68,8 @@ def hidden_beside(target: Path) -> Path:
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
 """Age [s] after which `remove_stale_files` removes a temporary file, even if its process seems to
-run. Such a process may be another one: process IDs are reused, and processes of another container
-cannot be tested. Chosen: one day, since no write takes that long."""
+run. The running process may be another process: process IDs are reused, and processes of another
+container cannot be tested. Chosen: one day, since no write takes that long."""
 
 
 def remove_stale_files(folder: Path) -> None:

@@ -133,7 +133,7 @@ def find_similar_files(path: Path) -> list[Path]:
 
 
 def is_input(path: Path) -> bool:
-    """Return True if a path is an existing regular file; False also for an invalid path."""
+    """Return True if a path is an existing regular file; False for an invalid path, too."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # for example a name that is too long

@@ -24,8 +24,7 @@ used if the module does not exist."""
 _STEP_FACTOR = 100
 """Upper bound of the norm of the first step, as a multiple of the norm of the initial guess. Both
 norms use MINPACK's scaling of the variables. If the initial guess is zero, this number itself is
-the upper bound. The default of SciPy.
-"""
+the upper bound. The value is the default of SciPy."""
 
 
 def find_root(

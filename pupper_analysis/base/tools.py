@@ -101,7 +101,8 @@ def other_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
     A tool is omitted if its name is the name of a tool of this package. An entry point is omitted
-    if it names a module instead of a package. It is also omitted if its package is not installed.
+    if it names a module instead of a package. An entry point whose package is not installed is
+    omitted, too.
     """
     return _find_plugins(TOOLS_GROUP, "command.py")
 
@@ -132,7 +133,10 @@ def other_packages() -> Mapping[str, ToolPackage]:
 
 @cache
 def formats() -> Mapping[str, Format]:
-    """Return {name: format} of all file formats besides URDF and MJCF, first of this package."""
+    """Return {name: format} of all file formats besides URDF and MJCF.
+
+    Formats of this package are first, then formats of other distributions.
+    """
     by_name = {}
     packages = {
         **_find_own_packages("format.toml"),
@@ -179,8 +183,8 @@ def detect_format(data: bytes) -> Format | None:
 
 
 _COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
-"""Suffixes of URDF, xacro and MJCF files, and no suffix. For these, `find_format` does not load the
-list of formats, which takes time."""
+"""Suffixes of URDF, xacro and MJCF files; "" is a name without suffix. For these suffixes,
+`find_format` does not load the list of formats, which takes time."""
 
 
 @cache

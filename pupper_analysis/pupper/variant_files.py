@@ -234,7 +234,7 @@ _MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf", ".xacro")
 """Suffixes by which a word names a file, even if no such file exists."""
 
 _MJCF_PACKAGE_SUFFIX: Final = "_mj_description"
-"""Suffix of the names of description packages that contain an MJCF."""
+"""Suffix of the names of public description packages that contain an MJCF."""
 
 _NUM_HEAD_BYTES: Final = 4096
 """Number of bytes at the start of an .xml file that are searched for ``<robot``. If the text is
@@ -242,7 +242,7 @@ found, the file is a URDF. Chosen, not tuned.
 """
 
 _PAIR_SEPARATOR: Final = "+"
-"""Separator between the two files of a robot in one word."""
+"""Separator between the two files of a robot in one command-line word: ``robot.urdf+robot.xml``."""
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:

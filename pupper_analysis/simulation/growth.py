@@ -75,9 +75,9 @@ _CHUNK_DURATION = 2.0
 decayed. The interval is rounded to complete windows of time (`_MAX_WINDOW`). Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Upper bound of two ratios [1] with which a growth test ends because the motion has decayed. The
-deviation D (half the difference of the two simulations) is divided by the bound of its initial
-value, and by its maximum in the first window. Chosen, not tuned."""
+"""Upper bound of two ratios [1] with which a growth test ends because the motion has decayed: D /
+(bound of the initial D), and D / (maximum of D in the first window). D is the deviation, half the
+difference of the two simulations. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s] and growth factor [1] of an early end of a growth test. After this time, the

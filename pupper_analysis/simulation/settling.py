@@ -95,8 +95,8 @@ LARGE_NUDGE_SPEED = 0.05
 the speed along +-x, +-y and +-z of the world. ``trial.simulate_large_nudges`` uses the speed along
 +-x and +-y, and for a yaw rotation with the angular speed (this speed) / (CoM height). Chosen, not
 tuned. Measured for the reduced Talos with added servos at a time step of 2 ms: its soles chatter
-without end after this nudge, at 0.1 to 0.7 rad/s. They are at rest after the nudge of
-``nudge_state``."""
+without end after this nudge, at 0.1 to 0.7 rad/s. After the smaller nudge of ``nudge_state``, the
+soles are at rest."""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""

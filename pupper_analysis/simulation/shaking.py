@@ -17,8 +17,9 @@ RECORD_INTERVAL = 0.25
 speed. Chosen, not tuned: longer than the flight of a foot that bounces."""
 
 SHAKING_SECONDS = 3
-"""Number of successive windows of simulated time whose largest speeds are compared, to decide if a
-robot shakes without decay. By default each window is one second long. Chosen, not tuned."""
+"""Number of successive windows of simulated time in which a robot must shake without becoming
+slower, so that it shakes without decay. By default, each window is one second long. Chosen, not
+tuned."""
 
 MIN_SHAKING_SPEED = 1e-2
 """Upper bound of the speed [m/s, rad/s] of a robot that does not shake. Speeds are taken without

@@ -31,9 +31,9 @@ _MAX_ITERATIONS = 14
 is reachable, 6 to 10 iterations are needed. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
-"""Upper bound of Levenberg-Marquardt iterations when a branch is followed to another base position.
-If the foot error is still large after this number, the target counts as out of reach. Chosen, not
-tuned."""
+"""Upper bound of the number of Levenberg-Marquardt iterations that adapt a known IK branch to
+another base position. If the foot error is then still large, the target counts as out of reach.
+Chosen, not tuned."""
 
 _BRANCH_DISTANCE = 0.05
 """Two solutions count as the same branch if no joint position differs by more than this value [rad

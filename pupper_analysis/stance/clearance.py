@@ -349,10 +349,10 @@ class ClearanceShapes:
     def height_jacobian(
         self, at: Configuration, ground: Ground, targets: Mapping[str, Array]
     ) -> Array:
-        """Compute the Jacobian (n, nv) by qvel of the heights of shapes above the ground.
+        """Compute the Jacobian (n, nv) by qvel of the heights of collision shapes above the ground.
 
-        The n shapes are ``parts``, which must be above the ground. The lowest point of a shape is
-        treated as fixed to the link.
+        The n shapes are those of ``parts``, which must be above the ground. The lowest point of a
+        shape is treated as fixed to the link.
 
         Args:
             at: Configuration.

@@ -182,7 +182,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check and convert one value of this field: the only one, or that of a foot or joint.
+        """Check and convert a single value of this field (for a mapping: the value of one key).
 
         Raises:
             ConfigurationError: If the value has another type, or is out of range.

@@ -145,7 +145,7 @@ class PositionTask(PostureTask):
         return float(np.linalg.norm(gap[_select_axes(self.axes)]))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the position of ``frame`` in the world [m]."""
+        """Add PlaCo's soft task for the world position [m] of the link ``frame`` to a solver."""
         task = solver.add_position_task(self.frame, self.position)
         task.mask.set_axises(self.axes)
         task.configure("position", "soft", weight)
@@ -179,7 +179,7 @@ class OrientationTask(PostureTask):
         return _angle_of(np.asarray(self.rotation).T @ body.pose(self.frame)[0])
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the orientation of ``frame`` in the world [rad]."""
+        """Add PlaCo's soft task for the world orientation of the link ``frame`` to a solver."""
         task = solver.add_orientation_task(self.frame, self.rotation)
         task.configure("orientation", "soft", weight)
         return PlacoTask(task)
@@ -259,7 +259,7 @@ class CoMTask(PostureTask):
         )
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the position of the CoM in the world [m]."""
+        """Add PlaCo's soft task for the world position [m] of the CoM to a solver."""
         task = solver.add_com_task(self.position)
         task.mask.set_axises(self.axes)
         task.configure("com", "soft", weight)
@@ -360,7 +360,7 @@ class JointsTask(PostureTask):
         return max(gaps, default=0.0)
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the joint positions ``positions`` [rad, m]."""
+        """Add PlaCo's soft task for the required joint positions [rad, m] to a solver."""
         task = solver.add_joints_task()
         task.set_joints(dict(self.positions))
         task.configure("joints", "soft", weight)

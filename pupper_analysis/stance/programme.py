@@ -356,7 +356,7 @@ class StanceProgram:
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
     def _evaluate(self, x: Array) -> _Point:
-        """Evaluate goal, configuration and residuals at the variables ``x`` (v,)."""
+        """Compute goal, configuration and constraint residuals at the variables ``x`` (v,)."""
         goal = self._make_goal(self._demand_values(x), self._goal)
         qpos = np.empty(self._robot.nq)
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion
@@ -374,25 +374,37 @@ class StanceProgram:
         return make_goal(self._robot, task, self._goal.depths, like, checked=False)
 
     def _point(self, x: Array) -> _Point:
-        """Evaluate the constraints at the vector ``x`` of variables; the last result is cached."""
+        """Return goal, configuration and constraint residuals at the variables ``x`` (v,).
+
+        The last result is cached.
+        """
         if self._last is None or not (x == self._last.x).all():
             self._last = self._evaluate(x)
         return self._last
 
     def _configuration(self, x: Array) -> Configuration:
-        """Return the robot's `Configuration` at the variables ``x``; the last one is cached."""
+        """Return the robot's `Configuration` at the variables ``x`` (v,).
+
+        The last result is cached.
+        """
         there = self._point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
-        """Return the independent equality residuals and all inequality residuals [m, rad]."""
+        """Return the constraint residuals at the variables ``x``: equalities, then inequalities.
+
+        Equalities that depend on other equalities are left out. Units are m and rad.
+        """
         joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
         return joined
 
     def _jacobian(self, x: Array) -> Array:
-        """Return the Jacobian of ``_residuals`` by the variables ``x``; the last one is cached."""
+        """Return the Jacobian of the constraint residuals by the variables ``x`` (v,).
+
+        Rows are those of ``_residuals``. The last result is cached.
+        """
         if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
             self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
         return self._jacobian_there[1]

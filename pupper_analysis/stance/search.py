@@ -47,9 +47,8 @@ if no stand has its feet in place and the last round has at least halved the sma
 Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
-"""Bound of the foot error [m] of the best stand so far. If the error is smaller, a search also
-tries initial guesses with a displaced base, since a clearance may be the obstacle. Chosen, not
-tuned."""
+"""Foot error [m] of the best stand so far, below which a search also tries initial guesses with a
+displaced base. With such an error, the obstacle may be a clearance. Chosen, not tuned."""
 
 _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
@@ -250,7 +249,7 @@ class _StandSearch:
         return None
 
     def try_program(self) -> Stand:
-        """Solve the nonlinear program from one initial configuration after another.
+        """Solve the nonlinear program from one initial configuration after another, for a stand.
 
         The program is skipped if it cannot help, for example if the task prescribes the horizontal
         position of the CoM or base, and no joints are redundant.

@@ -331,7 +331,7 @@ def balance_load(
     friction = None if held else carrying.friction
 
     def distribute(problem: Balance) -> Array | None:
-        """Compute feasible forces (size,) [N, N m] by the criterion ``distribution``, or None.
+        """Compute contact forces (size,) [N, N m] by ``distribution``; None if infeasible.
 
         Feasible forces satisfy the equations of balance ``problem``. Unless ``held`` is True (feet
         as if glued to the ground), feasible forces also satisfy the friction cones and grip limits.

@@ -60,8 +60,8 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
     """Find the feet that slide in an equilibrium: friction is saturated at all loaded points.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
-    leg is no longer twisted. A sole whose slip is at most `MAX_PIVOT_RATIO` stand heights counts as
-    at rest.
+    leg is no longer twisted. A sole with several points whose slip is at most `MAX_PIVOT_RATIO`
+    stand heights counts as at rest.
     """
     loose, names = set(find_slipping_points(system, solution)), tuple(system.anchors)
     if not loose:
@@ -252,9 +252,7 @@ class HomotopyPath:
         self.solution = self._solve_contacts(Solution(qpos, forces), when, exact)
 
     def follow(self, fraction: float) -> None:
-        """Follow the equilibrium in steps until a fraction of the feed-forward is removed.
-
-        The step of the fraction is adaptive.
+        """Remove a fraction of the feed-forward in adaptive steps, and solve each equilibrium.
 
         Args:
             fraction: Fraction of the feed-forward to remove, 0 (none) to 1 (all).

@@ -227,7 +227,10 @@ class _Grid:
         return self._low + (self._high - self._low) * index / self.count
 
     def find_index(self, value: float) -> int:
-        """Return the index of the smallest grid value not below a value; may be out of range."""
+        """Return the index of the smallest grid value that is at least ``value`` [N m/rad].
+
+        The index may be out of range.
+        """
         return math.ceil((value - self._low) / (self._high - self._low) * self.count)
 
 
@@ -299,7 +302,7 @@ def _bisect_stiffness(
 
 
 def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
-    """Return ratios of the stiffness, shape (nu,); ones by default (None).
+    """Check the given ratios of joint stiffness, and return an array (nu,); ones for None.
 
     Raises:
         ConfigurationError: If the ratios have another shape, are negative or not finite, or are all
