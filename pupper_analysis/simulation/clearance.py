@@ -113,7 +113,7 @@ class ClearanceBounds:
 
 
 def _chain_length(model: mujoco.MjModel) -> float:
-    """Return an upper bound of the distance between the base and any point of a geom [m].
+    """Compute an upper bound of the distance [m] between the base and any point of the robot.
 
     The bound is infinite with a slide joint without limits.
     """

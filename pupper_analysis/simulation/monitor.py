@@ -289,9 +289,9 @@ class ContactSampler:
         return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
 
     def find_surface(self, body: str) -> Diagnostic | None:
-        """Create a message part that names the step, plane or bar that a body touches.
+        """Create the part of a message that names the step, plane or bar which a body touches.
 
-        The contacts are those of the state evaluated last (`sample`).
+        The contacts are those at the state of the last call of `sample`.
 
         Args:
             body: Name of the body.
@@ -433,7 +433,8 @@ the weight."""
 
 _EQUAL_SPEED_ATOL = 1e-5
 """Tolerance of velocities [m/s, rad/s] with which two states count as equal in `record_contacts`.
-Chosen: the damping of MuJoCo's default contact is 100 N per m/s and kg, thus 3 mN for v3."""
+Chosen: MuJoCo's default contact damps with 100 N per m/s and kg. For v3, a speed at the tolerance
+changes a contact force by 3 mN."""
 
 LIGHT_FOOT_LOAD = 5e-3
 """Upper bound [1] of the ratio (load of a foot) / (load of all feet) with which the foot counts as

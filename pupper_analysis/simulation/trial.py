@@ -842,10 +842,11 @@ class _NudgedEvaluation:
 
 
 def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
-    """Return a failure if the robot shakes without decay at the end of a simulation; else None.
+    """Return the failure "shaking" if a robot shakes without decay at the end of a simulation.
 
-    The speeds are compared over about three quarters of the simulated time ``elapsed`` [s]: an
-    oscillation with a time constant below about six times the simulated time counts as decaying.
+    None without such shaking. The speeds are compared over about three quarters of the simulated
+    time ``elapsed`` [s]: an oscillation with a time constant below about six times the simulated
+    time counts as decaying.
     """
     window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
     if not shaking.is_sustained_over(window):

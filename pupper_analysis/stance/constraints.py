@@ -321,8 +321,8 @@ class GroundClearance(Constraint):
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv).
 
-        The shapes are those of the residual. ``goal`` specifies the ground and the foot targets.
-        Each step of the ground is below a foot target.
+        The shapes are those that must be above the ground, as in `residual`. ``goal`` specifies the
+        ground and the foot targets. Each step of the ground is below a foot target.
         """
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 

@@ -700,7 +700,7 @@ def _add_planes(robot: Robot, task: StandTask) -> StandTask:
 
 
 def default_contact_position(robot: Robot, foot: str) -> Array:
-    """Return the default contact position of a foot, or the home position of a hand, (3,) [m].
+    """Return the default position (3,) [m] of a foot's contact, or of a hand.
 
     Positions are in the world frame. The contact of a foot is at z = 0. The position of a hand is
     its sphere centre in the home pose at the default base height.
@@ -761,7 +761,7 @@ def add_penetration(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Move targets of sphere centres into the ground by the penetration depths [m].
+    """Move the targets of contact sphere centres into the ground by given penetrations.
 
     A sole moves as a rigid body, by the least-squares fit to the depths of its contact points.
 

@@ -337,7 +337,9 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(coefficients: Array) -> Array:
-        """Return contact forces minus required forces, projected on ``basis``, shape (k,) [N].
+        """Return the error of force and moments on the sole, shape (k,) [N].
+
+        The error is contact forces minus required forces, projected on ``basis``.
 
         The columns of ``basis`` are the penetrations that a rigid sole permits. The result is zero
         if resultant force and moments on the sole are as required.
@@ -352,8 +354,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         """Return the Jacobian of ``residual`` by its argument, shape (k, k) [N/m].
 
         Args:
-            coefficients: Factors of the columns of ``basis``, shape (k,) [m]; ``basis @
-                coefficients`` are the penetrations of the sole's contact points.
+            coefficients: Factors of the columns of ``basis``, shape (k,) [m].
         """
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])

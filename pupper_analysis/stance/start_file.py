@@ -1,9 +1,9 @@
 """Read the initial guess of a stand from a file: joint positions by name, or a configuration.
 
-Four contents are accepted: results of this package as JSON (for example `stand --json`, or
-``to_json()`` of a stand or posture); a JSON object {joint: position}; the CSV table of `stand
---csv`; and a list of numbers in JSON or CSV. A list is a configuration ``qpos`` (nq,), or the joint
-positions (nu,) in actuator order. All positions are in rad, or m for a slide.
+Four contents are accepted: results of this package as JSON (``stand --json``, or ``to_json()`` of a
+stand or posture); a JSON object {joint: position}; the CSV table of ``stand --csv``; and a list of
+numbers in JSON or CSV. A list is a configuration ``qpos`` (nq,), or the joint positions (nu,) in
+actuator order. All positions are in rad, or m for a slide.
 """
 
 from __future__ import annotations

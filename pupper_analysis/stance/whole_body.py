@@ -496,7 +496,7 @@ class _PostureSolver:
         return _Stage(solver, weighted)
 
     def solve(self, qpos: Array) -> Array:
-        """Minimise the weighted residuals of the tasks from an initial guess qpos (nq,).
+        """Minimise the weighted squared residuals of the tasks from an initial guess qpos (nq,).
 
         Returns:
             Configuration at which steps are negligible, or the iterations end, shape (nq,).
@@ -684,7 +684,7 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return distances of links that are no neighbours, ascending, shape (n,) [m].
+        """Return the smallest distances (n,) [m] of links that are no neighbours, ascending.
 
         MuJoCo measures the distances, for the n pairs of collision shapes that Pinocchio finds
         nearest.

@@ -140,7 +140,7 @@ class Balance:
         return self.solve(friction, metric, np.zeros(self.base_rows.shape[1]))
 
     def solve_normal_only(self) -> Array | None:
-        """Compute equilibrium forces without tangential contact forces, for welds or grips.
+        """Compute equilibrium forces without tangential contact forces, with welds or grips.
 
         A weld or a grip carries the rest of the load, so contacts need no tangential force. Without
         tangential force, MuJoCo's regularised friction does not creep. If a part is welded, the
@@ -367,7 +367,7 @@ class Balance:
         return _nan_or_max(excess)
 
     def _cone_rows(self, friction: Array) -> Array:
-        """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
+        """Create the matrix (4 n + 4 g, size) of the second-order cones of n contacts and g grips.
 
         A contact and a grip have four rows each. For a contact, the product of these rows with the
         forces (size,) is (mu f_n, t_x, t_y, t_z). mu is the friction coefficient, reduced by

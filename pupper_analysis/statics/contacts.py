@@ -335,7 +335,7 @@ def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] 
 
 
 def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
-    """Return position and force limit of each grip, or None if the robot has no grips.
+    """Return position [m] and force limit of each grip; None if the robot has no grips.
 
     A grip is a foot or hand that holds on to its contact point: a grip can pull as well as push,
     and carries no moment. The norm of the grip force is limited.
@@ -345,8 +345,8 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
         places: {contact point: position, shape (3,) [m], in the world frame}.
 
     Returns:
-        Shape (g, 4), a row per gripping foot: position [m] of the first contact point in the
-        world frame, and maximum force in units of the robot's weight.
+        Shape (g, 4), a row per gripping foot: position [m] of the first contact point in the world
+        frame, and maximum force in units of the robot's weight.
     """
     rows = [
         (*places[robot.feet[foot][0]], limit / robot.weight) for foot, limit in robot.grips.items()

@@ -66,7 +66,7 @@ class ForcePolytope(Tabular):
     vertices: Array | None = field(metadata={"unit": "N"})
 
     def largest_force(self, direction: ArrayLike) -> float:
-        """Return the largest external force [N] along a direction.
+        """Return the largest external force [N] along a direction that the motors withstand.
 
         NaN if a motor that bears the force has an unknown limit. Otherwise 0 if the static load
         alone exceeds the limit of a motor of ``joints``, even if the force would relieve the motor.
@@ -81,10 +81,10 @@ class ForcePolytope(Tabular):
         return self._limit_along(direction)[0]
 
     def largest_push(self, direction: ArrayLike) -> float:
-        """Return the largest straight push [N] of the robot against its environment.
+        """Return the largest straight push [N] of the robot that the motors withstand.
 
-        The push is parallel to ``direction``. The external force on the robot is opposite to the
-        push. The result is therefore ``largest_force(-direction)``.
+        The robot pushes against the environment along ``direction``. The external force on the
+        robot is opposite to the push. The result is therefore ``largest_force(-direction)``.
 
         Args:
             direction: Direction (3,) of the push, in world axes; normalised here.
@@ -109,7 +109,7 @@ class ForcePolytope(Tabular):
         return self.joints[index] if index >= 0 else None
 
     def _limit_along(self, direction: ArrayLike) -> tuple[float, int]:
-        """Return the largest force [N] along a direction, and the index of the limiting motor.
+        """Compute the largest external force [N] along a direction, and the limiting motor's index.
 
         The index refers to ``joints``; it is -1 if the force is infinite or NaN.
 
@@ -128,7 +128,7 @@ class ForcePolytope(Tabular):
         return np.concatenate([self.rows, -self.rows]), slack
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {"x", "y", "z": coordinates of the vertices [N]}, the table's columns.
+        """Return the columns {"x", "y", "z": coordinates [N]} of a table with a row per vertex.
 
         The columns are empty if ``vertices`` is None or empty.
         """

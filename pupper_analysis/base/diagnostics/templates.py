@@ -16,9 +16,8 @@ Syntax of a template:
 - ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, otherwise the
   second word;
 - ``[limit? beyond {limit}]``: text that is included only if the value ``limit`` is true. A value is
-  false if it is missing, None, empty, zero or False; a ``Quantity`` of zero is true. ``[!limit?
-  ...]`` is a text that is included only if the value is false. These optional texts cannot be
-  nested.
+  false if it is missing, None, empty, zero or False; a ``Quantity`` of zero is true. A text
+  ``[!limit? ...]`` is included only if the value is false. These optional texts cannot be nested.
 
 Two compared numbers of the same type and unit (`_COMPARED_NAMES`), such as ``{one:.6g}`` and
 ``{two:.6g}``, get more digits if they differ but would be printed alike (`format_pair`).
@@ -449,7 +448,7 @@ class _TemplateFormatter(Formatter):
         return write(value, format_spec)
 
     def _format_list(self, values: tuple[Any, ...], spec: str) -> str:
-        """Return the items of a tuple as a list in words; omitted items are counted.
+        """Format the items of a tuple as a list, such as "a, b, c and 2 more".
 
         Args:
             values: Items.
@@ -457,7 +456,7 @@ class _TemplateFormatter(Formatter):
                 `_LIST_FORMAT`.
 
         Raises:
-            ValueError: If ``spec`` has another form.
+            ValueError: If ``spec`` has not the form `_LIST_FORMAT`.
         """
         match = _LIST_FORMAT.match(spec)
         if match is None:

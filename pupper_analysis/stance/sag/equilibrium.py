@@ -137,9 +137,10 @@ class ContactKinematics:
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
-        """Return the Jacobian of ``places`` by qvel, shape (n, 3, nv) [m/m, m/rad].
+        """Compute the Jacobian by qvel of the contacts' slips and penetrations (``places``).
 
-        Rows of a contact: slip along the two ground tangents, and penetration.
+        Shape (n, 3, nv) [m/m, m/rad]. Rows of a contact: slip along the two ground tangents, and
+        penetration.
         """
         deeper = self._depth_rates
         # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.
@@ -269,7 +270,7 @@ class EquilibriumScales:
 
     @property
     def friction_penalty(self) -> float:
-        """Penalty parameter rho of the slip law [N/m], without effect on the solution."""
+        """Penalty parameter rho [N/m] in the friction equation; without effect on the solution."""
         return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
@@ -581,7 +582,9 @@ class SagEquilibrium:
         )
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Compute the Jacobian of the equilibrium equations' residual, (nv + 3 n, nv + 3 n).
+        """Compute the Jacobian of the residual of the equilibrium equations.
+
+        Shape (nv + 3 n, nv + 3 n).
 
         Columns: derivatives by a step along each component of qvel, then by each component of the
         contact forces.
@@ -773,7 +776,7 @@ class SagEquilibrium:
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Return the Jacobian of welded bodies and gripped points, shape (6 w + 3 g, nv).
+        """Return the Jacobian (6 w + 3 g, nv) by qvel of welded bodies and gripped points.
 
         The first 6 w rows give the linear and angular velocities of the w welded bodies. The other
         rows give the linear velocities of the g gripped points. All velocities are in the world
