@@ -47,8 +47,9 @@ EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
 error, a bug."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-"""Settings of click for all commands: names of the help option, and line width of the help
-[characters]."""
+"""Settings of click for all commands: names of the help option, and maximum line width of the help
+[characters].
+"""
 
 package_option = click.option(
     "--package",
@@ -433,7 +434,9 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
 """Units of options whose values are typed without a unit (gains, torques, rates). A value with such
-a unit is refused; the error contains the number to type instead."""
+a unit is refused; the error contains the number to type instead (for ``%``, not in NAME=NUMBER
+options).
+"""
 
 
 _DASHES = "\u2010\u2011\u2012\u2013\u2014\u2015\u2212"

@@ -24,8 +24,9 @@ from pupper_analysis.models.urdf_tree import set_origin
 from pupper_analysis.models.xml import add_element, join_numbers, make_unique_name, to_text
 
 _MAX_POSITION: Final = 1e6
-"""Absolute joint limit [rad, m] from which a joint counts as unlimited, because Pinocchio uses the
-largest double for "no limit". Chosen, not tuned."""
+"""Absolute value [rad, m] from which a joint limit counts as missing, because Pinocchio uses the
+largest double for "no limit". Lower and upper limit are tested separately. Chosen, not tuned.
+"""
 
 _IDENTITY_ATOL: Final = 1e-12
 """Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the

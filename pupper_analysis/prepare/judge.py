@@ -92,8 +92,8 @@ def judge_simulation(
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
         trial: Result of ``simulate_nudges``; None to nudge the stand here.
-        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
-        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Raises:
         StaticsInfeasibleError: If the stand is nudged here, and slides or tips.
@@ -313,8 +313,8 @@ def _fail_if_upset(
         fed: Simulation with feed-forward, which has passed.
         statics: Static motor torques.
         trial: Result of `simulate_nudges`; None if not yet simulated.
-        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
-        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
         fragile: Whether the stand fails without feed-forward.
     """
     speed = BASE_NUDGE_SPEED
@@ -523,8 +523,8 @@ def judge_stand(
         robot: Robot.
         stand: Stand.
         trial: Result of nudges in all directions (`simulate_nudges`); None to simulate nudges here.
-        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
-        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Raises:
         StaticsInfeasibleError: If the stand slides or tips.

@@ -769,7 +769,8 @@ PREPARATION_PASSES = tuple(_registered_passes)
 """All passes of the preparation of a robot, in the order of application."""
 
 _IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferred)
-"""Passes that are applied when a robot is loaded: models, feet and start pose."""
+"""Passes that are applied when a robot is loaded: all except servos, rest pose and visual
+meshes."""
 
 _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
 """Passes that run when a robot is first simulated or drawn: servos, rest pose and visual meshes.

@@ -172,8 +172,9 @@ def with_requested_gains(
     Args:
         published: Published model: the user's file as compiled.
         robot: Prepared robot.
-        kp: Requested stiffness [N m/rad], scalar or (nu,); None: value of the prepared robot.
-        kd: Requested damping [N m s/rad], scalar or (nu,); None: value of the prepared robot.
+        kp: Requested stiffness [N m/rad, N/m], scalar or (nu,); None: value of the prepared robot.
+        kd: Requested damping [N m s/rad, N s/m], scalar or (nu,); None: value of the prepared
+            robot.
 
     Returns:
         Published model with the gains; robot with the same gains. The robot is for comparisons
@@ -460,8 +461,8 @@ class HoldCommands:
             zero.
         act: States of the actuator filters, shape (model.na,).
         external: External servos of n joints, as five arrays of shape (n,): degrees of freedom
-            (indices in qvel), kp [N m/rad], kd [N m s/rad], target positions [rad, m], feed-forward
-            torques [N m].
+            (indices in qvel), kp [N m/rad, N/m], kd [N m s/rad, N s/m], target positions [rad, m],
+            feed-forward torques [N m, N].
         motor_laws: {degree of freedom: (index of the control, lever, offset)}, for joints with an
             external servo and an actuator. The actuator then exerts the torque of the external
             servo. At rest the joint torque [N m] is lever * ctrl + offset.

@@ -147,8 +147,8 @@ def compare_as_published(
         robot: Prepared robot.
         stand: Stand.
         servos: Servos that the verdict uses.
-        kp: Requested servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
-        kd: Requested servo damping [N m s/rad], scalar or (nu,); None: value of the model.
+        kp: Requested servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
+        kd: Requested servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Returns:
         Comparison. None, for example, if the robot has no file, if the prepared robot is the
@@ -183,8 +183,9 @@ def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
 
 
 RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
-"""Servo gains that the caller passed, scalar or (nu,): stiffness kp [N m/rad] and damping kd [N m
-s/rad]. None: value of the model."""
+"""Servo gains that the caller passed, scalar or (nu,): stiffness kp [N m/rad, N/m] and damping kd
+[N m s/rad, N s/m]. None: value of the model.
+"""
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
@@ -676,7 +677,7 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
     Args:
         robot: Prepared robot.
         moved: Displacement of each joint, shape (nu,) [rad, m].
-        torque_error: Torque deviation of each driven joint, shape (n,) [N m].
+        torque_error: Torque or force deviation of each driven joint, shape (n,) [N m, N].
         collapses: True to compare displacements instead of torque deviations. Displacements are
             also compared if no joint is driven.
     """
@@ -874,8 +875,12 @@ def find_difference_causes(
 
     A group of candidate elements is switched off in a copy of the model. If the simulation then
     agrees with the prediction, each element of the group is switched on again alone. The element is
-    a cause if the agreement is then lost. A CoM height error of up to `MAX_REMAINING_SINKAGE`
-    counts as agreement.
+    a cause if the agreement is then lost, both for the group and for the largest set of candidates
+    whose removal restores the agreement. The causes of the first group whose causes alone, switched
+    off, restore the agreement are returned.
+
+    If switching off repairs the torques, a CoM height error of up to `MAX_REMAINING_SINKAGE` is
+    accepted.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -884,8 +889,8 @@ def find_difference_causes(
         run: Simulation of the published model, which deviates.
 
     Returns:
-        Causes. Empty if no group restores the agreement, or if a servo of the file has a stiffness
-        of zero or below.
+        Causes. Empty if there is no such group, or if a servo of the file has a stiffness of zero
+        or below.
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:

@@ -100,8 +100,8 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
     the base is meaningful. A keyframe is used under three conditions:
 
-    - The vertical ground force equals the weight within 1 % (`_WEIGHT_RTOL`): the robot would
-      neither fall nor be thrown up.
+    - The sum of the normal forces of the contacts with the world equals the weight within 1 %
+      (`_WEIGHT_RTOL`): on level ground the robot would neither fall nor be thrown up.
     - The keyframe contains a ctrl that is not zero.
     - An axis of the base is vertical.
 

@@ -174,7 +174,8 @@ def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[n
     """Return the ids of the two bodies of each of n contacts, shape (n, 2).
 
     A side of a contact that is a flexible body (``flex``) has no geom. Its id is the body of the
-    touched vertex.
+    touched vertex, or of the first vertex of the touched element. For a flex that is interpolated
+    between nodes, its id is the body of the first node.
 
     Args:
         model: MuJoCo model.

@@ -183,8 +183,9 @@ def find_touched_surface(
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
     """Return the kind of a surface of a task: step, bar, wall, table or ceiling.
 
-    A surface parallel to the ground is "step". The kind of another plane follows from its normal
-    (``PLANE_NORMALS``). The result is "" if no kind has this normal.
+    A cylinder is a "bar". A plane with the normal of the ground, or without a ground, is a "step".
+    The kind of another plane follows from its normal (``PLANE_NORMALS``); "" if no kind has this
+    normal.
 
     Args:
         model: Model with the ground of a task.

@@ -1,4 +1,4 @@
-"""Simulate a stand with the base nudged in twelve directions, and report the first failure.
+"""Simulate a stand with twelve nudges of the base, and report the first failure.
 
 A nudge is an initial velocity. A simulation ends at the first failure, at the end of the time, or
 once no failure is expected for the remaining time. For this decision the remaining motion is

@@ -303,12 +303,13 @@ class Motor:
         return float(self.compute_available_torques(np.array(speed)))
 
     def compute_available_torques(self, speeds: Array) -> Array:
-        """Return the largest torques [N m], at least 0, that the motor can exert at speeds.
+        """Return the largest torques [N m], at least 0, that the motor can exert at output speeds.
 
-        The torque at the output is tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most stall
-        torque and peak torque. Symbols: speed w, current limit I_max, supply voltage V, resistance
-        R of the cold winding, torque constant Kt, gear ratio N, gear efficiency eta. The back-EMF
-        constant Ke is the larger of Kt N and V / speed without load, or the known value of both.
+        The torque at the output is tau = min(I_max, (V - Ke w) / R) K, and at most stall torque and
+        peak torque. Symbols: speed w of the output, current limit I_max, supply voltage V,
+        resistance R of the cold winding (`winding_ohms`), torque per current K at the output
+        (`output_torque_per_ampere`). The back-EMF constant Ke is torque constant times gear ratio,
+        or V / no-load speed of the output. If both are known, Ke is the larger value.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].

@@ -116,8 +116,10 @@ def best_stance(
         task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
             frame of a link, site or body, or a `Tool`.
-        kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping for the payload [N m s/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness for the payload [N m/rad, N/m], scalar or shape (nu,). Default: the
+            model's.
+        kd: Servo damping for the payload [N m s/rad, N s/m], scalar or shape (nu,). Default: the
+            model's.
 
     Returns:
         Best stance.
@@ -148,7 +150,7 @@ def _run_search(
 ) -> StanceSearch:
     """Run the search of `best_stance`, and return the finished search.
 
-    The arguments, with their units, are those of `best_stance`; ``kp`` is in N m/rad.
+    The arguments, with their units, are those of `best_stance`; ``kp`` is in N m/rad or N/m.
     """
     robot = with_contacts(robot, task.contacts) if task is not None else robot
     if not robot.fixed_parts:  # first: the error for an arm names hold, not the coupled fingers
@@ -169,8 +171,8 @@ def _make_best_stance(
     """Make the result for a stance of a search.
 
     If the objective is the payload at ``point``, and the initial task has a larger payload limit,
-    the result is the initial task. The servos have stiffness ``kp`` [N m/rad] and damping ``kd``
-    [N m s/rad].
+    the result is the initial task. The servos have stiffness ``kp`` [N m/rad, N/m] and damping
+    ``kd`` [N m s/rad, N s/m].
     """
     robot, space, payload = search.robot, search.space, None
     # Solve the task again without the search's initial guesses, which determine redundant joints.
@@ -262,8 +264,8 @@ def study_best(
         task: Initial task, with all requirements that the search keeps.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
             frame of a link, site or body, or a `Tool`.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
 
     Returns:
         Best stance that holds; otherwise the best stance.

@@ -39,7 +39,7 @@ class SmallPayload:
     Args:
         robot: Robot without closed loops.
         point: Position of the payload.
-        kp: Servo stiffness at the joints, shape (nu,) [N m/rad].
+        kp: Servo stiffness at the joints, shape (nu,) [N m/rad, N/m].
 
     Attributes:
         mass: Mass of the payload [kg].
@@ -156,7 +156,7 @@ def _compute_buckling_modes(
     Args:
         config: Configuration of the stand.
         stand: Stand.
-        kp: Servo stiffness at the joints, shape (nu,) [N m/rad].
+        kp: Servo stiffness at the joints, shape (nu,) [N m/rad, N/m].
         lines: Contact forces without payload, shape (n, 3) [N], and the derivative by the payload
             mass, shape (n, 3) [N/kg], in world axes.
         point: Position of the payload.

@@ -141,7 +141,8 @@ class StanceSearch:
         objective: Objective.
         task: Initial task. Default: the nominal stand.
         point: Position of the payload, as in ``with_payload``.
-        kp: Servo stiffness for the payload [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness for the payload [N m/rad, N/m], scalar or shape (nu,). Default: the
+            model's.
 
     Attributes:
         robot: Robot.

@@ -131,9 +131,16 @@ class DefaultPoseStand(Result):
 def find_disagreements(
     placed: Sequence[PlacedSource], model: RobotJoints
 ) -> tuple[Disagreement, ...]:
-    """List all disagreements between sources (for example a model and a driver), the worst first.
+    """List the disagreements between sources, and within a source, the worst first.
 
-    A difference of action offsets is left out if the default angles of the same joints differ.
+    Sources are for example a robot model, a motor driver and a policy. A number of a source is
+    compared with the first source that states the number. Left and right joints of a source are
+    compared with each other. Exceptions, which are not listed:
+
+    - quantities without a severity,
+    - joint damping, if it represents the kd of a servo,
+    - different numbers of several policies of one deployment,
+    - different action offsets, if the default angles of the same joints differ.
 
     Args:
         placed: Sources, sorted by precedence: the first that states a number is the reference.

@@ -124,8 +124,8 @@ def _stand_in_pose(
         robot: Robot.
         name: Name of the source.
         angles: {joint: default angle [rad]}; other joints have the angles of the robot's home.
-        kp: Stiffnesses, shape (nu,) [N m/rad]; None if the source does not state all.
-        kd: Dampings, shape (nu,) [N m s/rad]; None if the source does not state all.
+        kp: Stiffnesses, shape (nu,) [N m/rad, N/m]; None if the source does not state all.
+        kd: Dampings, shape (nu,) [N m s/rad, N s/m]; None if the source does not state all.
         efforts: Effort limits, shape (nu,) [N m].
     """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))

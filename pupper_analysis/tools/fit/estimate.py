@@ -126,8 +126,8 @@ class LinearisedResiduals:
         """Compute the log marginal likelihood of the measurements, up to a constant.
 
         The marginal likelihood is the likelihood, integrated over the parameters under the prior.
-        The residuals are assumed to be linear in the parameters. The constant depends on the
-        numbers of residuals and parameters, and on the correlation of the prior.
+        The residuals are assumed to be linear in the parameters. The constant depends on the number
+        of residuals and on the correlation of the prior.
 
         Args:
             table: Parameters.

@@ -307,8 +307,8 @@ def study_gains(
     Args:
         robot: Robot.
         stance: Stand task, or a stand that satisfies a task on rigid ground.
-        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: kp of the model.
-        kd: Present damping [N m s/rad], scalar or shape (nu,); default: kd of the model.
+        kp: Present stiffness [N m/rad, N/m], scalar or shape (nu,); default: kp of the model.
+        kd: Present damping [N m s/rad, N s/m], scalar or shape (nu,); default: kd of the model.
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
         error: Position error [rad] at which the servo torque of hinges must not exceed the torque
@@ -453,14 +453,14 @@ def _find_common_bounds(
     def with_stiffness(factor: float) -> _Pair:
         """Return kp = ``factor`` times the stand's kp, and the kd of ``stable_pair``.
 
-        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
         """
         return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
         """Return the kp of ``stable_pair``, and kd = ``factor`` times the stand's kd.
 
-        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
         """
         return gains.scale_gains(stiffness, factor)
 
@@ -522,7 +522,7 @@ def _check_motor_torques(held: StandStart) -> None:
 
 
 _Pair = tuple[Array, Array]
-"""Stiffness kp [N m/rad] and damping kd [N m s/rad] of all joints, shape (nu,) each."""
+"""Stiffness kp [N m/rad, N/m] and damping kd [N m s/rad, N s/m] of all joints, shape (nu,) each."""
 
 
 class _Gains:
@@ -538,7 +538,10 @@ class _Gains:
         self.loop, self.kp, self.kd = loop, kp, kd
 
     def scale_gains(self, stiffness: float, damping: float) -> _Pair:
-        """Return kp [N m/rad] times a factor, and kd [N m s/rad] times another, (nu,) each."""
+        """Return kp times ``stiffness``, and kd times ``damping``, shape (nu,) each.
+
+        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m].
+        """
         return stiffness * self.kp, damping * self.kd
 
     def find_stable_pair(self) -> tuple[float, float] | None:

@@ -234,9 +234,10 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
 
 
 def _list_plots(study: HeatStudy) -> Iterable[doc.LinePlot]:
-    """Yield the plot of the temperatures of the hottest motors and of `HeatStudy.first`.
+    """Yield the plot of the temperatures of the hottest motors, and of the limiting motor.
 
-    Without a loaded motor with known temperatures, nothing is yielded.
+    The limiting motor, `HeatStudy.first`, is drawn only if its temperature is known. Nothing is
+    yielded without a loaded motor with known temperatures.
     """
     known = [
         index for index, motor in enumerate(study.motors) if motor.steady_temperature is not None

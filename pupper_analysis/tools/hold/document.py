@@ -503,5 +503,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Return a limit with three significant digits, without exponent; "" if it is not finite."""
+    """Return a limit with up to three significant digits; "" if the limit is not finite."""
     return format_number(limit, ".3g") if math.isfinite(limit) else ""

@@ -89,13 +89,17 @@ class ReachLoad(Tabular):
 
 @check_arguments
 def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
-    """Compute tool position and largest motor utilisation (torque / limit) in random postures.
+    """Compute reach of the tool and largest motor utilisation in 600 random postures.
+
+    The reach is the horizontal distance of the tool from the first joint of its chain, and the
+    height in the world frame [m]. The utilisation is static torque / limit [1]. The number of
+    postures is `_NUM_REACH_POSTURES`.
 
     Args:
         robot: Robot with a fixed base.
-        posture: Posture of the robot, with closed loops; loops keep the assembly mode of this
-            posture.
-        tool: Point of which the position is returned.
+        posture: Posture of the robot, with closed loops; the random postures keep the assembly mode
+            of the loops in this posture.
+        tool: Tool.
     """
     samples = []
     for qpos in JointMotions(robot, posture).draw_postures(_NUM_REACH_POSTURES):
@@ -190,7 +194,7 @@ def tool_payload(
         posture: Posture of the robot.
         tool: Point with the mass.
         worst: Worst postures without the mass.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -298,7 +302,7 @@ def servo_payload(
         robot: Robot with a fixed base.
         posture: Posture of the robot.
         tool: Point with the mass.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
 
     Returns:
         (mass, joint). The mass [kg] is infinite without a limit. It is 0 if the stiffness without
@@ -478,8 +482,8 @@ def hold_posture(
         keyframe: Keyframe of the MJCF for other joints; see `find_posture` for the default.
         tool: Link of the URDF, or site, body or geom of the MJCF; see `find_tool` for the default.
         payload: Point mass at the tool [kg] that all results include.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); default: values of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); default: values of the model.
 
     Raises:
         ConfigurationError: If the base is free, or an argument is not valid for the robot.

@@ -29,8 +29,9 @@ from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 PUSH_SECONDS = 4.0
-"""Duration of the simulation of a push [s], in which a recovering robot comes to rest. Chosen, not
-tuned."""
+"""Duration of the simulation of a push [s]. If the robot still moves at the end, the simulation
+continues (``extend_until_rest``). Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)

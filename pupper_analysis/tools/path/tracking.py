@@ -294,8 +294,9 @@ def study_path(
         robot: Robot.
         task: Requested stance.
         seconds: Duration of the path [s].
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the gains of the model.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the gains of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the gains of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,). Default: the gains of the
+            model.
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors. The
             simulation limits torques by the effort limits of the robot only.
 
@@ -455,8 +456,8 @@ def track_path(
     Args:
         robot: Robot without closed loops.
         path: Path of this robot.
-        kp: Servo stiffness [N m/rad]. Default: the gains of the model.
-        kd: Servo damping [N m s/rad]. Default: the gains of the model.
+        kp: Servo stiffness [N m/rad, N/m]. Default: the gains of the model.
+        kd: Servo damping [N m s/rad, N s/m]. Default: the gains of the model.
         integrator: Integrator of MuJoCo. Default: the integrator of the model.
         timestep: Time step of the simulation [s]. Default: see ``_select_timestep``.
 

@@ -31,11 +31,11 @@ def command(
 ) -> None:
     """Find the largest payload of a stance, and the failure beyond this limit.
 
-    The payload is a point mass at --payload-at, in addition to --payload: the largest mass
-    with which `stand --payload` holds. Reach and contacts, motor torques and servo stiffness
-    each set a bound. If the CoM must be above the feet, the base shifts with the load. With
-    97 % of the smallest bound the robot is judged as by `stand`, and simulated with nudges in
-    twelve directions. Robot and stance are given as for `stand`.
+    The payload is a point mass at --payload-at, in addition to --payload: the largest mass with
+    which `stand --payload` holds. Reach and contacts, motor torques and servo stiffness each set a
+    bound. If the CoM must be above the feet, the base shifts with the load. With 97 % of the
+    smallest bound the robot is judged as by `stand`, and simulated with twelve nudges of the base.
+    Robot and stance are given as for `stand`.
 
     The effort limits in the files are taken as peak torques: the payload can be carried for
     moments. With --continuous the payload can be carried permanently; motors that no pattern

@@ -55,7 +55,7 @@ from pupper_analysis.statics.equilibrium import UNLIMITED_MASS_RATIO, GravityCom
 
 @dataclass(frozen=True, eq=False)
 class PayloadTrial(NudgeTrial):
-    """Simulations of a loaded stand that is nudged in twelve directions.
+    """Simulations of a stand with a payload, one for each of twelve nudges of the base.
 
     Attributes:
         mass: Mass of the payload [kg].
@@ -76,10 +76,12 @@ def simulate_payload(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> PayloadTrial:
-    """Simulate a stance with a payload, nudged in twelve directions (``simulate_nudges``).
+    """Simulate a stance with a payload after each of twelve nudges of the base.
 
-    The simulation starts in the stand that ``stand --payload`` judges (``solve_loaded_stand``),
-    with feed-forward torques for the load.
+    A nudge is an initial velocity of the base at 10 mm/s: ten directions, and a rotation about the
+    base's z axis in both senses (``simulate_nudges``). The simulations start in the stand that
+    ``stand --payload`` judges (``solve_loaded_stand``). The servos have feed-forward torques for
+    the load.
 
     Args:
         robot: The robot.
@@ -87,9 +89,10 @@ def simulate_payload(
         mass: Mass of the payload [kg].
         point: Position of the payload [m] in the frame of the base or of a named link, as in
             ``with_payload``.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
-        duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
+        duration: Simulated time after each nudge [s], 2 to 600. A simulation ends earlier if its
+            outcome is known.
         until_failure: End all simulations once the earliest failure is known.
 
     Returns:
@@ -226,7 +229,7 @@ class PayloadLimit(Result):
         contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
         verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``upper_bound``; without
             payload if ``upper_bound`` is 0 or infinite.
-        trial: Simulation with the mass of ``verdict``, nudged in twelve directions; None if
+        trial: Simulation with the mass of ``verdict`` and twelve nudges of the base; None if
             ``upper_bound`` is 0 or infinite.
         continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
             are peak torques.
@@ -309,16 +312,16 @@ def payload_limit(
     stance is solved on the simulated ground; if the task requires the CoM above the feet, the base
     shifts. The servo commands are the joint positions with feed-forward for the loaded robot. The
     stance with 97 % (``VERIFIED_FRACTION``) of the smallest bound is then judged as by ``stand``,
-    and simulated with nudges in twelve directions; if the stance fails, a smaller mass is bisected
-    by simulations.
+    and simulated with twelve nudges of the base; if the stance fails, a smaller mass is bisected by
+    simulations.
 
     Args:
         robot: The robot.
         stance: Stand task, or a stand, of which only the task is used. Default: the nominal stand.
         point: Position of the mass [m] in the frame of the base or of a named link, as in
             ``with_payload``.
-        kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
 
     Returns:
         The limit with bounds and assumptions.

@@ -344,11 +344,16 @@ def push_recovery(
 
     All limits are 0 if the robot does not stay on the feet in ``verify_stand``, without a push.
 
-    The robot recovers if only feet touch the ground in the whole simulation, and three conditions
-    are met at the end. The base tilts by less than 0.5 rad, the CoM has more than half of the
-    initial height, and the base is at rest. A slow fall is no rest: the motion extrapolated to the
-    remaining time must be at most a tenth of the CoM height, and no mode may grow. Contacts are
-    searched every 4 ms. The robot may slide or turn about the vertical.
+    The robot recovers if only feet touch the ground in the whole simulation (contacts are searched
+    every 4 ms), and these conditions are met at the end. The robot may slide or turn about the
+    vertical.
+
+    - The base tilts by at most 0.5 rad.
+    - The point of the base at the initial CoM has at least half of the initial CoM height.
+    - The base is at rest: 1.5 times its motion, extrapolated over the remaining time (at least
+      `HOLD_DURATION`), is at most a tenth of the CoM height.
+    - No mode of the linearised dynamics with dry friction grows, except at the end of the longest
+      simulation.
 
     A simulation ends early if another body touches the ground, or if the robot is at rest and no
     mode grows. The returned limits were simulated to the end. If the robot is upright at the end
@@ -366,8 +371,8 @@ def push_recovery(
         robot: The robot.
         stand: The stand.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
-        duration: Simulated time from the start of the push [s], 2 to 600, unless the outcome is
-            decided earlier or later.
+        duration: Simulated time from the start of the push [s], 2 to 600. A simulation ends earlier
+            or continues, as described above, if its outcome is decided earlier or later.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.

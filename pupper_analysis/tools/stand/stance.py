@@ -174,8 +174,8 @@ def study_stance(
     Args:
         robot: The robot.
         stance: Stand task, or a stand that satisfies a task on rigid ground.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); default: values of the model.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); default: values of the model.
         stiffness: Also compute the minimum stiffness of the servos (a second or two).
 
     Raises:
@@ -200,8 +200,8 @@ class SimulatedStance:
     Attributes:
         robot: Robot, with the contacts of the stand.
         held: Stand on MuJoCo's soft ground.
-        kp: Servo stiffness as given [N m/rad]; None for the model's.
-        kd: Servo damping as given [N m s/rad]; None for the model's.
+        kp: Servo stiffness as given [N m/rad, N/m]; None for the model's.
+        kd: Servo damping as given [N m s/rad, N s/m]; None for the model's.
         statics: Motor torques and contact forces with minimum tangential forces.
         fed: Simulation with feed-forward.
         alone: Simulation without feed-forward.
@@ -374,7 +374,7 @@ def explain_loading(
 ) -> tuple[Preparation, Robot]:
     """Prepare a robot from two files, and list the preparation steps that were run.
 
-    All steps are run, including the steps that `make_robot` postpones.
+    All steps that the robot needs are run, including the steps that `make_robot` postpones.
 
     Args:
         urdf: The URDF.

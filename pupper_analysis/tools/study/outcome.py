@@ -231,13 +231,14 @@ def compute_main_effects(
 ) -> dict[str, float]:
     """Compute the fraction of a metric's variance due to each variable alone.
 
-    For the full product of lists, the fraction is eta squared: the variance of the group means of
-    the metric, divided by the total variance. A group contains the designs with the same value of
-    the variable. The remainder to 1 is due to several variables together.
+    For a full factorial (all combinations of lists of values), the fraction is eta squared: the
+    variance of the group means of the metric, divided by the total variance. A group contains the
+    designs with the same value of the variable. The remainder to 1 is due to several variables
+    together.
 
-    For samples, the values of a variable are grouped into intervals of equal width
-    (`MAX_VALUE_CELLS`). The fraction is then epsilon squared, which corrects eta squared for the
-    number of designs. Designs without a value of the metric are left out.
+    For samples, the fraction is epsilon squared, which corrects eta squared for the number of
+    designs. If a variable has more than `MAX_VALUE_CELLS` different values, the groups are
+    intervals of equal width. Designs without a value of the metric are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
@@ -245,11 +246,12 @@ def compute_main_effects(
         table: Table of a study.
         variables: Columns of the variables.
         metric: Column of the metric.
-        sampled: True if the designs are samples, False for the full product of lists.
+        sampled: True if the designs are samples, False for a full factorial.
 
     Returns:
-        {variable: fraction}. Zero if the metric or the variable has a single value; NaN if the
-        samples have as many groups as designs.
+        {variable: fraction}. Zero if the metric or the variable has a single value, no design has a
+        value of the metric, or the estimate is negative. NaN if the samples have as many groups as
+        designs.
     """
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)

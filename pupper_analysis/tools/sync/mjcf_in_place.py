@@ -46,7 +46,8 @@ class EditableMjcf:
     def find_body(self, name: str) -> XmlElement | None:
         """Return the XML element of a body of the MJCF.
 
-        None if MuJoCo copies the body from another element, for example by <replicate>.
+        None if MuJoCo copies the body from another element, for example by <replicate>. If the file
+        has such a copy, None is also returned for all bodies without a name.
         """
         return self._bodies.get(name)
 

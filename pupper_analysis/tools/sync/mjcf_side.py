@@ -335,8 +335,8 @@ def plan_gains(side: MjcfSide, name: str, target_gains: dict[PropertyKey, float]
     Args:
         side: MJCF.
         name: Name of the joint.
-        target_gains: Target gains at the joint: {("kp", joint): stiffness [N m/rad], ("kd", joint):
-            damping [N m s/rad]}.
+        target_gains: Target gains at the joint: {("kp", joint): stiffness [N m/rad, N/m], ("kd",
+            joint): damping [N m s/rad, N s/m]}.
     """
     model = side.model
     actuators = list_joint_actuators(model, model.joint(name).id)

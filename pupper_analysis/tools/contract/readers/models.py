@@ -163,10 +163,10 @@ only numbers of joints and actuators are read from such a file."""
 
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yield kp [N m/rad] and kd [N m s/rad] of an actuator at a joint, each with the line.
+    """Yield kp and kd of an actuator at a joint, each with the line that states the number.
 
-    A kp of zero is yielded only if the file states kp; kd only if kp and kd are positive. ``drive``
-    is the id of the actuator.
+    Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m]. A kp of zero is yielded only if the file states
+    kp; kd only if kp and kd are positive. ``drive`` is the id of the actuator.
     """
     kp, kd = read_actuator_law(model.mj_model, drive).joint_gains
     place = _find_actuator_place(model, drive, ("kp", "kv", "biasprm", "gainprm"))
