@@ -238,7 +238,8 @@ def kind_of(path: Path) -> str | None:
     """Return the format of a file that describes a robot, ``"urdf"`` or ``"mjcf"``; None otherwise.
 
     - A file with the suffix ``.urdf`` is a URDF; it is not opened.
-    - Another URDF must have a link, and must not use xacro except for declarations.
+    - A file with another suffix is a URDF if the root element is ``<robot>`` with a link, and if it
+      uses no xacro except for declarations.
     - An MJCF must have a body in the file itself. A scene, which only includes the robot, does not
       count.
     """

@@ -529,15 +529,15 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 
 
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
-    """Return an index of the elements of an MJCF, {(tag or section, name): element}.
+    """Return an index of the elements of an MJCF: {(tag, name): element}.
 
-    - The section is the tag of the parent element, for example ``actuator`` or ``sensor``
-      (`_SECTION_TAGS`).
+    - Elements of the sections `_SECTION_TAGS` also have the key (section, name), such as
+      ("actuator", name), because their tags vary (``motor``, ``position`` ...).
     - The name of a default is its class. The name of a mesh, texture or height field without name
       is the file name without suffix.
-    - A ``freejoint`` is also listed as ``joint``.
-    - If several elements have the same key, the first is listed.
-    - Two keys are added if no other element has them: an actuator by the name of its joint, and a
+    - A ``freejoint`` also has a key with the tag ``joint``.
+    - If several elements have the same key, the first in the file is listed.
+    - If no other element has the key, an actuator is also listed by the name of its joint, and a
       joint without name by the name of its body.
     """
     index: dict[tuple[str, str], XmlNode] = {}

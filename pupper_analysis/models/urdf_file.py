@@ -407,7 +407,8 @@ def _check_numbers(
     """Raise ModelError unless the text ``value`` of an attribute has ``count`` valid numbers.
 
     ``part`` is the element with the attribute, and ``subject`` the (tag, name) of the link, joint
-    or material that contains ``part``. Except in ``<limit>``, the bound is `MAX_NUMBER`.
+    or material that contains ``part``. A number is valid if it is finite and, except in
+    ``<limit>``, at most `MAX_NUMBER` in magnitude.
     """
     values = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()

@@ -238,9 +238,10 @@ def _name_feet(
 
 
 def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
-    """Find the contact points of a foot that the user names, in a single file or in both.
+    """Find the contact points of a foot that the user names.
 
-    The name in the MJCF is searched first. The contact shape depends on the named element:
+    If the MJCF has an element with the name ``frames[1]``, this element is used; otherwise the
+    URDF's link ``frames[0]``. The contact shape depends on the element:
 
     - Geom: this geom.
     - Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
@@ -252,11 +253,12 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
         robot: Robot without feet; the MJCF has a floor.
         name: Name of the foot.
         frames: Name of the link in the URDF, and name of the geom, site or body in the MJCF.
-        joints: Joint positions of the start pose, shape (nu,) [rad, m].
+        joints: Joint positions in which distances to spheres are measured (start pose), shape (nu,)
+            [rad, m].
 
     Raises:
         UnknownNameError: If the MJCF has no such geom, site or body, and the URDF no such link.
-        ModelError: If no geom of the foot touches the ground.
+        ModelError: If no geom of the foot gives a contact point.
     """
     model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     _, frame = frames
@@ -359,9 +361,10 @@ def add_contact_frames(
 ) -> Description:
     """Return the description of a robot with an added frame at each contact point, in both files.
 
-    The frame is a link in the URDF and a site in the MJCF. Some contact points are balls that
-    approximate another shape (`is_ball`). If the foot is in ``replaced``, a ball geom is added
-    there, and contacts of the replaced collision shape are disabled.
+    The frame is a link in the URDF and a site in the MJCF. Some contact points are the centre of a
+    ball that approximates another collision shape (`is_ball`). If their foot is in ``replaced``, a
+    ball geom is added, and contacts of the approximated shape are disabled; otherwise only the
+    frame is added.
 
     Args:
         robot: Robot without feet.

@@ -364,9 +364,10 @@ contain these notes, since the results depend on assumptions that replace the er
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message about links whose mass in the URDF is absent, zero or negative.
 
-    A moving link without a positive mass is simulated with 1 g; MuJoCo refuses such a URDF. If a
-    link with a negative mass is fixed to another link, this mass is subtracted from that of the
-    other link. MuJoCo's import ignores the negative mass.
+    The message states the consequences. A moving link without a positive mass gets 1 g in the
+    prepared robot; MuJoCo itself refuses such a URDF. A negative mass of a link that is fixed to
+    another link is subtracted from the mass of the other link; MuJoCo itself ignores the negative
+    mass.
 
     Returns:
         The message; None without such links.

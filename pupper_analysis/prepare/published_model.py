@@ -639,15 +639,17 @@ def simulate_published(
     *,
     record_forces: bool = True,
 ) -> tuple[Array, Array]:
-    """Simulate a published model that is commanded to hold a configuration.
+    """Simulate a user's model whose actuators are commanded to hold a configuration.
 
-    The simulation ends when the time is over, or when MuJoCo resets the state after a divergence.
+    Joints without a position servo in the file are held by external servos, whose torques this
+    function computes in each step. The simulation ends when the time is over, or when MuJoCo resets
+    the state after a divergence.
 
     Args:
         published: Published model: the user's file as compiled. During the call, the damping of the
             model includes the damping of the external servos.
         data: Initial state; changed to the final state.
-        hold: Commands of the actuators, and external servos, which are computed here.
+        hold: Commands of the actuators, and gains and targets of the external servos.
         seconds: Duration [s].
         record_forces: Whether to record the extreme forces. If False, the simulation is up to a
             tenth faster.
@@ -655,8 +657,8 @@ def simulate_published(
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
         (model.nv,) each [N m, N]. The forces are recorded in the last `FORCE_WINDOW` of the
-        duration, and at the step at which MuJoCo resets the state. The damping of external servos
-        is not included. Gravity compensation by actuators (``actuatorgravcomp``) is subtracted.
+        duration, and at the step at which MuJoCo resets the state. The forces do not contain the
+        damping of external servos and the gravity compensation by actuators (``actuatorgravcomp``).
         Without ``record_forces``, the minimum is inf and the maximum -inf.
     """
     model = published.model
@@ -770,10 +772,14 @@ def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tupl
 
 
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
-    """Return the ids of the joints of a published model that the prepared robot's model lacks.
+    """Return the ids, in the user's MJCF, of joints that the prepared robot's model lacks.
 
-    The preparation holds these joints at zero. Free joints, and joints of the base body, are
-    excluded. Joints are matched by name.
+    The prepared robot, in which this package has completed the user's files, holds these joints at
+    zero. Free joints and joints of the base body are not listed. Joints are matched by name.
+
+    Args:
+        published: The user's MJCF as compiled.
+        robot: Prepared robot.
     """
     model = published.model
     return [

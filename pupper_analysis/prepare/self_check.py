@@ -245,7 +245,10 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Add line numbers in the MJCF of a robot to causes; without an MJCF, change nothing."""
+    """Add the line of the first element in the MJCF to each cause of a deviation from equilibrium.
+
+    Without an MJCF, the causes are returned unchanged.
+    """
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
@@ -744,23 +747,24 @@ def name_remaining_cause(
 ) -> tuple[OwnRun | None, Published | None]:
     """Add the most probable cause to a failed simulation for which no other cause was found.
 
-    The first possible cause that applies is added:
+    The published file is simulated in two ways: from its keyframe, and from the equilibrium that
+    this package computes for the prepared robot. The first possible cause that applies is added:
 
     1. Ball joints of the file, which the prepared robot holds at rest.
-    2. If the run from the keyframe fails, and the robot stands with stiffer servos: the stiffness
-       of the servos.
-    3. If the run from the keyframe fails: a joint that is not held, the joint that deviates most,
-       or the divergence (`_deviating_joint`).
-    4. If only the comparison with the prediction fails: the joint that deviates most.
+    2. If the simulation from the keyframe fails, and the file stands with stiffer servos: the
+       stiffness of the servos.
+    3. If the simulation from the keyframe fails: a joint that is not held, the joint that deviates
+       most, or the divergence (`_deviating_joint`).
+    4. If only the simulation from the equilibrium deviates: the joint that deviates most.
 
     Args:
         robot: Prepared robot.
-        own: Run of the unmodified file from its keyframe; None if there is none.
-        published: Comparison of the published file with the prediction; None if there is none.
+        own: Simulation from the keyframe; None if there is none.
+        published: Simulations from the equilibrium; None if there are none.
 
     Returns:
-        ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst run
-        deviates. The other result is returned unchanged.
+        ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst
+        simulation deviates. The other result is returned unchanged.
     """
     balls = list_ball_joints(robot)
     if own is not None and own.fails:

@@ -349,9 +349,9 @@ def _can_move_contacts(robot: Robot, pose: Array) -> bool:
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     """Find a nominal stand (default `StandTask`) with level feet at free horizontal positions.
 
-    Bending a leg with fewer than six joints, and with axes that are not parallel, moves and tilts
-    the sole sideways. The sole may then not be level at the horizontal positions of straight legs.
-    The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
+    The horizontal positions are free because a bent leg may not reach a level sole at prescribed
+    positions: with fewer than six joints and axes that are not parallel, bending moves and tilts
+    the sole sideways. The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
 
     Returns:
         Robot with this nominal stand; None if there is none.
@@ -721,9 +721,12 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
 
 
 def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
-    """Yield joint positions (nu,) [rad, m] with the legs in the IK branches nearest to a pose.
+    """Yield initial guesses of the joint positions (nu,) [rad, m] with bent legs.
 
-    The branches are computed only when the first is requested.
+    The level base is at the position of ``goal``. Each guess combines inverse-kinematics branches
+    of the legs for the foot targets of ``goal``. Guesses that reach the targets come first, then
+    the nearest to ``pose``; at most `_MAX_BRANCHES` guesses are yielded. The branches are computed
+    only when the first guess is requested.
     """
     qpos = robot.make_qpos(pose)
     qpos[:3] = (*goal.place, goal.height)
@@ -886,14 +889,15 @@ def find_start_pose(
        (``rest_depth``), with the joints clipped to the limits.
     3. A searched pose (`search_start`).
 
-    If no pose is found, a note reports the failure. The start pose is then the last keyframe of
-    step 1 or 2; without a keyframe, the start pose is unchanged. Contacts of shapes other than the
-    feet are ignored here: `touching` disables such contacts later.
+    If no pose is found, a note reports the failure. The start pose is then the last keyframe that
+    step 1 or 2 tried; without such a keyframe, the start pose is unchanged. Contacts of shapes
+    other than the feet are ignored here: `touching` disables such contacts later.
 
     Args:
         robot: Robot with feet.
         known: {keyframe: {joint: position [rad, m]}}, in the order of the trials.
-        sunk: {keyframe: penetration of the feet [m] at rest} (`compute_resting_depths`).
+        sunk: {keyframe: penetration of the feet [m] at rest} (`compute_resting_depths`). The base
+            height of the start pose is corrected by the penetration.
         rest_depth: Function that returns the penetration of the feet [m] with which the unmodified
             file stands from a keyframe; None if the file falls. Called only in step 2.
 

@@ -214,7 +214,8 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
     """Return the warning that MuJoCo refuses the published file because meshes are missing.
 
-    The result is empty if no meshes are missing, or if there is no simulation from a keyframe.
+    The missing meshes are known only from a simulation of the file from its keyframe. The result is
+    empty without such a simulation, or if no meshes are missing.
     """
     run = verdict.keyframe_run
     if run is None or not run.missing:

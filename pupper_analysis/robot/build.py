@@ -234,7 +234,9 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
 
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
-    """Return a rebuilt robot with the contacts of a task: friction, hands and welds.
+    """Add the contact settings of a task (friction, hands, welds) to a rebuilt robot.
+
+    A hand is a part other than a foot with which the robot touches something.
 
     Args:
         built: Rebuilt robot; its files contain the contact geometry of the task.

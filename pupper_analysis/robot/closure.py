@@ -501,7 +501,7 @@ class Closure:
         A group contains indices of elements of ``dependent_joints``.
 
         Args:
-            rows: Jacobian (m, nu) of the constraints.
+            rows: Jacobian (m, nu) of the constraints, a column for each of the nu joints.
         """
         is_coupled = np.abs(rows[:, self.dependent_joints]) > _RANK_RTOL
         loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)

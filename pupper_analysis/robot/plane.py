@@ -104,7 +104,11 @@ class Plane:
         return self
 
     def with_parameter(self, number: float) -> Plane:
-        """Return the parallel plane with ``parameter`` = ``number`` [m] (coordinate or offset)."""
+        """Return the parallel plane whose ``parameter`` is ``number`` [m].
+
+        The parameter is the x of a wall, the z of a table or ceiling, or the offset n . p along the
+        normal n of another plane.
+        """
         offset, displacement = (
             self._parameter_sign * number,
             self._parameter_sign * (number - self.parameter),

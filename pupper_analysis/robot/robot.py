@@ -222,7 +222,9 @@ def with_task_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Return contact parameters with the sliding friction that a task requests for its planes.
+    """Return contact parameters with the sliding friction that a task specifies for feet and hands.
+
+    The task specifies the friction of the separate ground planes that these feet and hands touch.
 
     Args:
         contacts: {contact point: parameters of its contact with the ground}. Not changed.

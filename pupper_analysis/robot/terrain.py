@@ -230,7 +230,8 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violati
         data: Data with kinematics.
         number: Id of the equality constraint: a weld, or a ``connect`` for a grip.
         violation: Constraint violation (6,): translation [m], then half of the rotation vector
-            [rad], as in the vector part of a quaternion. For a grip, only the translation is used.
+            [rad], as in the vector part of a quaternion; both in world axes. For a grip, only the
+            translation is used.
     """
     body, relative_quaternion, inverse_quaternion = (
         int(model.eq_obj1id[number]),

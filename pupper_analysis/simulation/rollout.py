@@ -329,13 +329,13 @@ def make_forced_controls(
     Args:
         robot: The robot.
         model: MuJoCo model that is simulated.
-        ctrl: Actuator commands of all steps, shape (model.nu,).
+        ctrl: Actuator commands, the same in every step, shape (model.nu,).
         runs: Number of rollouts.
         steps: Number of steps of each rollout.
 
     Returns:
-        Two arrays. The controls have the shape (runs, steps, model.nu + 6 model.nbody); all forces
-        are zero. The second array is a view into the controls, shape (runs, steps, 3) [N]: the
+        Two arrays. The controls have the shape (runs, steps, model.nu + 6 model.nbody), with all
+        forces zero. The second array is a view into the controls, shape (runs, steps, 3) [N]: the
         force on the base at the CoM of the base body, in world axes. The caller sets this force.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))

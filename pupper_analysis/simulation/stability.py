@@ -231,9 +231,9 @@ def judge_stability(
 ) -> Stability:
     """Judge the stability of a state of a MuJoCo model: eigenvalues of a step, then a simulation.
 
-    If the state is at rest, a nudged simulation of the unmodified model tests the modes that grow
-    within ``HOLD_DURATION`` (`confirm_growth`). A mode that does not grow in the simulation is
-    removed from the growing modes.
+    The eigenvalues (modes) are those of the linearised time step. If the state is at rest, a nudged
+    simulation tests the modes that grow within ``HOLD_DURATION`` (`confirm_growth`). A mode that
+    does not grow in the simulation is removed from the growing modes.
 
     Args:
         model: MuJoCo model.

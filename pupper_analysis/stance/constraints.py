@@ -363,7 +363,7 @@ class SelfClearance(Constraint):
 
 
 def _has_fixed_com_on_planes(goal: Goal) -> bool:
-    """Return True if the CoM target is fixed and feet have separate planes.
+    """Return True if the support margin need not be a constraint: CoM target on separate planes.
 
     The CoM margin is then not a constraint, since the support region is slow to compute. For a
     target other than the centre of the feet, `make_goal` has already checked the margin.

@@ -794,7 +794,7 @@ def remove_penetration(
     A target includes the penetration, but steps and planes must be placed below the rigid target.
     If any foot has a separate plane, the target of each contact point in ``normals`` is moved out
     of the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
-    the horizontal position of a step on level ground does not depend on the penetration.
+    the horizontal position of a step (raised level surface) does not depend on the penetration.
 
     Args:
         ground: Ground.

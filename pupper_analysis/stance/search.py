@@ -564,8 +564,9 @@ _GUESSES_PER_BASE_POSITION = 4
 smallest constraint violation are kept. Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
-"""Upper bound of the foot error [m] of an IK branch that is used for an initial guess at a
-displaced base position. Chosen, not tuned."""
+"""Upper bound of the foot error [m] of IK branches that are initial guesses. The search displaces
+the base and follows each branch; branches with a larger error there are discarded. Chosen, not
+tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
 """Safety factor [1] on the base displacement that `bound_com_shift` estimates for a change of IK

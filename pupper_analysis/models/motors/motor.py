@@ -202,10 +202,10 @@ class Motor:
         return value
 
     def list_unknown(self, *numbers: str) -> tuple[str, ...]:
-        """Return the names of the given numbers that are unknown (None).
+        """Return the given field names of this motor whose value is unknown (None).
 
         Args:
-            numbers: Names of fields.
+            numbers: Names of numeric fields, such as ``"stall_torque"``.
         """
         return tuple(number for number in numbers if getattr(self, number) is None)
 

@@ -162,7 +162,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
 def _find_heaviest_root(model: mujoco.MjModel) -> int:
     """Return the root body of the heaviest tree; 0 if there is no body.
 
-    Trees with a free joint and further bodies with joints have priority.
+    Articulated trees with a free joint (other bodies of the tree also have joints) have priority.
     """
     best, best_score = 0, (-1, -1.0)
     for body in range(1, model.nbody):

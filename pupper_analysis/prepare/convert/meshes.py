@@ -318,8 +318,9 @@ class DeferredMeshes:
     def insert(self, spec: mujoco.MjSpec) -> list[Diagnostic]:
         """Convert the deferred meshes, and insert them into a spec, in place.
 
-        The meshes replace the tetrahedra of the same names. Meshes that cannot be converted, or
-        that MuJoCo refuses, are removed with their geoms.
+        Conversion is slow, so small tetrahedra with the names of the meshes have represented the
+        meshes until now. Meshes that cannot be converted, or that MuJoCo refuses, are removed with
+        their geoms.
 
         Args:
             spec: Spec of the MJCF.

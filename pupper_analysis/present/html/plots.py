@@ -181,7 +181,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     low = 0.0 if one_sided else -reach
 
     def at(value: float) -> float:
-        """Return the horizontal position [CSS pixels] of a value."""
+        """Return the x coordinate in the drawing [CSS pixels] of a value on the axis."""
         return names + wide * (value - low) / (reach - low)
 
     marks: list[Mark] = []

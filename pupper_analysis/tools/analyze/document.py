@@ -517,14 +517,14 @@ class ComparisonRow(Result):
 def compare_with_base(
     analysis: Analysis, base: str, mass: float | None, thigh: float | None
 ) -> ComparisonRow:
-    """Return the key figures of an analysis, with ratios to the unscaled base model.
+    """Return the key figures of an analysis as a table row, with ratios to the unscaled robot.
 
     Args:
         analysis: Analysis.
-        base: Name of the base model, or the robot's files.
-        mass: Mass of the base model [kg]; None for a robot from files.
-        thigh: Thigh length of the base model [m]. None for a robot from files, or if the base model
-            has no thigh.
+        base: Name of the variant before scaling, or the robot's files.
+        mass: Mass of the unscaled variant [kg]; None for a robot from files.
+        thigh: Thigh length of the unscaled variant [m]. None for a robot from files, or if the
+            variant has no thigh.
     """
     assert analysis.stand.task.height is not None
     return ComparisonRow(

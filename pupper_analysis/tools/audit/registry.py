@@ -139,11 +139,14 @@ class ValueRepair(Result):
 
     @property
     def is_estimate(self) -> bool:
-        """Whether the new values rest on the density of other links, which need not be equal."""
+        """Whether the new mass and inertia are guessed from the density of other links.
+
+        The true density of the repaired link may differ.
+        """
         return self.reason.code == "repair-density"
 
     def list_changes(self) -> tuple[ValueRepair, ...]:
-        """Return this change and the changes that belong to the same repair."""
+        """Return the changes of elements that form one repair: this change and ``further``."""
         return (self, *self.further)
 
 

@@ -238,7 +238,10 @@ class BestStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the best stance holds in simulation, also with the payload if one is sought."""
+        """True if the best stance holds in simulation.
+
+        If the objective is the payload, the stance must also hold with the payload.
+        """
         return self.stance.passed and (self.best.payload is None or self.best.payload.passed)
 
 

@@ -460,16 +460,16 @@ class StanceSearch:
             return missing if stance is None else stance.rows
 
         def derivative(values: Array) -> Array:
-            """Return the Jacobian of the constraint functions a + b level, shape (k, size + 1).
+            """Return the Jacobian of the constraint functions a + b t, shape (k, size + 1).
 
-            a and b are the columns of ``evaluate_rows``. The first columns of the Jacobian are the
-            derivatives in closed form (`differentiate_rows`), if these are known. Otherwise they
-            are one-sided differences with step ``_DIFFERENCE_STEP`` in each scaled coordinate (0 to
-            1), forward or backward; such a column is zero if neither side has a stand. The last
-            column, b, is the exact derivative with respect to the level.
+            The objective is to minimise t (level), the scaled objective. a and b are the columns of
+            ``evaluate_rows``. The first columns are derivatives by the scaled coordinates (0 to 1),
+            in closed form if known (`differentiate_rows`). Otherwise they are one-sided differences
+            with step ``_DIFFERENCE_STEP``, forward or backward; a column is zero if no stand exists
+            at either end. The last column is b, the derivative by t.
 
             Args:
-                values: Scaled coordinates, then the level, shape (size + 1,).
+                values: Scaled coordinates, then t, shape (size + 1,).
             """
             share, level = values[:-1], values[-1]
             current, stance = (

@@ -33,8 +33,8 @@ tuned."""
 
 
 REFUSED_KIND = "refused"
-"""Value of ``Remark.kind`` for a file that cannot be read, or a failed comparison or check of
-another tool. The baseline never accepts such a remark."""
+"""Value of ``Remark.kind`` if a file cannot be read, or if the comparison or check of another tool
+ended with an error. The baseline (file of accepted findings) never accepts such a remark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -470,8 +470,8 @@ def _is_baseline(file: BinaryIO) -> bool:
 
 
 BASELINE_FILE: Final = OutputKind("baseline", _is_baseline, edits=True)
-"""Kind of the baseline file, which one run may read and rewrite. An existing file with neither
-the header nor an entry of a baseline is not overwritten."""
+"""Kind of the baseline file (list of accepted findings). The same run may read and rewrite this
+file. An existing file with neither the header nor an entry of a baseline is not overwritten."""
 
 
 def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry]) -> None:

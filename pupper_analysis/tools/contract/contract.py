@@ -116,9 +116,9 @@ def read_contract(
 
     Args:
         *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file; at least one
-            is a model. A model may also be the name of a published robot, or a variant, such as
-            ``"v3"`` or ``"v3-long-leg"``, for both of its files. Modules that a Python file imports
-            are searched in the folders as well.
+            is a model. A model may also be the name of a published robot, or of a variant, such as
+            ``"v3"`` or ``"v3-long-leg"``, which stands for its URDF and its MJCF. Modules that a
+            Python file imports are also searched in the folders.
         names: {joint name in a source: joint name in the model} of joints that are not matched
             automatically.
         stand: Whether to compute how the robot stands in the default pose of each source.
@@ -133,11 +133,10 @@ def read_contract(
             give no valid model.
         UnknownNameError: If MuJoCo Menagerie has no robot with the name in a source.
         MissingPackageError: If the package that reads the format of a model is not installed.
-        OutputError: If this run also writes a source.
-        ModelError: If a file does not exist, if no model can be read, or if no source but the
-            models can be used: a file cannot be read, contains no joint of the robot, or contains
-            several configurations of a trainer and no name is passed. The message states the place
-            and the valid choices.
+        OutputError: If a source is also an output file of the running command.
+        ModelError: If a file does not exist, no model can be read, or no other source can be used.
+            A source cannot be used if it cannot be read, contains no joint of the robot, or
+            contains several configurations of a trainer without a name that selects one.
     """
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])

@@ -177,7 +177,10 @@ class ObservedTerm:
 
     @property
     def common_name(self) -> str:
-        """Name of the term that is the same for all libraries (`OBSERVATION_ALIASES`)."""
+        """Name of this observation term of a policy, equal for all training libraries.
+
+        Aliases of the libraries: `OBSERVATION_ALIASES`. Another name is returned unchanged.
+        """
         return OBSERVATION_ALIASES.get(self.name, self.name)
 
 

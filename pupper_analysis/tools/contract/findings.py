@@ -43,7 +43,8 @@ _KIND_TOLERANCES = {
 """{quantity: relative tolerance}, as in the comparison of a URDF with an MJCF (`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
-"""Quantities that are compared with the absolute tolerance of position limits of `crosscheck`."""
+"""Quantities whose values are equal if they differ by at most the absolute tolerance of position
+limits of `crosscheck`, or by the relative tolerance of all quantities."""
 
 _MIN_COMPUTED_DECIMALS = 5
 """Smallest number of decimals with which a number counts as computed. If another source states the

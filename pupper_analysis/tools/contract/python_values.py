@@ -957,9 +957,9 @@ class Evaluator:
         return node.value
 
     def _to_plain(self, node: LocatedValue) -> Any:
-        """Return the value of a node without the places in the source, also of items of lists.
+        """Return the value of a node without source locations; the items of a list likewise.
 
-        Tables and objects are returned unchanged.
+        Tables and objects in the value are returned unchanged: their contents keep the locations.
 
         Raises:
             NotConstantError: If a value is unknown, or more than `MAX_VALUES` steps were needed.

@@ -122,14 +122,15 @@ def read_file(request: Request) -> list[JointSource]:
 
 
 def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
-    """Select the configurations (named sets of values) of a file that are compared.
+    """Select the configurations of a file whose joint values are compared with the robot's.
 
-    If several configurations have the same content, only the first is kept. In a file of a training
-    program, a configuration is also omitted if another configuration contains all of its values.
+    A configuration is a named set of joint values in the file. Of several configurations with equal
+    content, only the first is kept. In a training file, a configuration is also dropped if another
+    configuration contains all of its values.
 
     Raises:
-        ModelError: If a file of a training program has several configurations left, or if no
-            configuration is found.
+        ModelError: If a training file has several configurations left, or if no configuration is
+            found.
     """
     kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
     if kept and kept[0].role is Role.TRAINER:

@@ -507,7 +507,7 @@ def _find_common_values(
 ) -> dict[str, str]:
     """Return {attribute: value} of the values that more than half of the elements have.
 
-    Attributes that an element lacks are left out.
+    An attribute is left out if any element lacks it.
     """
     common = {}
     for name in attributes:

@@ -76,8 +76,9 @@ def list_urdf_links(robot: Robot) -> Links:
     """Return the inertials of the links of each body of the URDF, in the frame of the body.
 
     Returns:
-        {base or joint: links with mass that move with it}: mass [kg], CoM [m], inertia about the
-        CoM [kg m^2], and rotation from the link's axes to the body's axes.
+        {base or joint: links with mass that move with it}. A link has a name, mass [kg], CoM [m]
+        and inertia about the CoM [kg m^2] in the axes of the body, and the pose of the link's frame
+        in the frame of the body.
     """
     model = robot.pin_model
     links_by_joint: dict[str, list[ComparedLink]] = {}

@@ -425,7 +425,10 @@ def _match_similar_shapes(
         )
 
     def is_alike(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if numbers, collision and shape of both elements agree."""
+        """Return True if both elements agree in numbers, shape, and ability to collide.
+
+        The tolerances are those of `_numbers_agree` and `SURFACE_ATOL`.
+        """
         same = all(_numbers_agree(*values) for values in _pair_numbers(first, second).values())
         return same and first.touches == second.touches and is_of_one_shape(first, second)
 

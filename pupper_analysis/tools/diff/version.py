@@ -396,13 +396,14 @@ def find_path_in_revision(given: str, revision: str, inside: str) -> str:
 def write_revision(
     given: str, revision: str, root: Path, endings: tuple[str, ...], folder: Path | None = None
 ) -> None:
-    """Write the files of a revision with given suffixes to a folder, at the same relative paths.
+    """Write the files of a git revision with given suffixes to a folder.
 
-    Files are written as committed. Pointers of Git LFS are replaced by the file if the repository
-    has a copy. Symbolic links, submodules, and files that a partial clone lacks are left out.
+    A file keeps its path relative to the root of the repository, and its committed content. A
+    pointer of Git LFS is replaced by the file if the repository has a copy. Symbolic links,
+    submodules, and files that a partial clone lacks are left out.
 
     Args:
-        given: Argument of the user, such as ``REVISION:PATH``, which errors name.
+        given: Argument of the user, such as ``REVISION:PATH``, for error messages.
         revision: Revision of git.
         root: Empty folder, to which the files are written.
         endings: Suffixes, in lower case.

@@ -257,10 +257,12 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 
 
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
-    """Yield the text of the mean factor on kp, if the fit estimates kp.
+    """Yield the text of the mean ratio of estimated to stated kp, if the fit estimates kp.
 
-    A second text suggests measurements that would separate kp from the mass. This text is yielded
-    if the robot was not weighed, no known mass was added, and the data determine the total mass.
+    If the robot was not weighed and no known mass was added, kp and mass cannot be separated. A
+    second text then suggests measurements that separate kp from mass. If the data do not determine
+    the total mass, this text is left out here, because another function yields it beside the total
+    mass.
     """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)

@@ -675,12 +675,12 @@ class _Gains:
     def recommend_factors(
         self, stiffness: tuple[float | None, float | None], least_alone: float
     ) -> tuple[float | None, float | None]:
-        """Recommend factors on the gains with a margin of ``GAIN_MARGIN`` to each stability bound.
+        """Recommend factors on all stiffnesses and dampings, away from the bounds of stability.
 
-        The factor on the stiffness is 1, or the nearest factor within the margins. The factor on
-        the damping is the smallest tried factor with which each oscillation has a damping ratio of
-        at least ``MIN_DAMPING_RATIO``. If no factor reaches this ratio, it is the factor with the
-        largest ratio.
+        The distance from each bound is at least the factor ``GAIN_MARGIN``. The factor on the
+        stiffness is 1, or the allowed factor nearest to 1. The factor on the damping is the
+        smallest of a list with which all oscillations have a damping ratio of at least
+        ``MIN_DAMPING_RATIO``, or, if there is none, the factor with the largest damping ratio.
 
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
@@ -725,7 +725,9 @@ class _Gains:
         error: float | None,
         encoder_bits: int | None,
     ) -> JointClass:
-        """Create the result of a joint class: present gains, bounds, recommended gains.
+        """Create the result of a joint class: present gains, bounds and recommended gains.
+
+        The joints of a class have equal gains and limits.
 
         Args:
             robot: Robot.
@@ -733,7 +735,8 @@ class _Gains:
             present: Present kp and kd of all joints, shape (nu,) each.
             least_kp: Lower bound of the stiffness of all joints.
             largest_kd: Upper bound of the damping of all joints.
-            stable_pair: Stable factors on the stiffness and damping of all joints.
+            stable_pair: Factors on the present stiffness and damping of all joints with which the
+                controlled stand is stable.
             recommended: Recommended factors on stiffness and damping.
             error: Position error at which the servo torque of hinges must not exceed the torque
                 limit [rad]; None if not requested.

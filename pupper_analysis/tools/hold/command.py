@@ -71,8 +71,8 @@ def command(
     from the URDF and by MuJoCo from the MJCF, and compared with the motors' limits; the sag of the
     position servos is predicted at each joint and at the tool; then MuJoCo simulates 12 s with
     feed-forward and 12 s without, and nudges the robot. Also: the worst posture of each motor that
-    a search finds; the payload at the tool, here and in the worst posture found; and the force at
-    the tool that the motors withstand, each way.
+    a search finds; the largest payload at the tool, here and in the worst posture found; and the
+    largest force at the tool that the motors withstand, each way.
 
     Joints not named by --joints have the position in a keyframe of the MJCF, or else the middle of
     their range (0 without limits). Joints without a servo in the MJCF get a servo, which a note

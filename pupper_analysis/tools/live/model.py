@@ -106,7 +106,8 @@ class PageSolver:
 def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
     """Return an error that explains why a stance is out of reach, with the nearest stance if found.
 
-    Takes about a second, longer with a free CoM. None if the stance is reachable.
+    Takes about a second, longer if the task does not prescribe the CoM position. None if the stance
+    is reachable.
 
     Args:
         answer: Answer to the request of the page: robot, and task that may be out of reach.

@@ -148,9 +148,9 @@ bracket. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
-"""Distance of the first reduced payload from the static limit: (limit - payload) / (limit *
-``SIMULATION_RTOL``) [1]. Below 1 / (1 + ``SIMULATION_RTOL``): if the robot holds this payload, the
-interval up to the limit is within the tolerance, and needs no bisection."""
+"""Distance of the first reduced payload from the static limit, as a fraction of the tolerance:
+payload = limit (1 - 0.98 ``SIMULATION_RTOL``). Below 1 / (1 + ``SIMULATION_RTOL``): if the robot
+holds this payload, the interval up to the limit is within the tolerance, and needs no bisection."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
@@ -162,8 +162,9 @@ may be missed. Chosen, not tuned.
 """
 
 _FAST_MASS_GROWTH = 3.0
-"""Factor between successive masses after the first failure of stance, motors or servos. Chosen, not
-tuned."""
+"""Factor between successive payload masses after the first of three criteria (stance, motors,
+servos) has failed. The mass still grows to find the bounds of the other criteria, which matter less
+because the smallest bound is the result. Chosen, not tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
 """Bound of the friction coefficient [1] with which a failed stance would be in balance. Up to the
@@ -828,11 +829,11 @@ class _PayloadSearch:
         return self.find_servo_failure(mass, is_simulated=False)
 
     def find_servo_failure(self, mass: float, *, is_simulated: bool = True) -> FailureCause:
-        """Return the reason why servos do not hold a stand with a payload [kg].
+        """Return the reason why position servos do not hold the stand with a payload [kg].
 
-        Either a command is out of range, or a mode of the linearised step grows away from the
-        stand. The motor torques are unlimited here, because torque limits determine another bound
-        (that of the motors). None without a failure or without a stand.
+        Either a servo command is outside its range, or a mode of the linearised time step grows
+        away from the stand. Motor torques are not limited here: `find_motor_failure` tests torque
+        limits. None if the servos hold the stand, or if the loaded robot has no stand.
 
         Args:
             mass: Mass of the payload [kg].

@@ -64,11 +64,14 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the next command: by default `best margin`, after a failure `stand`.
+    """Return the command to suggest after a push study.
 
-    `best margin` finds a stance with a larger margin, which tips later. If the files explain the
-    failure, the next command is `crosscheck` or `audit`. If the robot stays on the feet and torque
-    limits are unknown, the next command is `audit`.
+    The first case that applies:
+
+    - The robot stays on the feet and torque limits are unknown: `audit`.
+    - The stand is passed: `best margin`, which finds a stance that tips at a larger push.
+    - A disagreement or fault in the files caused the failure: `crosscheck` or `audit`.
+    - Other failures: `stand`.
     """
     if pushed.peak_torques is not None:
         return NextStep("audit")

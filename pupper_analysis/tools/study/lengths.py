@@ -163,9 +163,10 @@ def stretch_links(
         factors: {joint: factor on the length of the link that the joint moves}.
 
     Returns:
-        New base height of the nominal stand [m]. With the largest foot radius r, height - r is
-        multiplied by the ratio of the same quantity in the home posture, after and before the
-        stretch. The height is unchanged for a fixed base, or without feet.
+        New base height h' of the nominal stand [m]: h' = r + (h - r) (H' - r) / (H - r). h is the
+        old height, r the largest foot radius, and H and H' are the base heights before and after
+        the stretch with the joints in the start pose (``Robot.home``). The height is unchanged for
+        a fixed base, or without feet.
 
     Raises:
         ConfigurationError: If a link is the base, has no length, or has several ends or no end

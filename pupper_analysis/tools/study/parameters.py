@@ -439,14 +439,13 @@ def without_visuals(description: Description) -> Description:
 
 
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
-    """Move centres of mass in both files, in place.
+    """Move centres of mass in both files by offsets, in place.
 
-    The CoMs of a link, and of all links fixed to the link, are moved by the same offset in the
-    world. Therefore the common CoM moves by this offset. Inertias about centres of mass are not
-    changed.
+    An offset moves the CoM of the link that a joint moves, and the CoMs of all links fixed to this
+    link. Inertias about the centres of mass are not changed.
 
     Args:
-        robot: Robot of the files. The links have the orientations of all joints at zero.
+        robot: Robot of the files. Link axes are compared in the pose with all joints at zero.
         trees: Trees of the URDF and of the MJCF.
         offsets: {joint: offset, shape (3,) [m], in the axes of the URDF's link that the joint
             moves}; ``""`` is the base.

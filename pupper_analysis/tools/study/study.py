@@ -560,9 +560,13 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
 
 
 def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.DataFrame:
-    """Replace the codes of motors in the table of a study by the names of the motors.
+    """Return the table of a study with names of motors in place of their codes.
 
-    Columns of variables with labels (``Variable.labels``) contain codes.
+    The codes are in the columns of the variables with labels (``Variable.labels``).
+
+    Args:
+        table: Table of the study.
+        variables: {column: variable}.
     """
     named = {
         name: variable.name_values(table[name])

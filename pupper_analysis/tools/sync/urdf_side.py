@@ -110,14 +110,16 @@ class UrdfSide(Side):
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
 
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
-        """Set a number of a joint in the URDF, in SI units, unless the file states this number.
+        """Set a number of a joint in the URDF, in SI units, unless the file already has this value.
+
+        Values are equal if they differ by at most `NUMBER_RTOL` times the larger of the number's
+        magnitude and ``floor``.
 
         Args:
             joint: Joint.
             kind: Kind of the attribute, such as ``effort`` or ``damping``.
             value: Number.
-            floor: Lower bound of the reference magnitude of the relative tolerance `NUMBER_RTOL`,
-                in the unit of the number. By default the tolerance is relative to the number.
+            floor: Smallest reference of the relative tolerance, in the unit of the number.
         """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
@@ -192,10 +194,14 @@ class UrdfSide(Side):
         return members
 
     def _plan_inertial(self, mover: str, keys: list[PropertyKey]) -> None:
-        """Plan to change a single link, so that the links of a joint have the target inertia.
+        """Plan the change of the inertial of one link so that a rigid body has the target inertia.
+
+        The rigid body consists of the links that move together with ``mover`` (fixed to each
+        other). The target is the inertia of the same body in the other file. A link is suitable if
+        it alone can make the sum of the links' inertias equal to the target.
 
         Args:
-            mover: Joint, or the base.
+            mover: Joint that moves the body, or the base.
             keys: Differences (kind, ``mover``). If no link is suitable, the differences of mass,
                 CoM and inertia are recorded in ``unwritten``.
         """

@@ -671,8 +671,8 @@ class _JointForest:
         """Compute the body poses at zero joint positions, and list the joints of the tree.
 
         Returns:
-            {body: pose in the axes of the stage [m]}; {body: (parent, joint)}; joints that close
-            loops or are excluded from the articulation.
+            {body: pose in the axes of the stage [m]}; {body with a parent: (parent, joint)}; joints
+            that close loops or are excluded from the articulation.
         """
         poses: dict[str, Pose] = {}
         for body in self.order:

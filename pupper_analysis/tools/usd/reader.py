@@ -207,7 +207,10 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         yield from ()
 
     def place_by_number(self, section: str, number: int) -> Place:
-        """Return the USD file as the location of an element without a name, which has no prim."""
+        """Return the location of an element without a name: the USD file itself.
+
+        Such an element has no prim. ``section`` and ``number`` of the element are ignored.
+        """
         del section, number
         return Place(self.path)
 

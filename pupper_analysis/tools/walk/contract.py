@@ -196,12 +196,12 @@ class PolicyContract:
         return sum(self.term_size(term) for term in self.terms)
 
     def count_frames(self, term: ObservationTerm) -> int:
-        """Return the number of frames of a term in an observation."""
+        """Return the number of time steps (frames) of a term that an observation contains."""
         return term.history or self.history
 
     @property
     def max_history(self) -> int:
-        """Largest number of frames of a term."""
+        """Largest number of time steps of which an observation contains the same term."""
         return max(map(self.count_frames, self.terms))
 
     @property

@@ -496,14 +496,18 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 
 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
-    """Return the next command after a search for tracked intervals.
+    """Return the command line to suggest after a search for tracked intervals.
 
-    - ``walk --orders``: the policy tracks the command with no seed.
-    - ``walk`` with more seeds: the result is not passed, a margin is narrow, or ``outside`` is
-      True.
-    - ``walk --response``: all other cases.
+    A tracked interval contains the values of a varied quantity with which the policy follows the
+    velocity command. The first case that applies:
 
-    ``outside`` is True if a measured interval is not inside the tracked interval.
+    - The policy follows the velocity command with no seed: ``walk --orders``.
+    - The result is not passed, a margin is narrow, or ``outside`` is True: ``walk`` with more
+      seeds.
+    - Otherwise: ``walk --response``.
+
+    ``outside`` is True if an interval that was measured on the real robot is not inside the tracked
+    interval.
     """
     omitted = ("--vary", "--fit")
     if not result.seeds:

@@ -44,9 +44,10 @@ DEFAULT_SEEDS = 5
 """Number of initial states per value. Chosen, not tuned."""
 
 NUM_HALVINGS = 5
-"""Number of bisections between a tracked and an untracked value of a varied quantity. Derived: five
-bisections locate the end of the interval to 1/32 of the distance from the nominal value to the
-bound of the range. If the quantity is a factor, the logarithms are bisected.
+"""Number of bisections between a value with which the policy follows the velocity command, and a
+value with which it does not. Derived: five bisections locate the end of the interval to 1/32 of the
+distance from the nominal value to the bound of the range. If the quantity is a factor, the
+logarithms are bisected.
 """
 
 QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]

@@ -200,11 +200,15 @@ def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) 
 def match_joint_names(
     models: Sequence[JointSource], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
-    """Match the joints of all models as `crosscheck` does: by name, link and position.
+    """Match the joints of further models to the joints of the first model, as `crosscheck` does.
+
+    Joints are matched by name, link and position.
 
     Args:
-        models: Sources of models; a USD counts as a URDF or an MJCF.
-        given: {name: joint of the first model}, passed by the user; takes precedence.
+        models: Sources of models. A USD is read as the format that the comparison of two models
+            still needs, URDF or MJCF.
+        given: {joint name in another model: joint name in the first model}, passed by the user;
+            takes precedence.
 
     Returns:
         {joint name in another model: joint name in the first model} of names that differ, with the

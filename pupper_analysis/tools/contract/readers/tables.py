@@ -462,7 +462,11 @@ def _list_table_statements(
 
 
 def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
-    """Return the tables in the table of a policy's actions that are not velocities or efforts."""
+    """Return the position actions: subtables of a policy's actions without velocities and efforts.
+
+    Args:
+        node: Table of the policy's actions, {name of an action: table}.
+    """
     return [
         one
         for key, one in node.table.items()

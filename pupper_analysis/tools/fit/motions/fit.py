@@ -195,9 +195,10 @@ def _report_motions(
 ) -> MotionFit:
     """Create the result of a fit from its distribution of the parameters (`posterior`).
 
-    The RMS position errors [rad, m] compare each run with a finely simulated run, with the
-    parameters of the files and with the estimates, for fitted and held-out samples. The covariance
-    of the result is inflated if the median ratio of error to encoder noise exceeds 1.
+    Each recorded run is simulated twice with a small time step: with the parameters of the files,
+    and with the estimates. The result contains the RMS position errors [rad, m] of both
+    simulations, for fitted and held-out samples. The covariance of the result is inflated if the
+    median ratio of error to encoder noise exceeds 1.
     """
     robot = motion.simulator.robot
     errors: dict[tuple[str, str], list[Array]] = {}
@@ -442,8 +443,9 @@ readings is divided by this value to obtain a standard deviation.
 """
 
 _MIN_DECREASE = 0.04
-"""Predicted decrease of the cost below which the iteration has converged: sqrt(0.04) is a fifth of
-a standard deviation. An interval with this error of the mean is 2 % too narrow. Chosen, not
+"""Predicted decrease of the cost (squared residuals in standard deviations) below which the
+iteration has converged. The estimate is then within sqrt(0.04) = 0.2 standard deviations of the
+minimum. An error of 0.2 makes an interval about 2 % too narrow: sqrt(1 + 0.04). Chosen, not
 tuned."""
 
 _ROUGH_MIN_DECREASE = 10.0

@@ -620,10 +620,10 @@ class MomentCoordinates:
         )
 
     def _compute_mass_ratio(self, vector: Array) -> Array:
-        """Return the mass ratio m0 / m of the body of each CoM coordinate of a parameter vector.
+        """Return m0 / m for each CoM coordinate whose body has an estimated mass.
 
-        m0 is the stated mass, and m the mass in the vector, but at least `MIN_MASS_FRACTION` times
-        m0. Only bodies with an estimated mass are included.
+        The result converts first moments to CoMs. m0 is the stated mass of the body, and m the mass
+        in the parameter vector, but at least `MIN_MASS_FRACTION` times m0.
         """
         min_mass = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))

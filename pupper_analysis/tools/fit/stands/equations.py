@@ -399,12 +399,15 @@ class StandRows:
 
             S tau - g + passive + sum J_p^T w_p - load = 0
 
-        - tau: torques of the servos and of one-sided friction (``settling``)
+        - tau: torques of the servos, and of friction that acts in one direction (``settling``)
         - S: matrix that maps these torques to generalised forces
         - g: generalised forces of gravity
         - passive: generalised passive forces of the joints
-        - w_p: force and moment at contact point p
-        - load: force on the feet in excess of the weight of the masses
+        - w_p: force and moment at contact point p, and J_p its Jacobian
+        - load: vertical force on the base in excess of the weight of the estimated masses
+          (``unweighed_load``)
+
+        Residual and derivatives are then scaled to joint positions (`_scale_to_positions`).
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
