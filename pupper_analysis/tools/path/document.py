@@ -22,7 +22,7 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 @build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a path and the simulation, with an animated 3-D view.
+    """Create the report of a planned path and its simulation, with an animated 3-D view.
 
     `build_document` calls this function for a `PathThere`.
     """
@@ -73,7 +73,10 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_motor_regions(path: StancePath) -> list[doc.Words]:
-    """Return the text of the motors whose torque-speed regions are used; empty without motors."""
+    """Return the text that names the motors whose torque-speed region limits the path.
+
+    Empty without motors.
+    """
     names = dict.fromkeys(path.motors.values())
     return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []
 
@@ -102,9 +105,9 @@ def _make_plan_table(path: StancePath) -> doc.Table:
 
 
 def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
-    """Return one row (name, unit "%", value, number format) for the utilisation ``share`` [1].
+    """Return the table row of a utilisation (value / limit) [1]: name, "%", percentage, format.
 
-    No row is returned for NaN (unknown limit).
+    The list is empty for NaN (unknown limit).
     """
     return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 

@@ -31,9 +31,10 @@ MAX_ACCELERATION = 1e9
 since squares of forces can overflow. Chosen, not tuned."""
 
 _MOMENT_ITERATIONS = 2
-"""Number of fixed-point iterations between the normal forces and the rolling moments, which are
-proportional to the normal forces. Each iteration reduces the error by about (rolling friction /
-distance between feet), one tenth. Balance is exact after each iteration. Chosen, not tuned."""
+"""Number of fixed-point iterations between the normal forces of the contacts and the rolling
+moments, which are proportional to these forces. Each iteration reduces the error by about (rolling
+friction / distance between feet), one tenth. Balance is exact after each iteration. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +89,9 @@ def inverse_dynamics(
             upward.
         depths: Per foot, penetration into the ground [m]. Default: 0.
         distribution: Selection among feasible forces. Default: minimum tangential forces.
-        resistance: Include r and m, as specified in the MJCF.
-        held: Remove friction cones and unilateral limits, as if feet were glued to the ground.
+        resistance: True to include the resistance r and the moments m, as specified in the MJCF.
+        held: True to omit friction cones and unilateral limits, as if feet were glued to the
+            ground.
 
     Raises:
         UnknownNameError: If a foot is unknown.
@@ -224,17 +226,17 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
 def rolling_levers(
     config: Configuration, qacc: Array, normals: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Compute the resisting moment of the ground per normal force, for each rotating foot.
+    """Compute the moment per normal force with which the ground resists the rotation of each foot.
 
     MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, with ``condim`` 6
-    also rolling, by a moment of at most mu_j f_n, with the contact's coefficient mu_j [m]. Below
-    this limit, which is reached at about 0.1 rad/s, the moment is
+    also rolling, by a moment of at most mu_j f_n: the coefficient mu_j [m] of the contact times the
+    normal force. Below this limit, which is reached at about 0.1 rad/s, the moment is
 
         mu_j^2 / mu_1^2 (alpha + b omega) / R
 
     against the rotation, with the coefficient mu_1 of sliding friction, the angular acceleration
-    alpha and velocity omega of the foot, and b and the tangential R of `GroundLaw`. For f_n, all
-    loaded feet are assumed to carry equal parts of the weight.
+    alpha and velocity omega of the foot, and b and the tangential R of `GroundLaw`. In this
+    formula, all loaded feet are assumed to carry equal parts of the weight.
 
     Args:
         config: State of the robot, with ``qvel``.
@@ -242,8 +244,8 @@ def rolling_levers(
         normals: {loaded foot: unit normal of the ground in the world frame, shape (3,)}.
 
     Returns:
-        {foot: moment / normal force in the world frame, shape (3,) [m]}, for each loaded foot
-        whose contact has ``condim`` 4 or 6 and a sliding friction above 0.
+        {foot: moment / normal force in the world frame, shape (3,) [m]}, for each loaded foot whose
+        contact has ``condim`` 4 or 6 and a sliding friction above 0.
     """
     robot, found = config.robot, {}
     mean_load = robot.weight / max(1, len(normals))

@@ -39,15 +39,15 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Names of stance constraints whose task fields `interpolate_task` sets separately, for example
-from the solved stances of a segment. The support margin is not set but checked. Other numbers of
-both stand tasks are interpolated together, except fields with a value per joint, foot or link,
-which are also set separately.
+"""Names of stance constraints whose task fields are not interpolated number by number.
+`interpolate_task` sets these fields separately, for example from the solved stances of a segment;
+the support margin is only checked. Fields with a value per joint, foot or link are also set
+separately.
 """
 
 UNLOADED_HEIGHT = 1e-12
-"""Height [m] that a stand task contains for a foot that touches the ground without load. A positive
-height marks a foot as unloaded. Chosen smaller than any geometric tolerance.
+"""Height [m] in a stand task for a foot that is at the ground without load: a positive height marks
+a foot as unloaded. Chosen smaller than any geometric tolerance.
 """
 
 
@@ -206,7 +206,7 @@ def interpolate_task(
     ik_seed: Array,
     away: Mapping[str, Array],
 ) -> StandTask:
-    """Interpolate the stand task of a sample between two stances, in world coordinates.
+    """Create the stand task of a path sample by interpolation between two stances.
 
     Args:
         robot: Robot.
@@ -217,8 +217,8 @@ def interpolate_task(
         away: {contact point: displacement by rolling in the world frame, shape (3,) [m]}.
 
     Raises:
-        StaticsInfeasibleError: If the margin of the CoM in the support polygon is smaller than the
-            margin interpolated between both tasks, or than 1e-6 m.
+        StaticsInfeasibleError: If the CoM margin in the support polygon is smaller than the
+            required margin, interpolated between both tasks and at least 1e-6 m.
     """
     first, last = segment.start.task, segment.end.task
 
@@ -283,18 +283,17 @@ def interpolate_task(
 
 
 MAX_JUMP = 0.5
-"""Upper bound of the joint motion between two samples [rad, m]. With a larger motion the path is
-refused, since the IK branch has probably changed. Chosen, not tuned."""
+"""Upper bound of the motion of a joint between two samples [rad, m]. A path with a larger motion is
+refused, since the inverse-kinematics branch has probably changed. Chosen, not tuned."""
 
 _ROLL_TOLERANCE = 1e-8
-"""Bound of the difference [m] between the foot displacements of two fixed-point iterations. Below
-the bound, the rolling of the feet has converged. Chosen, not tuned: far below the error of a foot
-in MuJoCo.
+"""Difference [m] between the foot displacements of two fixed-point iterations below which the
+rolling of the feet has converged. Chosen, not tuned: far below the error of a foot in MuJoCo.
 """
 
 _MAX_ROLL_ITERATIONS = 50
-"""Maximum number of fixed-point iterations. They are necessary because the rolling displacement of
-a foot depends on the leg angles, and the leg angles depend on the displacement. Chosen, not tuned.
+"""Maximum number of fixed-point iterations between the rolling displacement of the feet and the leg
+angles, which depend on each other. Chosen, not tuned.
 """
 
 
@@ -326,14 +325,14 @@ class PathPlace:
         return self.stand.qpos
 
     def compute_motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
-        """Compute the robot's velocity and acceleration at a sample, shape (nv,) each.
+        """Compute the robot's velocity and acceleration at a sample from the path parameter's.
 
         Args:
             rate: ds/dt of the path parameter s [1/s].
             acceleration: d2s/dt2 [1/s^2].
 
         Returns:
-            ``qvel`` [m/s, rad/s] and ``qacc`` [m/s^2, rad/s^2].
+            ``qvel`` [m/s, rad/s] and ``qacc`` [m/s^2, rad/s^2], shape (nv,) each.
         """
         tangent = self.tangent
         return rate * tangent, rate**2 * self.curvature + acceleration * tangent
@@ -358,9 +357,10 @@ class Geometry:
     seconds: float
 
     def describe_sample(self, index: int) -> Diagnostic:
-        """Return the message part with the time [s] and the two stances of a sample, for errors.
+        """Return the part of an error message with the time [s] and the two stances of a sample.
 
-        ``index`` is the index of the sample in ``places``.
+        ``index`` is the index of the sample in ``places``. The stances are those before and after
+        it.
         """
         return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
@@ -448,7 +448,7 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
-    """Return the message part with the time [s] and the two stances of a sample, for errors.
+    """Return the part of an error message with the time [s] and the two stances around a sample.
 
     Args:
         index: Index of the sample in the path, from 0.
@@ -461,12 +461,12 @@ def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnosti
 
 
 class _RollingFeet:
-    """Displacements of spherical feet that roll without slipping, from sample to sample.
+    """Displacements of spherical feet that roll without slipping, from path sample to path sample.
 
     Attributes:
-        away: Displacement of each contact point from the position in the stance, shape (3,) [m].
+        away: Displacement of each contact point from its position in the stance, shape (3,) [m].
         step: Change of ``away`` at the last sample, used as initial guess.
-        turned: Orientation of each contact point at the last sample, shape (3, 3).
+        turned: Orientation of each contact point in the world at the last sample, shape (3, 3).
     """
 
     def __init__(self, robot: Robot, start: Stand) -> None:
@@ -533,12 +533,12 @@ class _RollingFeet:
 def _differentiate(
     robot: Robot, segment: Segment, share: float, qpos: Array, *, rolling: bool
 ) -> tuple[Array, Array]:
-    """Compute dq/ds and d2q/ds2, shape (nv,), in the coordinates of ``qvel``.
+    """Compute the derivatives dq/ds and d2q/ds2 of a path's configuration, shape (nv,) each.
 
-    s is the path parameter ``share``, from 0 to 1 in a segment. On a path the constraints
-    c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and
-    J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints for
-    the velocity dq/ds and zero acceleration. If the constraints leave motions free, the
+    The coordinates are those of ``qvel``; s is the path parameter ``share``, from 0 to 1 in a
+    segment. On a path the constraints c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds
+    and J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints
+    for the velocity dq/ds and zero acceleration. If the constraints leave motions free, the
     minimum-norm solution is returned (m and rad mixed).
 
     Constraints: the contact points of loaded feet do not move (if ``rolling``), or the centres of

@@ -45,10 +45,10 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Bound [1] of the fraction of the robot's load that a path assigns to the remaining feet alone
-while a foot is being unloaded. Smaller fractions count as 0. With such fractions, the zero-moment
-point would be close to the edge of the polygon, and rolling friction would decide whether the
-remaining feet can carry the load. Chosen, not tuned.
+"""Smallest fraction [1] of the load that a path assigns to the solution with the remaining feet
+alone, while another foot is being unloaded. Smaller fractions count as 0. With such fractions, the
+zero-moment point would be close to the edge of the support polygon, and rolling friction would
+decide whether the remaining feet can carry the load. Chosen, not tuned.
 """
 
 
@@ -62,9 +62,10 @@ def compute_path_sample(
 
     The forces have minimum tangential components.
 
-    Near a segment of the path on which fewer feet carry load, the forces are a weighted mean of
-    solutions with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
-    satisfies the equilibrium.
+    If fewer feet carry load in the previous or next segment of the path, the forces are a weighted
+    mean of the solutions with all feet and with the fewer feet. The weights change along the path,
+    so that torques do not jump. Equilibrium is linear in the forces, so the mean satisfies the
+    equilibrium.
 
     Args:
         robot: Robot.
@@ -101,7 +102,12 @@ def compute_path_sample(
     feet, zero_force = robot.contact_points, np.zeros(3)
 
     def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
-        """Return the mean vector of each contact point, weighted by ``parts``, shape (feet, 3)."""
+        """Return the weighted mean vector of each contact point over solutions, shape (feet, 3).
+
+        Args:
+            tables: {contact point: vector (3,)} of each solution, in the order of ``parts``, which
+                contains the weights. Missing contact points count as zero.
+        """
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
         rows = [[share * table.get(foot, zero_force) for foot in feet] for share, table in weighted]
         mixed: Array = np.sum(rows, axis=0)
@@ -134,15 +140,16 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Find the adjacent path segments with fewer loaded feet than a path sample.
+    """Find the segments before and after a path sample in which fewer feet carry load.
 
-    Near the stance between both segments, the load moves gradually to or from the remaining feet.
+    Near the stance between the sample's segment and such a segment, the load moves gradually to or
+    from the remaining feet.
 
     Returns:
-        For each such adjacent segment (previous, then next): the loaded feet, a subset of the feet
-        at the sample ``place``; nearness of the sample to the stance between both segments, from 0
-        (other end of the sample's segment) to 1 (at the stance); CoM margin [m] of this stance on
-        the subset alone.
+        For each such segment (previous, then next): the loaded feet, a subset of the feet at the
+        sample ``place``; nearness of the sample to the stance between both segments, from 0 (other
+        end of the sample's segment) to 1 (at the stance); CoM margin [m] of this stance on the
+        subset alone.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [
@@ -160,8 +167,8 @@ MAX_PATH_SAMPLES = 20_000
 equal segments may add one sample per segment, and one at the end. Chosen, not tuned."""
 
 MIN_SAMPLES_PER_SEGMENT = 16
-"""Lower bound of the number of samples per segment. The sampled peaks of the acceleration of the
-path parameter are then at most 1.1 % below the true peaks (minimum-jerk law)."""
+"""Lower bound of the number of samples per segment. With the minimum-jerk law, the largest sampled
+second time derivative of the path parameter is then at most 1.1 % below the true maximum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,8 +264,9 @@ class StancePath(Tabular):
 
         Args:
             path: Output file.
-            force: True to replace an existing file of any content, except an input of the run. If
-                False, only an earlier table of a path or an empty file is replaced.
+            force: True to replace an existing file of any content, except an input file of the
+                running command. If False, only an earlier table of a path or an empty file is
+                replaced.
 
         Raises:
             OutputError: If the file cannot be written, or would replace other content.
@@ -296,10 +304,10 @@ def stance_path(
     CoM must already be above the other feet in these stances. On the segments before and after, its
     load fades out or in, so that torques are continuous.
 
-    A loaded foot does not slip, but its sphere rolls as the leg rotates: its centre moves with
-    omega x r n, by 2 mm if v3 squats by a fifth of its height. After the first stance, feet
-    therefore deviate from their positions in the stances by the rolled distance, while base and CoM
-    are as specified.
+    A loaded foot does not slip, but the sphere of the foot (radius r) rolls as the leg rotates with
+    angular velocity omega. The centre moves with omega x r n, with the normal n of the ground: 2 mm
+    if Pupper v3 squats by a fifth of its height. After the first stance, feet therefore deviate
+    from their positions in the stances by the rolled distance, while base and CoM are as specified.
 
     Args:
         robot: Robot with a floating base.
@@ -394,8 +402,8 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 
 _ZERO_ATOL = 1e-9
-"""Bound of the torque [N m, or N for a slide] or speed [rad/s, m/s] of a joint whose limit is zero.
-Up to the bound, the value counts as zero (rounding). Chosen, not tuned.
+"""Largest torque [N m, or N for a slide] or speed [rad/s, m/s] that counts as zero at a joint whose
+limit is zero (rounding). A larger value has an infinite utilisation. Chosen, not tuned.
 """
 
 

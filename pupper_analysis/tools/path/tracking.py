@@ -62,18 +62,20 @@ _NEWTON_STEPS = 2
 millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
-"""Upper bound of kd x time step / joint inertia when `_select_timestep` selects a time step of at
-least `MIN_TIMESTEP`: an implicit integrator adds kd x time step to the inertia of a joint. Chosen
-as the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured on the fastest squat of
-A1: with a ratio of 0.5 the torque error is 17 %, and feet lose contact; at 40 us it is 3 %."""
+"""Upper bound of kd x time step / joint inertia [1], from which `_select_timestep` computes the
+time step (at least `MIN_TIMESTEP`). An implicit integrator adds kd x time step to the inertia of a
+joint. Chosen as the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured on the
+fastest squat of A1: with a ratio of 0.5 the torque error is 17 %, and feet lose contact; at 40 us
+it is 3 %."""
 
 MIN_TIMESTEP = 1e-5
 """Lower bound of the default time step [s], unless the model's is smaller. A path of 1 s then takes
 1 or 2 s to simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
-"""Tolerance of the number of time steps [1]. If a duration is shorter than a whole number of steps
-by at most this fraction of a step, it counts as this number (rounding). Chosen, not tuned.
+"""Tolerance [1] of the number of time steps in a duration: a duration that is shorter than a whole
+number of steps by at most this fraction of a step has this number of steps (rounding). Chosen, not
+tuned.
 """
 
 
@@ -163,13 +165,13 @@ def path_commands(
 
 
 def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
-    """Adapt a path for rigid ground to MuJoCo's soft ground.
+    """Adapt a path for rigid ground to MuJoCo's soft ground, by extending the legs.
 
     The base keeps its path. Each leg is extended by the penetration of its foot under the delayed
-    contact force (``_compute_depths``), and joint resistance follows the resulting motion. With
-    commands for rigid ground the robot would sink and tilt. Measured when Pupper variants lift a
-    foot: the torques deviate by 13 %, and with extended legs by 2 to 4 % (v3-long-leg: 7 %). Creep
-    of rolling feet and the inertia of sinking legs are not modelled.
+    contact force (``_compute_depths``). The torques are those of the extended legs, with joint
+    resistance for their motion. Measured torque error when Pupper variants lift a foot: 13 % with
+    commands for rigid ground, 2 to 4 % with extended legs (v3-long-leg: 7 %). Creep of rolling feet
+    and the inertia of sinking legs are not modelled.
 
     Args:
         robot: Robot on the ground of the path.
@@ -231,9 +233,9 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
     """Compute the penetration of a foot, shape (n,) [m], under time-varying loads, shape (n,) [N].
 
     MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with the force f, penetration r,
-    impedance d, regularisation R, and stiffness k and damping b of the ground law. For a load that
-    is linear in ``time``, shape (n,) [s], the depth at time t is the static depth of the load at
-    t - b / (k d) (40 ms for v3).
+    impedance d, regularisation R, and stiffness k and damping b of the ground law. If the load is
+    linear in ``time``, shape (n,) [s], the depth follows with a delay: at time t it is the static
+    depth for the load at t - b / (k d). The delay is 40 ms for Pupper v3.
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))
@@ -244,9 +246,8 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
 def _select_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
     """Select a time step [s] for which implicit servo damping adds little to joint inertias.
 
-    The result is the smallest of three values: the time step of the model, `MAX_TIMESTEP`, and
-    `_MAX_ADDED_INERTIA` times the smallest ratio of inertia to kd. The third value is at least
-    `MIN_TIMESTEP`.
+    The result is the smallest of three values: the time step of the model; `MAX_TIMESTEP`; and, but
+    at least `MIN_TIMESTEP`, `_MAX_ADDED_INERTIA` times the smallest ratio of joint inertia to kd.
     """
     inertia = np.diag(Configuration(robot, first.qpos).mass_matrix())[robot.nv - robot.nu :]
     damped = drive.kd > 0
@@ -302,8 +303,8 @@ def study_path(
 
     Returns:
         Stand at the end, path, tracking and verdict. The verdict passes only if the simulation
-        tracks the path (`PathTracking.passed`), and the final stand has no mode that grows within
-        12 s (`modes_growing_within`).
+        tracks the path (`PathTracking.passed`), and the final stand is stable: no mode of the
+        linearised dynamics grows within 12 s (`modes_growing_within`).
 
     Raises:
         StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
@@ -348,10 +349,11 @@ def study_path(
 
 
 def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
-    """Return the stances of a path to a stand, from the default base pose and CoM position.
+    """Return the stances of a path to a stand, from the nominal base pose and CoM position.
 
-    All stances have the foot positions of the stand. If the stand lifts a foot, an intermediate
-    stance with all feet on the ground has the base pose and CoM position of the stand.
+    The first stance has the default base pose and CoM position, and the foot positions of the
+    stand. If the stand lifts a foot, a second stance has the base pose and CoM position of the
+    stand, with all feet on the ground. The last stance is the stand.
     """
     task = stand.task
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
@@ -366,29 +368,30 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
 
 
 MAX_JOINT_ERROR = 0.1
-"""Bound of the position error of a joint [rad, m]. From this error on, a simulated path counts as
-not tracked. Chosen, not tuned.
+"""Position error of a joint [rad, m] at and above which a simulated path counts as not tracked.
+Chosen, not tuned.
 """
 
 MAX_TORQUE_ERROR = 0.05
-"""Bound of the torque error, divided by the largest torque of the path [1]. Above the bound, a
-simulated path counts as not tracked. Chosen, not tuned.
+"""Torque error, divided by the largest torque of the path [1], above which a simulated path counts
+as not tracked. Chosen, not tuned.
 """
 
 MIN_LIFTED_HEIGHT = 2e-3
-"""Bound of the planned height of a foot [m]. Above the bound, it is a failure if the foot touches
-the ground. Chosen, not tuned.
+"""Planned height of a foot [m] above which the foot must not touch the ground in the simulation.
+Chosen, not tuned.
 """
 
 MIN_LOADED_FRACTION = 0.05
-"""Bound of the planned load of a foot, divided by the robot's weight [1]. Above the bound, it is a
-failure if the foot loses ground contact. Chosen, not tuned.
+"""Planned load of a foot, divided by the robot's weight [1], above which the foot must touch the
+ground in the simulation. Chosen, not tuned.
 """
 
 _NUM_CHECKED_STATES = 400
-"""Target number of simulated states whose contacts are checked. The interval between these states
-is limited to 1 to 20 ms, so a path below 0.4 s has fewer, a path above 8 s has more. On an
-infeasible path, a foot loses contact for a few percent of the duration, which is several states."""
+"""Target number of simulated states whose contacts are checked. The interval between two checked
+states is at least 1 ms and at most 20 ms, so paths below 0.4 s have fewer checks, and paths above 8
+s more. On an infeasible path, a foot loses contact for a few percent of the duration: several
+checked states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,10 +450,14 @@ def track_path(
     extended legs. Creep of rolling feet is not compensated; creep matters for paths of less than a
     second.
 
-    A path is tracked if the simulation does not diverge, joint and torque errors are within
-    `MAX_JOINT_ERROR` and `MAX_TORQUE_ERROR`, no motor saturates, neither torques nor speeds of the
-    path exceed a limit, the robot does not fall, loaded feet (`MIN_LOADED_FRACTION`) stay on the
-    ground, lifted feet (`MIN_LIFTED_HEIGHT`) do not touch the ground, and no other part touches it.
+    A path is tracked if all these conditions hold:
+
+    - The simulation does not diverge, and the robot does not fall.
+    - Joint and torque errors are within `MAX_JOINT_ERROR` and `MAX_TORQUE_ERROR`.
+    - No motor saturates; torques and speeds of the path are within the limits.
+    - Loaded feet (`MIN_LOADED_FRACTION`) stay on the ground; lifted feet (`MIN_LIFTED_HEIGHT`) and
+      other parts do not touch the ground.
+
     Contacts and falls are checked at intervals (`_NUM_CHECKED_STATES`).
 
     Args:
@@ -517,15 +524,18 @@ def track_path(
 
 
 def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
-    """Return a diagnostic per saturated motor, and the largest torque error [1].
+    """Compare the simulated torques with the planned torques: saturated motors and largest error.
 
     The error is |simulated torque - planned torque of the extended legs| / largest planned torque
-    of the path on rigid ground, over all joints and time steps. ``states`` are the full physics
+    of the path on rigid ground [1], over all joints and time steps. ``states`` are the full physics
     states of MuJoCo at the end of each step, shape (n, size).
 
     Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
-    velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at the start
-    of the step.
+    velocity at the end of the step, but ``qfrc_actuator`` of MuJoCo contains the velocity at the
+    start.
+
+    Returns:
+        A diagnostic per saturated motor, and the largest error [1].
     """
     drive, robot, model = plan.drive, plan.robot, plan.drive.model
     public = robot.mj_convention
