@@ -206,9 +206,9 @@ def _make_best_stance(
 
 
 def _compute_objective(search: StanceSearch, stand: Stand) -> float:
-    """Compute the reported value of the objective: peak motor utilisation, or CoM margin [m].
+    """Compute the reported value of the objective: peak motor utilisation [1] or CoM margin [m].
 
-    The utilisation is that on MuJoCo's soft ground, as the command ``stand`` reports it.
+    The utilisation is computed on MuJoCo's soft ground, as in the command ``stand``.
     """
     if search.objective is Objective.UTILISATION:
         stand = solve_stand_as_simulated(search.robot, stand)
@@ -256,10 +256,10 @@ def study_best(
 ) -> BestStudy:
     """Search for the best stance that holds in simulation.
 
-    If the best stance fails, up to four worse stances (`StanceSearch.list_next_best`) are
-    simulated, and finally the initial task. If all fail, the best stance is returned. With the
-    objective payload no further stance is tried, because `payload_limit` already includes a
-    simulation.
+    If the best stance fails in simulation, up to four worse stances (`StanceSearch.list_next_best`)
+    are simulated, and finally the initial task; the first that holds is returned. If all fail, the
+    best stance is returned. With the objective payload no further stance is tried, because
+    `payload_limit` already includes a simulation.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.

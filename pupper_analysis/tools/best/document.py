@@ -29,7 +29,7 @@ _OBJECTIVE_TEXTS = {
 
 @build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a best stance: the document of the stand, with the search's result.
+    """Create the document of a best stance: the simulated stand, and the result of the search.
 
     `build_document` calls this function for a `BestStudy`. If the objective is the payload, the
     document of the payload limit is merged.
@@ -73,12 +73,14 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 
 
 def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.NextStep:
-    """Return the next command: ``path``, with the best stance as goal.
+    """Return the command to suggest next; the first case that applies is used.
 
-    If the best stance fails in simulation (with the payload, if a payload is sought), the result is
-    ``best`` with the gains that ``stand_step``, the next command of the stand's document, contains.
-    Without such gains it is ``stand``. The result is ``workspace`` if the task specifies absolute
-    foot positions, a CoM that is not in the centre, or no height.
+    - The best stance fails in simulation (or with its payload), and ``stand_step``, the suggestion
+      of the stand's document, contains gains: ``best`` with these gains.
+    - The best stance fails otherwise: ``stand``.
+    - The task specifies absolute foot positions, a CoM that is not in the centre of the feet, or no
+      height: ``workspace``.
+    - All other cases: ``path`` to the best stance.
     """
     task = study.best.stand.task
     if not study.passed:
@@ -106,12 +108,12 @@ def _format_lengths(*lengths: float) -> str:
 
 
 _MIN_PRINTED_ANGLE = 0.005
-"""Magnitude [deg] of roll, pitch or yaw above which the printed command for the best stance
-contains the angle: half of the last printed digit."""
+"""Smallest magnitude [deg] of roll, pitch or yaw that the suggested command for the best stance
+contains: half of the last printed digit."""
 
 
 def _make_search_line(best: BestStance) -> doc.Text:
-    """Make the line with the objective before and after the search."""
+    """Make the line with the value of the objective in the initial task and in the best stance."""
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
         unit, scale = (" mm", 1e3) if best.objective is Objective.MARGIN else (" %", 100.0)

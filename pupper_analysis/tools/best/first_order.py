@@ -27,14 +27,15 @@ from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import distribute_loads
 
 SMALL_PAYLOAD_RATIO = 0.1
-"""Payload mass relative to the robot's mass [1]. Torques and forces at larger payloads are
-extrapolated from two equilibria: with this payload and without payload. The payload is small, since
-a mass that tips the robot has no equilibrium. Chosen, not tuned.
+"""Mass of the payload with which `SmallPayload` computes the second equilibrium, relative to the
+robot's mass [1]. Torques and forces at larger payloads are extrapolated from the equilibria without
+and with this payload. It is small, since a mass that tips the robot has no equilibrium. Chosen, not
+tuned.
 """
 
 
 class SmallPayload:
-    """Payload of `SMALL_PAYLOAD_RATIO`, from which the effect of larger payloads is extrapolated.
+    """Small payload, from whose effect on torques and forces larger payloads are extrapolated.
 
     Args:
         robot: Robot without closed loops.
@@ -42,7 +43,7 @@ class SmallPayload:
         kp: Servo stiffness at the joints, shape (nu,) [N m/rad, N/m].
 
     Attributes:
-        mass: Mass of the payload [kg].
+        mass: Mass of the payload [kg]: `SMALL_PAYLOAD_RATIO` times the robot's mass.
     """
 
     def __init__(self, robot: Robot, point: Tool, kp: Array) -> None:
@@ -63,10 +64,10 @@ class SmallPayload:
 
         Returns:
             Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.
-            The rows state, in this order: the servos do not buckle; torques are within both effort
-            limits (relative to the limits); normal forces are positive (relative to the robot's
+            The rows state, in this order: the servos do not buckle; torques are between -limit and
+            +limit (relative to the limits); normal forces are positive (relative to the robot's
             weight); and, if the stand has a ``ground_clearance``, no foot sinks by more than this
-            clearance below its depth in the stand (force relative to the robot's weight).
+            clearance below its depth in the stand (as a force relative to the robot's weight).
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stand without payload or with

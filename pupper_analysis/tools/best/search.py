@@ -40,20 +40,20 @@ _SAMPLE_COUNT = 128
 initial guesses of the descents. Chosen, not tuned."""
 
 _START_COUNT = 16
-"""Number of best samples at which descents start; another descent starts at the initial
-task. With 3 samples, rounding errors decide whether the payload of v3-long-leg is 10.6 or 14.1 kg;
-with 8 or more the payload is 14.1 kg (measured). By symmetry the nominal stand is a saddle point:
-rounding errors determine the direction in which a descent leaves it."""
+"""Number of descents that start at the best samples; another descent starts at the initial task.
+With 3 samples, rounding errors decide whether the payload of v3-long-leg is 10.6 or 14.1 kg; with 8
+or more the payload is 14.1 kg (measured). By symmetry the nominal stand is a saddle point: rounding
+errors determine the direction in which a descent leaves this point."""
 
 _RANKING_ITERATIONS = 8
 """SLSQP iterations of the first descent from each initial guess, which ranks the guesses. Chosen,
 not tuned."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents that are continued: those with the best results. Measured: with 1, four
+"""Number of first descents, those with the best results, that are continued. Measured: with 1, four
 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty additional random descents; with
 4, one stand of v3-long-leg was 3e-4 worse. A continued descent is restarted while the restart
-gains, because a descent can stall at a kink."""
+improves the result, because a descent can stall at a kink of the objective."""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
@@ -85,10 +85,9 @@ constraints, so that descents end at stances without violations despite SLSQP's 
 the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
-"""Weight of the sum of constraint violations. `StanceSearch.merit` adds the weighted sum to the
-level (scaled objective). The constant is also a penalty for coordinates at which no stand exists.
-Each constraint then has its value at the start of the descent minus this constant. Chosen, not
-tuned.
+"""Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum
+to the level (scaled objective). Also used for coordinates at which no stand exists: there each
+constraint has its value at the start of the descent, minus this constant. Chosen, not tuned.
 """
 
 
@@ -127,10 +126,10 @@ class EvaluatedStance:
 
 
 _MIN_LEVEL_STEP = 0.2
-"""Smallest step between the objectives of two stances that are simulated in succession, because the
-better stances failed in simulation; relative to the difference between the objectives of the
-initial and the best stance. The step to the initial stance, which is the last, may be smaller. At
-most five stances follow the best stance. Chosen, not tuned."""
+"""Smallest step of the objective between two next-best stances that are simulated in succession,
+relative to the difference between the initial and the best stance. The step to the initial stance,
+which is the last, may be smaller. So at most five stances follow the best stance. Chosen, not
+tuned."""
 
 
 class StanceSearch:
@@ -188,7 +187,7 @@ class StanceSearch:
 
     @property
     def _default_scale(self) -> float:
-        """Magnitude of the objective [1, m or kg] if its initial value is zero."""
+        """Magnitude by which the objective [1, m or kg] is divided if its initial value is zero."""
         if self.objective is Objective.PAYLOAD:
             return self.robot.total_mass
         return self.robot.stand_height if self.objective is Objective.MARGIN else 1.0
@@ -245,13 +244,12 @@ class StanceSearch:
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield worse allowed stances, from better to worse, then the stance of the initial task.
+        """Yield stances to try after the best stance: worse allowed stances, then the initial.
 
-        The level is the scaled objective; smaller is better. Stances of almost equal level are
-        skipped. The level of each stance exceeds the level of the previous stance by at least
-        ``_MIN_LEVEL_STEP`` times the difference between the initial and the best level. The
-        sequence starts after the best stance. Stances that are not better than the initial stance
-        are skipped as well.
+        The stances are sorted from better to worse. Each level (scaled objective; smaller is
+        better) exceeds the previous level, at first the best, by at least ``_MIN_LEVEL_STEP`` times
+        the difference between initial and best level. Only stances that are better than the initial
+        stance are used.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
@@ -263,7 +261,7 @@ class StanceSearch:
         yield self.nominal
 
     def evaluate_stand(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
-        """Compute the objective of a stand, relative to its initial magnitude, and the constraints.
+        """Compute the level (scaled objective) of a stand, and the values of its constraints.
 
         Args:
             coordinates: Coordinates of the stand in the `StanceSpace`, shape (n,) [m or rad].
@@ -367,9 +365,10 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        First the feet move together, then independently. Each of the last optimisations (SLSQP)
-        starts at the best stance found, and is repeated while the level decreases by more than
-        `_MIN_RELATIVE_GAIN`. Nothing is done if no coordinate can change.
+        Descents start at the best samples and the initial task, first with feet that move together,
+        then with independent feet. Descents from the best stance found follow, and are repeated
+        while the level (scaled objective) decreases by more than `_MIN_RELATIVE_GAIN`. Nothing is
+        done if no coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():

@@ -35,12 +35,13 @@ _BASE_ROTATIONS = ("roll", "pitch", "yaw")
 """Coordinates of the base that are angles."""
 
 HEIGHT_RESERVE = 0.05
-"""Fraction of the reachable height interval that is excluded at either end, because the legs are
-stretched or folded there. Chosen, not tuned."""
+"""Fraction of the reachable interval of base heights that the search excludes at either end,
+because the legs are stretched or folded there. Chosen, not tuned."""
 
 MAX_OUTWARD_STEP = 0.25
-"""Largest outward displacement of a foot from its initial position along x or y, relative to the
-largest reachable base height; upper bound of the inward displacement, too. Chosen, not tuned."""
+"""Bound of the search: largest displacement of a foot along x or y, relative to the largest
+reachable base height. This bound applies outwards and inwards; see `MAX_INWARD_STEP` for a second
+inward bound. Chosen, not tuned."""
 
 MAX_INWARD_STEP = 0.5
 """Bound of the search: largest displacement of a foot towards the centre of the feet along x or y,
@@ -59,20 +60,20 @@ small push may topple the robot. Chosen, not tuned.
 """
 
 JOINT_RESERVE = 0.02
-"""Distance from the joint limits [rad, m] that is required in addition to the task's joint margin,
-if the initial stand has as much. The reserve covers the deflection of servos, and the extension of
-legs whose feet sink into soft ground. Chosen, not tuned. Without a reserve, a small disturbance is
-enough to fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg
-failed."""
+"""Distance from the joint limits [rad, m] that the search requires in addition to the task's joint
+margin; less if the initial stand is closer to a limit. The reserve covers the deflection of servos,
+and the extension of legs whose feet sink into soft ground. Chosen, not tuned. Without a reserve, a
+small disturbance is enough to fail: with the knees of Go1 at their limits, the computed payload was
+61 kg, but 1 kg failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""Largest amount [rad, m] by which a joint may enter the reserve at its limits (`JOINT_RESERVE`):
-the optimiser slightly violates this constraint while it follows it. The reserve is at least this
-amount, so the joint stays within its limits and the task's margin. Chosen, not tuned."""
+"""Largest amount [rad, m] by which a joint of an allowed stance may enter the reserve at its limits
+(`JOINT_RESERVE`): the optimiser slightly violates a constraint that is active. The reserve is at
+least this amount, so the joint stays within its limits and the task's margin. Chosen, not tuned."""
 
 MIN_MOTION_RCOND = 1e-6
 """Smallest accepted ratio of the smallest to the largest singular value of the Jacobian of the
-contact points by the joints. Below, the joint motions are undetermined, and
+contact points by the joints. With a smaller ratio the joint motions are undetermined, and
 `StanceSpace.compute_motions` returns None. Chosen, not tuned.
 """
 
@@ -230,7 +231,7 @@ class StanceSpace:
         return asymmetry < 1e-9 and not uneven
 
     def coupled_directions(self) -> Array:
-        """Return directions of the search in which the feet move together.
+        """Return the directions of the search space in which all feet move together.
 
         Returns:
             A direction per column, shape (n, k), in the coordinates [m or rad]: base coordinates
