@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.gains.gains import GainStudy
 
 GAINS_FOLDER = Folder({})
-"""Output folder of ``--write``: it contains copies of the robot's files only."""
+"""Kind of the output folder of ``--write``, which contains only copies of the robot's files."""
 
 
 @shared.command("gains")
@@ -118,10 +118,10 @@ def command(
 def _write_files(
     request: RobotAndTask, words: tuple[str, ...], study: GainStudy, folder: Path
 ) -> None:
-    """Write the recommended gains into copies of the files of the selected robot in a folder.
+    """Write copies of the robot's files, with the recommended gains, to a folder.
 
-    The robot is that of ``words`` and the options in ``request``; v3 by default. The files do not
-    contain the payload, which is printed.
+    ``words`` and the options in ``request`` select the robot; v3 by default. The files do not
+    contain the payload of the command line; a printed note states this payload.
     """
     from pupper_analysis.cli.robots import load_selected_robot
     from pupper_analysis.prepare.convert.files import RobotFiles

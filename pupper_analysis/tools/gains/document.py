@@ -31,12 +31,13 @@ _VERDICT_KEYS = {
     (True, False): "gains-beyond",
     (False, False): "gains-unstable",
 }
-"""{(whether all modes are stable, `GainStudy.passed`): catalogue key of the verdict's text}."""
+"""{(whether all modes are stable at the present gains, `GainStudy.passed`): catalogue key of the
+verdict's text}."""
 
 
 @build_document.register(GainStudy)
 def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a gain study; see ``build_document``."""
+    """Create the report of a gain study: verdict, tables of the bounds, and plot."""
     gains, failures = _describe_stable_gains(study), tuple(_describe_failures(study))
     return doc.Document(
         text("gains"),
@@ -61,7 +62,11 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield texts of replaced servos, an unstable mode, sag, and kp or kd above a bound."""
+    """Yield the reasons why the present gains fail.
+
+    The reasons are: replaced servos of the file, an unstable mode, no stand without feed-forward,
+    and kp or kd above the bound of a torque limit or encoder.
+    """
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
@@ -89,7 +94,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_added_servos(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield the statement that the present gains are those of added servos, if there are any."""
+    """Yield a statement if the present gains belong to servos that were added on loading."""
     if study.servos.made:
         yield clause_text(make_servo_clause(study.servos, good=study.passed)).with_mark("warn")
 
@@ -136,7 +141,7 @@ def _format_range(gains: Iterable[float], unit: str) -> str:
 
 
 def _describe_controller(study: GainStudy) -> doc.Words:
-    """Return the text of rate and delay of the controller, and of the mode at the largest kd."""
+    """Return the text of the controller's rate and delay, and of the mode that bounds kd."""
     implicit = study.integrator.startswith("implicit")
     return text(
         "gains-controller-implicit" if implicit else "gains-controller",
@@ -150,7 +155,10 @@ def _describe_controller(study: GainStudy) -> doc.Words:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the command to run next: `stand`, with the recommended gains if uniform."""
+    """Return the command to suggest next: `stand`.
+
+    The command contains the recommended gains if all joints have equal gains.
+    """
     first = study.classes[0]
     if study.uniform and first.recommended_kp is not None and first.recommended_kd is not None:
         return NextStep(
@@ -274,7 +282,7 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
 
 
 def _name_first_joints(bound: GainBound) -> doc.Words:
-    """Return the names of the two joints that move most in the mode of a bound, or a dash."""
+    """Return the names of the two joints that move most in a bound's growing mode, or a dash."""
     return (
         join_words([doc.Name(name) for name in bound.joints[:2]]) if bound.joints else doc.Name("-")
     )

@@ -63,9 +63,9 @@ from pupper_analysis.stance.stand import Stand, resolve_stance
 from pupper_analysis.stance.task import StandTask
 
 _SIMULATED_TOLERANCE = 0.02
-"""Relative tolerance [1] of the bisection for the gains at which simulated stands begin to fail. It
-is larger than `FACTOR_TOLERANCE`, the tolerance for the linear model, since a simulation takes
-longer. Chosen, not tuned.
+"""Relative tolerance [1] of the bisection of gains between simulated stands that hold and fail.
+Larger than `FACTOR_TOLERANCE`, the tolerance for the linear model, since a simulation takes longer.
+Chosen, not tuned.
 """
 
 _SIMULATED_RANGE = 2.0
@@ -73,8 +73,8 @@ _SIMULATED_RANGE = 2.0
 bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned."""
 
 _SHAKE_DURATION = 3.0
-"""Duration [s] of the simulations with which an upper bound of stiffness or damping is searched.
-Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
+"""Duration [s] of a simulated stand in the search for the upper bound of stiffness or damping.
+Chosen, not tuned: long compared with an oscillation that doubles within 0.1 s."""
 
 GAIN_MARGIN = 2.0
 """Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray
@@ -88,7 +88,7 @@ of 0.5 causes an overshoot of 16 %. Chosen, not tuned.
 
 MAX_NOISE_RATIO = 0.1
 """Upper bound of the torque that kd causes if the position reading changes by one encoder count
-within a control period, divided by the torque limit [1]. It limits
+within a control period, divided by the torque limit [1]. This bound limits kd:
 ``JointClass.largest_kd_of_encoder``. Chosen, not tuned.
 """
 
@@ -183,7 +183,7 @@ class JointClass(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joints."""
+        """Units of the gains of this class: those of hinges or of slides."""
         return select_joint_units(slides=self.are_slides)
 
 
@@ -250,9 +250,9 @@ class GainStudy(Result):
     def passed(self) -> bool:
         """Whether the robot stands stably with the present gains.
 
-        The modes with feed-forward are stable, the robot stands without feed-forward, no gain
-        exceeds the bound of a torque limit or encoder, and no gain of the file was invalid and
-        therefore replaced.
+        True if all modes of the linearised controlled stand are stable with feed-forward, the robot
+        stands without feed-forward, no gain exceeds the bound of a torque limit or encoder, and no
+        invalid gain of the file was replaced.
         """
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
@@ -265,7 +265,7 @@ class GainStudy(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the gains of all joints together (`combine_joint_units`)."""
+        """Units of gains common to all joints; mixed units for hinges and slides together."""
         return combine_joint_units(one.units for one in self.classes)
 
     @property
@@ -283,7 +283,7 @@ class GainStudy(Result):
 
 
 _STAGE = "bounds of gains"
-"""Name of the stage of `study_gains` in reports of progress."""
+"""Name that progress reports show while `study_gains` searches for bounds."""
 
 _NUM_BOUNDS = 3
 """Number of bounds for all joints together that `study_gains` searches first: smallest and largest
@@ -437,7 +437,7 @@ def _select_reference(
 def _find_common_bounds(
     gains: _Gains, stable_pair: tuple[float, float], num_parts: int
 ) -> tuple[tuple[float | None, float | None], GainBound, GainBound, GainBound]:
-    """Find the bounds of stiffness and damping for all joints together.
+    """Find the bounds of stiffness and damping if the gains of all joints are scaled together.
 
     Args:
         gains: Gains of the stand.
@@ -526,7 +526,7 @@ _Pair = tuple[Array, Array]
 
 
 class _Gains:
-    """Search for bounds of the gains of a controlled stand.
+    """Present gains of a standing robot, and searches for their bounds of stability.
 
     Args:
         loop: The controlled stand.
@@ -593,7 +593,7 @@ class _Gains:
     def find_stable_factors(
         self, gains: Callable[[float], _Pair], inside: float
     ) -> tuple[float | None, float | None]:
-        """Find the interval of gain factors, around a stable factor, in which the loop is stable.
+        """Find the interval of gain factors, around a stable factor, in which the stand is stable.
 
         Args:
             gains: Function that returns kp and kd of all joints, shape (nu,), for a factor.
@@ -613,11 +613,16 @@ class _Gains:
     def _find_end(
         self, gains: Callable[[float], _Pair], inside: float, ratio: float
     ) -> float | None:
-        """Search for the last stable factor on the gains, from the stable factor ``inside``.
+        """Search upwards or downwards for the last stable factor on the gains.
 
-        The factor is multiplied by ``ratio`` until a mode grows with the gains ``gains(factor)``,
-        then the interval is bisected. None if all factors up to ``MAX_FACTOR`` (or down to its
-        inverse) are stable.
+        The factor is multiplied by ``ratio`` (above or below 1) until a mode grows; then the
+        interval is bisected. None if all factors up to ``MAX_FACTOR``, or down to its inverse, are
+        stable.
+
+        Args:
+            gains: Function that returns kp and kd of all joints for a factor.
+            inside: Stable factor at which the search starts.
+            ratio: Ratio of successive factors.
         """
         stable = inside
         while 1 / MAX_FACTOR <= stable * ratio <= MAX_FACTOR:
@@ -664,7 +669,7 @@ class _Gains:
         return GainBound(factor, simulated, mode.frequency, mode.joints)
 
     def find_largest_damping(self, stiffness: float) -> float:
-        """Return the largest stable factor on the damping, for a factor on the stiffness.
+        """Return the largest stable factor on kd if kp is multiplied by the factor ``stiffness``.
 
         Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is
         stable.
@@ -747,7 +752,7 @@ class _Gains:
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return stable kp and kd, (nu,) each, with the kd of the joints ``members`` scaled."""
+            """Return stable kp and kd of all joints, (nu,) each, with the class's kd scaled."""
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

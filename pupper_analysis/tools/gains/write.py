@@ -34,7 +34,7 @@ def write_gains(
         study: Gains of the robot.
         robot: Robot, as loaded from its files.
         folder: Output folder.
-        files: URDF and MJCF, if different from the files from which the robot was loaded.
+        files: URDF and MJCF to copy, if different from the files from which the robot was loaded.
 
     Raises:
         ConfigurationError: If the study has no recommendation.
