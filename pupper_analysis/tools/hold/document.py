@@ -47,8 +47,8 @@ of the 600 random postures. Chosen, not tuned.
 
 
 MIN_FURTHER_SHARE = 0.1
-"""Ratio [1] of a further payload to the present payload, below which the further payload is not
-proposed: it is the rest that rounding left in the last proposal. Chosen, not tuned."""
+"""Smallest further payload that is proposed, divided by the present payload [1]. A smaller further
+payload is only what rounding left out in the last proposal. Chosen, not tuned."""
 
 
 @build_document.register(Hold)
@@ -85,10 +85,10 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:
-    """Return the verdict word "holds in this posture only", or None.
+    """Return the verdict word "holds in this posture only", or None if it does not apply.
 
-    None if the given posture does not hold, or if no motor exceeds its effort limit in the worst
-    posture that was found.
+    The word applies if the given posture holds, but a motor exceeds its effort limit in the worst
+    posture that a search found.
     """
     if hold.passed and _find_overloaded_motors(hold):
         return qualify_verdict_word("holds-in-one-posture", hold.verdict.converted)
@@ -96,7 +96,7 @@ def _select_verdict_word(hold: Hold) -> doc.Text | None:
 
 
 def _find_overloaded_motors(hold: Hold) -> list[str]:
-    """Return the joints whose motors exceed their limits in the worst posture found."""
+    """Return the joints whose motors exceed their limits in the worst posture of a search."""
     return [
         name
         for name, share in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
@@ -105,14 +105,16 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 
 
 def _select_next_step(hold: Hold) -> doc.NextStep:
-    """Return the next command: `hold` with the payload that all found postures hold, rounded down.
+    """Return the command to suggest next; the first case that applies is used.
 
-    There are four exceptions. If this payload is unknown, unlimited or zero, or if the posture
-    fails, the next command is `audit`, which checks the files. It is also `audit` if the posture is
-    already loaded, and the rest of the payload is below `MIN_FURTHER_SHARE` of the load. If a
-    difference of the two files explains a failure, it is `crosscheck`. If the posture fails with a
-    payload, or a found posture does, it is `hold` without the payload, which finds the largest
-    payload.
+    - The posture fails, and a difference of the two files may explain this: `crosscheck` or
+      `audit`.
+    - The posture fails with a payload, or a worst posture with this payload fails: `hold` without
+      the payload, which finds the largest payload.
+    - The posture fails without payload: `audit`, which checks the files.
+    - The further payload that all postures found hold is unknown or unlimited, zero, or less than
+      `MIN_FURTHER_SHARE` of the present payload: `audit`.
+    - Otherwise: `hold` with this further payload, rounded down.
     """
     payload = hold.payload.worst_posture_mass
     overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))
@@ -130,7 +132,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
-    """Return the text of the motor with the largest utilisation in all postures, and the payload.
+    """Return the text of the most utilised motor over all postures found, and of the payload limit.
 
     If no utilisation is known, the text states the largest torque of a motor instead. If effort
     limits are unknown, a word replaces the payload.
@@ -162,9 +164,9 @@ def _format_payload_limit(payload: float) -> doc.Words:
 
 
 def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
-    """Yield a line with the commanded posture, its most utilised motor, and the largest payload.
+    """Yield a line with the posture, its most utilised motor, and the largest payload [kg].
 
-    The payload is in kg. `describe_hardest_motor` specifies when the motor is left out.
+    The motor is left out if no utilisation is known (`describe_hardest_motor`).
     """
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
@@ -204,7 +206,7 @@ def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
 
 
 def _make_tool_table(hold: Hold) -> doc.Table:
-    """Create the table of tool position, and predicted and simulated sag of the tool [mm].
+    """Create the table of the tool's position, and of its predicted and simulated sag [mm].
 
     A row has the vector in world axes, and its length. The predicted sag is left out if unknown.
     """
@@ -262,8 +264,8 @@ def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.
 def _make_payload_table(hold: Hold) -> doc.Table:
     """Create the table of the payload limits at the tool [kg], with the limiting joints.
 
-    The rows are the limits of the motors and of the servos in the posture, and of the motors over
-    all postures found.
+    The rows are the limits of the motors and of the servos in the given posture, and of the motors
+    over all worst postures that a search found.
     """
     payload = hold.payload
     limits = (
@@ -301,9 +303,9 @@ def _make_limit_table(
 
 
 def _make_limit_cell(value: float) -> doc.Cell:
-    """Create a table cell with a limit ``value``, such as a payload [kg] or a force [N].
+    """Create a table cell with a limit, such as a payload [kg] or a force [N].
 
-    A word if the limit is NaN, since effort limits are unknown.
+    The cell contains a word if the limit is NaN, since effort limits are unknown.
     """
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
@@ -383,7 +385,7 @@ def reach_plot(reach: ReachLoad) -> doc.LinePlot:
 
 
 def _describe_posture(hold: Hold) -> doc.Words:
-    """State the source of the posture, given joint positions, a hanging robot, and the payload."""
+    """Return the text of the posture: source, given joint positions, hanging robot, and payload."""
     posture = hold.posture
     positions = {
         joint: format(Quantity(position, unit), "read:.4g")
@@ -459,9 +461,8 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
 def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
     """Yield the warnings on motors, effort limits, servos and payload.
 
-    Weak motors are always reported. Unknown limits are reported next; if all limits are known, soft
-    servos and a failing payload are reported instead. The failing
-    payload belongs to the simulation `Hold.payload_trial`.
+    Weak motors are always reported. If effort limits are unknown, these are reported; otherwise
+    soft servos, and a payload that fails in the simulation `Hold.payload_trial`.
     """
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")

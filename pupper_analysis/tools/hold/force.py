@@ -86,8 +86,9 @@ class ToolForce(Tabular):
 def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     """Compute the largest external forces [N] on a tool that the motors withstand in a posture.
 
-    Forces are in world axes: along +-x, +-y, +-z, in the x-y, x-z and y-z planes, and in the
-    weakest direction. In this direction, the smallest force brings a motor to its limit.
+    The directions are, in world axes: +-x, +-y, +-z; all directions in the x-y, x-z and y-z planes
+    (every 5 degrees); and the weakest direction, in which the smallest force brings a motor to its
+    limit.
 
     Args:
         robot: Robot with a fixed base.
@@ -121,8 +122,8 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
 def _find_weakest_direction(rows: Array, margins: Array) -> tuple[float, Array, int]:
     """Find the smallest force on a tool with which a motor reaches its effort limit.
 
-    The motors withstand a force f [N] if ``rows @ f <= margins``. The smallest force that reaches a
-    limit is the shortest vector from zero to a face of this polytope.
+    The motors withstand a force f [N] if ``rows @ f <= margins``, which is a polytope. The smallest
+    force that reaches a limit is the shortest vector from zero to a face of the polytope.
 
     Args:
         rows: Rows of `force_inequalities`, shape (2 nu, 3) [m, or 1 for a slide].

@@ -115,18 +115,19 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
 
 
 _MAX_PAYLOAD_ROUNDS = 6
-"""Maximum number of searches for the worst postures, each with a smaller payload. The number bounds
-the computing time; two or three searches mostly suffice. Chosen, not tuned.
+"""Maximum number of iterations of the payload limit over all postures. Each iteration searches the
+worst postures with a smaller payload. The number bounds the computing time; two or three iterations
+mostly suffice. Chosen, not tuned.
 """
 
 _PAYLOAD_RTOL = 1e-4
-"""Relative change of the payload that ends the iteration over worst postures. Chosen, not
-tuned."""
+"""Relative change of the payload limit below which the iteration over worst postures ends. Chosen,
+not tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Bound of the softening [1]. The softening is the largest fraction of a motion's stiffness that a
-payload as heavy as the robot removes (a generalised eigenvalue). Up to the bound, the softening is
-a rounding error, and the servo stiffness does not limit the payload. Chosen, not tuned.
+"""Smallest softening [1] with which the servo stiffness limits the payload. The softening is the
+largest fraction of a motion's stiffness that a payload as heavy as the robot removes (a generalised
+eigenvalue). A smaller softening is a rounding error. Chosen, not tuned.
 """
 
 
@@ -305,10 +306,11 @@ def servo_payload(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
 
     Returns:
-        (mass, joint). The mass [kg] is infinite without a limit. It is 0 if the stiffness without
-        the mass is not positive definite. It is also 0 if a command without the mass is already
-        beyond the end of its range, and the mass moves it further. The joint is that whose command
-        reaches the end of its range first; "" if the stiffness, or nothing, limits the mass.
+        (mass, joint). The mass [kg] is infinite without a limit. The mass is 0 if the stiffness
+        without the mass is not positive definite, or if a command without the mass is already
+        beyond the end of its range and the mass moves the command further. ``joint`` is the joint
+        whose command reaches the end of its range first; "" if the stiffness, or nothing, limits
+        the mass.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -347,7 +349,10 @@ def servo_payload(
 def _find_smallest_payload(
     robot: Robot, tool: Tool, postures: list[Array]
 ) -> tuple[float, str, Array]:
-    """Return the smallest `posture_payload` [kg], the limiting joint, and the posture, (nu,)."""
+    """Return the smallest limit of the motors over postures: mass [kg], joint, posture (nu,).
+
+    The limit of a posture is `posture_payload`; ``joint`` limits the mass in the returned posture.
+    """
     limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(limits, key=lambda limit: limit[0])
 
@@ -356,7 +361,8 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
     """Return a mask (nu,) of the motors that may bear a mass at a tool.
 
     The mask is True for the joints of the kinematic chain to the tool, and for all joints that are
-    coupled to the chain. It is False for dependent joints, which have no motor.
+    coupled to the chain by loops or joint couplings. It is False for dependent joints, which have
+    no motor.
     """
     may_bear = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure
@@ -368,9 +374,8 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
 
 
 VERIFIED_FRACTION = 0.95
-"""Fraction [1] of the payload limit with which the posture is simulated. The limit is the smaller
-limit of motors and servos. At the limit itself, rounding would determine the verdict. Chosen, not
-tuned.
+"""Fraction [1] of the payload limit (of motors or servos, the smaller) with which the posture is
+simulated. At the limit itself, rounding would determine the verdict. Chosen, not tuned.
 """
 
 
@@ -456,7 +461,8 @@ class Hold(Tabular):
 
 
 _NUM_SIMULATIONS = 2
-"""Number of simulations without additional payload in `hold_posture`, for reports of progress."""
+"""Number of simulations in `hold_posture`, with and without feed-forward, for reports of progress.
+The simulation of the payload limit is not counted."""
 
 
 @check_arguments

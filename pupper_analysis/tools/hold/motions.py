@@ -19,15 +19,14 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture
 
 _MAX_LINEAR_OPENING = 1e-6
-"""Bound of the opening of a loop [m, rad] if its joints are moved in proportion, tested at
-`_TESTED_RANGE_FRACTIONS`. Up to the bound, the motion of the loop counts as proportional. Above the
-bound, samples of the loop are closed numerically. Chosen, not tuned.
+"""Largest opening of a loop [m, rad] with which the motion of its joints counts as proportional.
+The opening is tested with the joints moved in proportion (`_TESTED_RANGE_FRACTIONS`). If it is
+larger, the loop is closed numerically at each sample of a motion. Chosen, not tuned.
 """
 
 _MIN_COUPLING_RATIO = 1e-9
-"""Bound of a ratio of joint velocities, or of an element of the loops' Jacobian (rad and m mixed).
-Below the bound the value is a rounding error, and the joint counts as not coupled. Chosen, not
-tuned.
+"""Smallest ratio of joint velocities, or element of the loops' Jacobian (rad and m mixed), that
+couples two joints. A smaller value is a rounding error. Chosen, not tuned.
 """
 
 _TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
@@ -36,25 +35,26 @@ to each end of the joint range. Chosen, not tuned.
 """
 
 _NUM_LINEAR_SAMPLES = 24
-"""Number of positions of an independent joint at which a torque is sampled to find its maximum. The
-number applies if all dependent joints move in proportion. A torque that is a sinusoid plus a linear
-term is not sampled, since its maximum has a closed form. Chosen, not tuned.
+"""Number of positions of an independent joint at which a torque is sampled to find its maximum, if
+all dependent joints move in proportion. A torque that is a sinusoid plus a linear term is not
+sampled, since its maximum has a closed form. Chosen, not tuned.
 """
 
 _NUM_LOOP_SAMPLES = 25
-"""Number of samples along the independent joint, if a loop has only one. For a gripper, the samples
-are 3 degrees apart. The number bounds the computing time: closing a loop takes 15 ms. Chosen, not
-tuned.
+"""Number of positions of an independent joint at which a loop is closed, if the loop has one
+independent joint. For a gripper, the positions are 3 degrees apart. The number bounds the computing
+time: closing a loop takes 15 ms. Chosen, not tuned.
 """
 
 _NUM_COMBINED_SAMPLES = 9
-"""Number of samples along each independent joint, if a loop has several independent joints. It is
-smaller than `_NUM_LOOP_SAMPLES`, since the loop must be closed at each combination of the samples.
+"""Number of positions of each independent joint at which a loop is closed, if the loop has several
+independent joints. Smaller than `_NUM_LOOP_SAMPLES`, since the loop must be closed at each
+combination of the positions.
 """
 
 _LIMIT_ATOL = 1e-6
-"""Bound of the distance [rad, m] of a dependent joint beyond its limits. Up to the bound, the
-distance is a rounding error, and the posture is accepted. Chosen, not tuned.
+"""Largest distance [rad, m] of a dependent joint beyond its limits at which a posture is accepted.
+Such a distance is a rounding error. Chosen, not tuned.
 """
 
 
@@ -108,9 +108,9 @@ class JointMotions:
     def draw_postures(self, count: int) -> list[Array]:
         """Draw random postures within the joint ranges, with closed loops, (nu,) [rad, m] each.
 
-        Each call returns the same postures. The positions of an independent joint that moves other
-        joints nonlinearly are restricted to the samples of `count_samples`. A position at which a
-        loop cannot be closed is skipped.
+        Each call returns the same postures. If an independent joint moves other joints nonlinearly,
+        only the equally spaced positions of `count_samples` are used. A position at which a loop
+        cannot be closed is skipped.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):
@@ -126,12 +126,12 @@ class JointMotions:
         return postures
 
     def find_range(self, qpos: Array, motion: int) -> tuple[float, float]:
-        """Return the range (low, high) of displacements [rad, m] that joint limits permit.
+        """Return the range of displacements along a motion that joint limits permit.
 
-        Displacements are those of the independent joint of a motion, from a posture. For a
-        nonlinear motion, only the range of the independent joint is used; `move_along` checks the
-        ranges of the dependent joints. For other motions the range always includes 0, even if the
-        posture exceeds a joint limit.
+        A displacement is that of the independent joint of the motion, from the posture ``qpos``.
+        For a nonlinear motion, only the range of the independent joint is used; `move_along` checks
+        the ranges of the dependent joints. For other motions the range always includes 0, even if
+        the posture exceeds a joint limit.
 
         Args:
             qpos: Posture, shape (nu,).
@@ -206,8 +206,9 @@ class JointMotions:
     def _add_couplings(self, closure: Closure) -> None:
         """Set the motions of the independent (free) joints of a robot with loops or couplings.
 
-        The dependent joints follow the free joints in the ratios of the closure's Jacobian at the
-        origin. If a motion in these ratios opens a loop, all motions of this loop are nonlinear.
+        A motion moves the dependent joints in constant proportion to the free joint, in the ratios
+        of the closure's Jacobian at the origin. If such a motion opens a loop, all motions of this
+        loop are nonlinear.
         """
         count, following = len(self.origin), closure.dependent_joints
         rows = closure.jacobian(self.origin)

@@ -38,16 +38,17 @@ No further search starts after that. Chosen, not tuned.
 """
 
 _SAME_TORQUE_RTOL = 1e-9
-"""Relative difference up to which the torques of two searches count as the same maximum. Chosen,
-not tuned."""
+"""Relative difference of the torques of two searches at or below which both have found the same
+maximum. Chosen, not tuned."""
 
 _MAX_SWEEPS = 30
-"""Maximum number of sweeps over all joints in a search. Chosen, not tuned."""
+"""Maximum number of sweeps of a search; in a sweep, each joint is moved to the largest torque in
+turn. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
-"""Bound of the increase of the torque in a sweep over all joints, divided by the torque [1]. Up to
-the bound, the search for the largest torque stops. It is also a bound of the relative variation of
-torque samples. Up to the bound, the samples count as constant (rounding). Chosen, not tuned.
+"""Relative increase of the torque in a sweep over all joints [1] at or below which a search for the
+largest torque stops. Also the largest relative variation of torque samples that count as constant
+(rounding). Chosen, not tuned.
 """
 
 _PEAK_POSITION_ATOL = 1e-6
@@ -56,12 +57,12 @@ samples: ``xatol`` of SciPy's bounded minimisation, and width at which bisection
 torque of a hinge is A cos(x) near the maximum, so that an error of x changes it by 1e-12 A / 2."""
 
 _UNDEFINED_TORQUE = 1e300
-"""A value larger than any torque [N m, N]. Its negative is the torque of a posture with a loop that
-cannot be closed or is singular, so that the search avoids the posture."""
+"""Value larger than any torque [N m, N]. If a loop cannot be closed in a posture, or is singular,
+the torque is the negative of this value, so that the search avoids the posture."""
 
 _MIN_LOAD_FRACTION = 1e-12
-"""Bound of the motor torque per load of a joint [1, m or 1/m]. Up to the bound, the torque is a
-rounding error, and the motor does not bear this load. Chosen, not tuned.
+"""Smallest motor torque per load of a joint [1, m or 1/m] with which the motor bears the load. A
+smaller value is a rounding error. Chosen, not tuned.
 """
 
 
@@ -97,11 +98,11 @@ class TorqueSearch:
     def find_highest_torque(
         self, joint: int, sign: float, starts: list[Array]
     ) -> tuple[float, Array]:
-        """Find the posture with the largest static torque of a motor, by searches from postures.
+        """Find the posture with the largest static torque of a motor, by several searches.
 
         No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
-        torque. The motion of closed loops is sampled. If joints move in closed loops, a last search
-        from the best posture also examines postures between the samples.
+        torque. If joints move in closed loops, postures are sampled along their motion, and a last
+        search from the best posture also examines postures between the samples.
 
         Args:
             joint: Index of the joint.
@@ -171,7 +172,7 @@ class TorqueSearch:
     def _find_peak(
         self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Find the displacement along a motion with the largest torque of a joint in one direction.
+        """Find the displacement along a motion at which a torque with a given sign is largest.
 
         The maximum along a hinge without coupled joints has a closed form. Along such a slide the
         torque is linear, so an end of the range is the maximum. The torque is sampled along coupled
@@ -253,13 +254,18 @@ def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high
 def _maximize_sampled(
     function: Callable[[float], float], samples: Array, *, fine: bool, everywhere: bool
 ) -> float:
-    """Return the argument of the maximum of a function on the interval of ``samples``.
+    """Find the argument at which a function is largest on the interval of ``samples``.
 
-    The function is evaluated at ``samples``, displacements [rad, m] in ascending order. If
-    ``fine`` is True, a bounded scalar minimisation (scipy) follows around the largest value. It is
-    omitted if all values are equal up to rounding. If ``everywhere`` is also True, it is repeated
-    around each local maximum: for a closed loop, the global maximum may not be next to the largest
-    sample.
+    If ``fine`` is False, or all values are equal up to rounding, this is the best sample. Otherwise
+    a bounded scalar minimisation (SciPy) refines the best sample. With ``everywhere``, each local
+    maximum of the samples is refined: for a closed loop, the global maximum may not be next to the
+    largest sample.
+
+    Args:
+        function: Function of a displacement; `-_UNDEFINED_TORQUE` if undefined.
+        samples: Displacements [rad, m] in ascending order.
+        fine: Whether to search between the samples.
+        everywhere: Whether to refine all local maxima; only with ``fine``.
     """
     from scipy import optimize  # slow to import
 
@@ -285,11 +291,11 @@ def _maximize_sampled(
 
 
 def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
-    """Return the end [rad, m] of the interval from ``start`` in which a function is defined.
+    """Return the last position [rad, m] from ``start`` to ``end`` with a defined function.
 
-    The result is ``end`` itself if the function is defined at ``end``. Otherwise bisection finds
-    the last defined position, with the tolerance `_PEAK_POSITION_ATOL`. The function must be
-    defined at ``start``. An undefined value is represented by -`_UNDEFINED_TORQUE`.
+    The result is ``end`` if the function is defined there. Otherwise the position is found by
+    bisection, with the tolerance `_PEAK_POSITION_ATOL`. The function must be defined at ``start``.
+    An undefined value is represented by -`_UNDEFINED_TORQUE`.
     """
     if function(end) > -_UNDEFINED_TORQUE:
         return end
@@ -309,13 +315,13 @@ whose joints do not move in proportion. The searches also start from the worst o
 because the torques of such loops have many local maxima. Chosen, not tuned."""
 
 _NUM_POOL_STARTS = 3
-"""Number of start postures that are selected from the random sample of `_NUM_POOL_POSTURES`. The
-postures with the largest torques of the motor are selected. Chosen, not tuned.
+"""Number of start postures of a motor that are selected from the `_NUM_POOL_POSTURES` random
+postures: those with the largest torques of the motor. Chosen, not tuned.
 """
 
 _MIN_TORQUE_PER_WEIGHT = 1e-14
-"""Bound of the torque divided by the robot's weight [N m/N]. Up to the bound, a torque is set to 0,
-since the torque of a hinge with a vertical axis is only a rounding error. Chosen, not tuned.
+"""Torque divided by the robot's weight [N m/N] at or below which the torque is set to 0. For
+example, the torque of a hinge with a vertical axis is only a rounding error. Chosen, not tuned.
 """
 
 
