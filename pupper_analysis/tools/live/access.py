@@ -24,7 +24,8 @@ MAX_MESSAGE_BYTES = 1 << 20
 hundred bytes. Chosen, not tuned."""
 
 CHECKED_HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
-"""Headers of a browser's request from which `Access.find_refusal` decides whether to refuse it."""
+"""Headers of a browser's request from which `Access.find_refusal` decides whether to refuse the
+request."""
 
 TOKEN_COOKIE = "pupper_analysis_token"
 """Name of the cookie in which a browser stores the access token of the page."""
@@ -43,7 +44,10 @@ def is_loopback(host: str) -> bool:
 
 
 class Access:
-    """Rules by which the page server allows or refuses requests: host, origin, token.
+    """Rules by which the page server allows or refuses requests of browsers.
+
+    Checked are the host name by which the request names the server, the page from which it comes
+    (origin), and a secret token.
 
     Args:
         host: Address of the server.
@@ -111,4 +115,5 @@ def strip_folders(text: str) -> str:
 
 
 _FOLDER_PATTERN = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
-"""Folders of an absolute path. `strip_folders` deletes the match, so that the file name remains."""
+"""Pattern of the folders of an absolute path. `strip_folders` deletes the matches, so that only the
+file name remains."""

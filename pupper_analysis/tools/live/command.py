@@ -33,9 +33,10 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.live.state import State
 
 PYTHON_THRESHOLDS = 700, 10, 10
-"""Arguments of `gc.set_threshold` while the page runs: new objects before a collection of
-generation 0, and collections of generations 0 and 1 before a collection of the next generation. The
-defaults of Python up to 3.12, which replace `cli.GC_THRESHOLDS` because the page runs for hours."""
+"""Arguments of `gc.set_threshold` while the page runs: number of new objects before a collection of
+generation 0, and numbers of collections of generations 0 and 1 before a collection of the next
+generation. The values are the defaults of Python up to 3.12. They replace `cli.GC_THRESHOLDS`,
+which postpone collections, because the page runs for hours."""
 
 _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 """Names of the command's parameters that all modes accept: files and options of the robot."""
@@ -170,7 +171,7 @@ def command(
 
 
 def read_stance(path: Path) -> State:
-    """Read a stance file, and return the state of the live page: stance, payload and servo gains.
+    """Read a stance file as the state of the live page: stance, payload and servo gains.
 
     Raises:
         ConfigurationError: If the file is not a stance, an option is unknown or has no slider, or a
@@ -209,7 +210,10 @@ def _open_page(
     browser: bool,
     **server_options: Unpack[ServeOptions],
 ) -> None:
-    """Serve the page of a selected robot until Ctrl-C; ``stance``: file of the initial stance."""
+    """Serve the page with the sliders of a robot until Ctrl-C.
+
+    ``stance`` is the file of the stance that the page shows first.
+    """
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
 

@@ -39,7 +39,8 @@ from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, find_contact_factor
 
 PLACE_LABELS = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
-"""{mode of the horizontal base position (`PLACE_MODES`): catalogue key of its label}."""
+"""{mode of the horizontal base position (`PLACE_MODES`): key of its label in the catalogue of
+texts}."""
 
 LIFT_SLIDER = "lift"
 """Name of the slider of the height of a lifted foot. Moving the slider lifts the foot."""
@@ -50,7 +51,7 @@ class Controls:
 
     Args:
         gui: viser's interface of the page.
-        robot: Robot of the initial page.
+        robot: Robot of the page before any change by the user.
         translator: Translator into the language of the page.
         changed: Function that is called after the user has changed a control, and by `set_state`.
     """
@@ -103,7 +104,7 @@ class Controls:
         self.contacts.on_update(self._make_callback(self._apply_contacts))
 
     def add_joint_controls(self) -> None:
-        """Add the sliders of the joints that carry no foot to the current container of viser."""
+        """Add the sliders of the joints that move no foot to the current container of viser."""
         gui, robot = self._gui, self._robot
         free, home = find_footless_joints(robot), robot.home[-robot.nu :]
         with gui.add_folder(term("Posture", self._translator.code), visible=bool(free)):
@@ -123,13 +124,13 @@ class Controls:
                 self._add_folder_sliders(folder)
 
     def _add_folder_sliders(self, folder: str, *excluded: str) -> None:
-        """Add the sliders of a folder of the web page, except the slider names ``excluded``."""
+        """Add the sliders of a folder (group) of the page, except the slider names ``excluded``."""
         for name, control in CONTROL_BY_NAME.items():
             if name not in excluded and _find_folder(control.field) == folder:
                 self._add_slider(control)
 
     def _add_slider(self, control: Control) -> None:
-        """Add the slider of a control to the current container of viser."""
+        """Add one slider, which ``control`` describes, to the current container of viser."""
         span, code = self._ranges[control.name], self._translator.code
         handle = self._gui.add_slider(
             control.label(code),
@@ -143,10 +144,10 @@ class Controls:
         self.sliders[control.name] = handle
 
     def _make_callback(self, change: Callable[[State], State]) -> Callable[[Any], None]:
-        """Return a callback for viser that sets the state to ``change(state)``.
+        """Return a callback for viser that changes the state when the user moves a control.
 
-        The state is kept if ``change`` raises a PupperAnalysisError. Changes of a control by the
-        program (without a client) are ignored.
+        The new state is ``change(state)``; the state is kept if ``change`` raises a
+        PupperAnalysisError. Changes of a control by the program (without a client) are ignored.
         """
 
         def moved(event: Any) -> None:
@@ -167,8 +168,9 @@ class Controls:
     def _apply_slider(self, control: Control, state: State) -> State:
         """Return ``state`` with the value that the slider of a control has on the page.
 
-        The slider `LIFT_SLIDER` also lifts the selected foot; a slider of the offset also selects
-        the mode ``offset``. The slider of a contact changes nothing if the selected foot has none.
+        The slider `LIFT_SLIDER` also lifts the selected foot; a slider of the base offset also
+        selects the mode ``offset`` of the base position. The slider of a contact plane changes
+        nothing if the selected foot has no such plane.
         """
         field = control.field
         value = check_finite(control.name, float(self.sliders[control.name].value))
@@ -198,9 +200,10 @@ class Controls:
         return state.with_values(place="offset") if field.name == "offset" else state
 
     def _apply_lift(self, state: State) -> State:
-        """Return the state with the selected foot lifted to the slider's height, or on the ground.
+        """Return the state with the selected foot lifted, or on the ground.
 
-        The checkbox "lifted" of the page decides.
+        The foot is lifted to the height of the lift slider if the checkbox "lifted" of the page is
+        set.
         """
         swing = {
             foot: height for foot, height in state.swing.items() if foot != self._selected_foot
@@ -210,12 +213,18 @@ class Controls:
         return state.with_values(swing=swing)
 
     def _apply_contacts(self, state: State) -> State:
-        """Return the state with the contacts in the text field, a ``LINK=CONTACT`` per line."""
+        """Return the state with the contacts that the text field of the page contains.
+
+        A line of the text field is ``LINK=CONTACT``.
+        """
         lines = filter(str.strip, self.contacts.value.splitlines())
         return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Update the list of feet from the stance; unless ``typed``, also the text of contacts."""
+        """Update the list of feet, and the text field of contacts, from the stance.
+
+        The text field is left unchanged if ``typed`` is True, because the user is typing there.
+        """
         contacts = self._state.contacts
         if not typed:
             self.contacts.value = "\n".join(
@@ -272,7 +281,7 @@ class Controls:
             self._changed()
 
     def _slider_value(self, state: State, control: Control) -> float:
-        """Return the value of a slider in a state (page units); if unset, the initial value."""
+        """Return the value of a slider in a state [page units]; if unset, its initial value."""
         value = getattr(state, control.field.name)
         return self._ranges[control.name].value if value is None else control.extract_number(value)
 
@@ -341,8 +350,8 @@ def _clamp_to_range(span: Range, value: float) -> float:
 
 
 _UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
-"""{unit of a joint: largest magnitude of the bounds of its slider [rad or m]}. Applies if the joint
-has no limit, or a larger limit. Chosen, not tuned."""
+"""{unit of a joint: largest magnitude of the ends of its slider [rad or m]}. Used if the joint has
+no limit, or a larger limit. Chosen, not tuned."""
 
 _JOINT_STEP = 0.5
 """Step of a joint slider [deg or mm]. Chosen, not tuned."""
@@ -431,12 +440,12 @@ _AXIS_TERMS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
 
 @dataclass(frozen=True)
 class Control:
-    """Slider: a number of a field, or an element of a point.
+    """Description of a slider of the page: a field of the state, or a coordinate of a point.
 
     Attributes:
         name: Name, for example ``roll`` or ``offset_x``.
         field: Field of the state.
-        axis: Index into a point; None for a number.
+        axis: Index of the coordinate of a point; None for a number.
     """
 
     name: str
@@ -450,12 +459,12 @@ class Control:
         return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
 
     def hint(self, language: str) -> str:
-        """Return the explanation of the slider in the language ``en`` or ``zh``."""
+        """Return the help text of the slider, in the language ``en`` or ``zh``."""
         arguments = {} if self.axis is None else {"axis": _AXIS_TERMS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, arguments, language)
 
     def extract_number(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
-        """Return the number that this slider shows for a field's value: a number or a component.
+        """Return the number that this slider shows for a value of its field.
 
         Args:
             value: Number or point in the units of the web page (`PAGE_UNITS`, for example mm and
@@ -528,10 +537,10 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
 
 def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the slider range of a length [mm] or mass [kg], scaled with the robot.
+    """Return the slider range of a length [mm] or mass [kg], proportional to the robot.
 
-    ``slider`` states the ends relative to the robot's stand height or mass; their magnitudes are
-    rounded up. If 0 is not allowed, the lower end is one step.
+    ``slider`` states the ends relative to the robot's stand height or mass; the magnitudes of the
+    ends are rounded up. If 0 is not allowed, the lower end is one step.
     """
     scale = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
     low, high = (math.copysign(round_up_slider_end(abs(bound) * scale), bound) if bound else 0.0

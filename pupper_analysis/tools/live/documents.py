@@ -42,8 +42,8 @@ def live_stance_document(
     Args:
         answer: State of the page, with the stand if there is a stand.
         sag: Predicted equilibrium, or the reason why there is none; None until computed.
-        judged: Verdict; None if the state is not valid, or the stance is out of reach or not in
-            balance.
+        judged: Verdict without simulation; None if the state is not valid, or the stance is out of
+            reach or not in balance.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
     blocks: list[doc.Block] = []
@@ -66,13 +66,16 @@ def live_stance_document(
 
 
 def _make_robot_title(answer: Answer) -> doc.Name:
-    """Return the title of a document: name and mass [kg] of the robot; empty without robot."""
+    """Return the title of a document: name and mass [kg] of the robot; empty without a robot."""
     robot = answer.robot
     return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
 def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
-    """Yield the table of the predicted sag, or the failure; a waiting message if None."""
+    """Yield the table of the predicted sag of the servos, or the reason for no equilibrium.
+
+    While the prediction runs, ``sag`` is None, and a waiting message is yielded.
+    """
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)
@@ -91,8 +94,9 @@ def refusal_document(
 
     Args:
         answer: State of the page whose stance is out of reach.
-        error: Explained refusal; None if the stance is reachable after all.
-        pending: True until the refusal is explained; ``error`` is then None.
+        error: Error with the reason and the nearest reachable stance; None if the slower
+            computation has found the stance to be reachable.
+        pending: True while the reason is computed; ``error`` is then None.
     """
     blocks: list[doc.Block] = []
     message: doc.Words = text("out-of-reach")

@@ -45,7 +45,8 @@ class Answer:
         stand: Stand, on MuJoCo's soft ground if reachable there; None if the state is not valid, or
             the stance is out of reach.
         statics: Static torques and forces; None without a stand in balance.
-        refusal: Error, if a result is None. A ``StanceUnreachableError`` is not yet explained.
+        refusal: Error, if a result is None. A ``StanceUnreachableError`` does not contain the
+            nearest stance yet (`explain_unreachable`).
     """
 
     state: State
@@ -73,7 +74,7 @@ class PageSolver:
         self._cached_robot: tuple[object, Robot] | None = None
 
     def load_robot(self, state: State) -> Robot:
-        """Return the robot with the payload of a state. The last robot is cached.
+        """Return the robot with the payload that the page's state requests; the last is cached.
 
         Raises:
             PupperAnalysisError: If the payload is not valid.
@@ -140,7 +141,8 @@ def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
 
     Args:
         answer: Solved state.
-        closely: True to compute the stability as well, which takes some milliseconds.
+        closely: True to include the stability of the linearised dynamics, which takes some
+            milliseconds.
     """
     if answer.robot is None or answer.statics is None:
         return None
@@ -154,7 +156,7 @@ def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
 
 
 def simulate_stance(answer: Answer) -> Stance:
-    """Simulate and judge a stance, as the command ``stand``.
+    """Simulate and judge a stance in the same way as the command ``stand``.
 
     Args:
         answer: Stance that was solved for the state of the page: robot, task and gains.

@@ -63,8 +63,8 @@ def import_viser() -> Any:
 def find_free_port(host: str, port: int | None) -> int:
     """Return a port on which a server can listen: ``port``, or any free port if ``port`` is None.
 
-    viser would use the next port if the port is taken, and would wait indefinitely for an unknown
-    host.
+    The check is necessary: viser would use the next port if the port is taken, and would wait
+    indefinitely for an unknown host.
 
     Raises:
         ConfigurationError: If the port is taken or not valid, or the host is not an address of this
@@ -123,10 +123,10 @@ def make_address(server: Any, host: str, access: Access) -> str:
 
 @contextlib.contextmanager
 def _guard_requests(access: Access) -> Iterator[None]:
-    """Make the servers that viser starts within this context refuse requests without access.
+    """Add access control to the servers that viser starts within this context.
 
-    Requests are checked with `Access.find_refusal`; sizes of messages, and the time to close a
-    connection, are limited, too.
+    Requests are checked with `Access.find_refusal`. The size of messages and the time to close a
+    connection are also limited.
     """
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
@@ -165,7 +165,10 @@ def stop_server(server: Any) -> None:
 
 
 class NumberPanel:
-    """Panel of numbers at the left of the page; on a phone, a folded section above the controls."""
+    """Panel at the left of the page that shows the numbers of the stance.
+
+    On a phone, the panel is a folded section above the controls.
+    """
 
     def __init__(self, gui: Any, translator: Translator, waiting: str, width: int = 380) -> None:
         left, self._title = gui.add_panel(), translator("what-it-takes")
@@ -217,7 +220,7 @@ class Translator:
             raise ConfigurationError("language", diagnose("language-unknown", language=self.code))
 
     def __call__(self, key: str, **values: object) -> str:
-        """Return a text of the catalogue.
+        """Return a text of the catalogue in the language of the page.
 
         Args:
             key: Key of the text.
@@ -271,9 +274,9 @@ def render_panel(document: Document, translator: Translator) -> str:
 
 
 def render_verdict(document: Document, translator: Translator) -> str:
-    """Render verdict, reasons and details of a document as an HTML box; empty if nothing is judged.
+    """Render the verdict of a document, with reasons and details, as an HTML box.
 
-    Nothing is judged if `Document.passed` is None.
+    The result is empty if the document has no verdict (`Document.passed` is None).
     """
     if document.passed is None:
         return ""
@@ -309,7 +312,7 @@ def _escape_html(text: str) -> str:
 
 
 def _render_box(mark: str, text: str) -> str:
-    """Render a text in an HTML box whose colour shows the emphasis ``mark``."""
+    """Render a text in an HTML box; its colour shows the emphasis ``mark``, such as "good"."""
     return f'<div class="{_BOX_CLASSES[mark]}">{_escape_html(text)}</div>'
 
 

@@ -43,8 +43,8 @@ UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
     (0.75, (240, 138, 52)),
     (1.0, (208, 28, 40)),
 )
-"""(motor utilisation, colour) in ascending order; colours of utilisations (torque / limit) between
-the entries are interpolated linearly."""
+"""Colour scale of motor utilisation (torque / limit): (utilisation, colour) in ascending order;
+colours between two entries are interpolated linearly."""
 
 OVERLOAD_COLOUR: Colour = (138, 0, 110)
 """Colour of a utilisation above 1."""
@@ -81,8 +81,9 @@ Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 MAX_FACES = 40_000
-"""Approximate upper bound of the number of faces of all meshes of a robot, which are sent when a
-page opens: about 0.5 MB of vertex indices. Primitive shapes are not counted. Chosen, not tuned."""
+"""Approximate upper bound of the number of triangles of all meshes of a robot, which are sent when
+a page opens: about 0.5 MB of vertex indices. Larger meshes are simplified; primitive shapes are not
+counted. Chosen, not tuned."""
 
 
 BodyMeshes = dict[tuple[int, Colour], Mesh]
@@ -111,7 +112,7 @@ def _join_meshes(meshes: list[Mesh]) -> Mesh:
 def triangulate_shape(shape: Shape) -> Mesh:
     """Return the triangles [m] of a primitive shape, centred at the origin, axis along z.
 
-    A shape that is no box, cylinder or capsule is drawn as a sphere or ellipsoid.
+    Other shapes than boxes, cylinders and capsules are drawn as a sphere or ellipsoid.
     """
     from trimesh import creation  # comes with viser
 
@@ -156,8 +157,9 @@ PIT_COLOUR: Colour = (120, 126, 134)
 """Colour of a pit under a foot."""
 
 _NUM_POLYGON_CORNERS = 24
-"""Number of corners of the drawn support polygon. A polygon with fewer corners repeats its last
-corner, so that the array size is constant; further corners of a polygon are not drawn."""
+"""Number of corners of the drawn support polygon. The number is constant, so that the size of the
+array is constant: a polygon with fewer corners repeats its last corner, and a polygon with more
+corners is drawn without the others."""
 
 _WEIGHT_ARROW_LENGTH = 3.0
 """Length of the arrow of a force equal to the robot's weight, relative to the height of the stand.
@@ -165,8 +167,9 @@ Chosen, not tuned."""
 
 
 _DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
-"""Radius of the disc that is drawn at a joint [m], for a robot whose stand has the reference height
-[m]; the radius is proportional to height^0.6. Chosen larger than v3's motors (23 mm)."""
+"""Radius [m] of the disc that is drawn at a joint, if the stand of the robot has the reference
+height [m]. For other robots, the radius is proportional to height^0.6. Chosen larger than the
+motors of Pupper v3 (23 mm)."""
 
 
 class RobotFigure:
@@ -231,7 +234,10 @@ class RobotFigure:
 
 
 class Scene:
-    """3-D scene of a page: stand, forces, torques, ghost and simulated figure.
+    """3-D scene of a page: robot in the stance, forces, torques, and two further robot figures.
+
+    The ghost is a transparent figure in the nearest reachable stance; the twin shows a simulated
+    motion.
 
     Args:
         scene: viser's scene of the page.
@@ -319,7 +325,10 @@ class Scene:
         return self._figures[name]
 
     def _prepare_robot(self, robot: Robot) -> None:
-        """If the robot has changed, remove the drawn robots, and add discs for the new joints."""
+        """Remove the figures of the previous robot if the robot of the page has changed.
+
+        Discs for the joints of the new robot are added.
+        """
         if robot is self._robot:
             return
         for figure in self._figures.values():
@@ -394,9 +403,10 @@ class Scene:
             box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
-        """Draw the support polygon in the world frame [m]; ``held`` selects the colour.
+        """Draw the support polygon, green if the stand is held, otherwise red.
 
-        ``held`` is True if the stand can be held and its CoM margin is not negative.
+        ``held`` is True if the stand can be held and its CoM margin is not negative. The polygon is
+        in the world frame [m].
         """
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
@@ -451,8 +461,8 @@ class Scene:
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
         """Draw a disc at each joint with a known torque, coloured by the motor utilisation.
 
-        A label states the torque of the joint with the largest utilisation; without a known
-        utilisation, of the joint with the largest torque.
+        A label states the torque of the joint with the largest utilisation. If no utilisation is
+        known, the joint with the largest torque is labelled.
         """
         assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]

@@ -50,7 +50,7 @@ class ServeOptions(TypedDict, total=False):
 
 
 class ServedPage:
-    """Page that is served until closed; each browser has a separate session.
+    """Page that a server offers until it is closed; each browser has a separate session.
 
     Args:
         robot: Name of the robot, in the title of the page.

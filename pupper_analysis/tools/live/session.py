@@ -136,8 +136,9 @@ class Panels:
 
 
 QUIET_SECONDS = 0.15
-"""Time without changes [s] after which the slower analysis (static deflection, stability,
-explanation of a refusal) starts: longer than pauses while a slider is moved. Chosen, not tuned."""
+"""Time without changes of controls [s] after which the slower analysis (static deflection,
+stability, explanation of a refusal) starts. Longer than the pauses while a slider is moved. Chosen,
+not tuned."""
 
 _FRAME_PERIOD = 1 / 30
 """Time [s] between two pictures of a simulated motion. Chosen, not tuned."""
@@ -189,7 +190,7 @@ class Session:
         self._work_pending.set()
 
     def report_change(self) -> None:
-        """Report that the user has changed a control, so that the new state is solved."""
+        """Notify the solver thread that the user has changed a control."""
         self._state_changed.set()
 
     def reset(self) -> None:
@@ -220,7 +221,9 @@ class Session:
     def _request_job(self, words: str, job: Callable[[Answer], None]) -> None:
         """Queue a simulation of the current stance; without a balanced stance, show a hint.
 
-        ``words`` is the catalogue key of the text that is shown while the user waits for ``job``.
+        Args:
+            words: Catalogue key of the text that is shown while the user waits.
+            job: Function that simulates the stance and shows the result.
         """
         with self._lock:
             if self._answer is None or self._answer.statics is None:
@@ -231,12 +234,11 @@ class Session:
         self._work_pending.set()
 
     def get_shown_stance(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
-        """Return the solved stance that the page shows, and the predicted sag.
-
-        The sag is a message if there is no equilibrium, and None until computed.
+        """Return the solved stance that the page shows, and the predicted sag of the servos.
 
         Returns:
-            Solved stance, None before the first; predicted sag, a message, or None.
+            Solved stance, None before the first; predicted sag, a message if there is no
+            equilibrium, or None until computed.
         """
         with self._lock:
             return self._answer, self._sag
@@ -256,7 +258,7 @@ class Session:
         self._show_answer(self._model.solve_state(self._panels.controls.state))
 
     def _reset_results(self, answer: Answer | None, verdict: Verdict | None) -> None:
-        """Store an answer and its first verdict; clear the results of the previous answer."""
+        """Store a solved stance and its first verdict; clear the results of the previous stance."""
         self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
         self._verdict, self._answer_time = verdict, monotonic()
         self._pending_job = None
@@ -321,7 +323,7 @@ class Session:
             self._run_if_current(answer, partial(self._panels.show_result, failure_document(error)))
 
     def _run_if_current(self, answer: Answer, show: Callable[[], None]) -> bool:
-        """Call ``show`` if ``answer`` is still the shown answer; return True if called."""
+        """Call ``show`` if the page still shows the stance ``answer``; return True if called."""
         with self._lock:
             if self._answer is not answer or self._closed.is_set():
                 return False
@@ -385,8 +387,8 @@ class Session:
     ) -> None:
         """Show the result of a simulation and play the motion, if ``answer`` is still shown.
 
-        ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq). The
-        predicted verdict is replaced by ``verdict`` unless it is None.
+        ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq).
+        ``verdict`` replaces the predicted verdict, unless None.
         """
 
         def show() -> None:

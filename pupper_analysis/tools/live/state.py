@@ -108,7 +108,10 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield each field of the stand task that the user has set, and its value in page units."""
+        """Yield (field, value in page units) for each field that the user has set.
+
+        Only fields of the stand task are yielded, not payload and gains.
+        """
         for name, field in FIELDS.items():
             if name == "offset":
                 if self.place == "offset":
@@ -144,14 +147,15 @@ class State:
         return place
 
     def with_task(self, task: StandTask) -> State:
-        """Return a copy of this state with the numbers of another task, in the page's units.
+        """Return a copy of this state with the numbers of a stand task, in the units of the page.
 
         A field whose value in this state is None, such as a height that was not requested, stays
         None.
 
         Args:
-            task: Task with the same feet, and with the base position determined as in this state:
-                CoM centred or inside the support polygon, or an offset of the base (``place``).
+            task: Task with the same feet, and with the same mode of the base position as in this
+                state (``place``): CoM centred or inside the support polygon, or an offset of the
+                base.
         """
         values = {
             name: convert_to_page_units(SLIDER_FIELDS[name], value)
@@ -162,7 +166,7 @@ class State:
 
 
 def find_contact_factor(contact: Contact | Weld) -> float:
-    """Return the factor that converts the position of a contact from SI to the page's unit.
+    """Return the factor that converts the position number of a contact from SI to page units.
 
     The position is an angle for a sloped plane (rad to degrees), and otherwise a length (m to mm).
     """
@@ -181,7 +185,7 @@ def find_default_value(field: Field) -> Any:
 def _check_value(field: Field, value: Any) -> Any:
     """Check that all numbers of a field's value are finite, and return the value.
 
-    Entries of feet or joints that have no effect are left out.
+    Entries of feet or joints without effect (0 for most fields) are left out of the returned value.
     """
     if value is None:
         return None
@@ -199,7 +203,7 @@ def _check_value(field: Field, value: Any) -> Any:
 
 
 def _is_zero_significant(field: Field) -> bool:
-    """Return True if the number 0 for a foot or joint has another effect than no entry."""
+    """Return True if the number 0 for a foot or joint differs in effect from a missing entry."""
     return field.open or field.nominal != "zero" or field.kind == "contact"
 
 
@@ -294,8 +298,8 @@ def write_stance_file(state: State) -> str:
 def _list_options(state: State) -> Iterator[tuple[str, str, str]]:
     """Yield the command-line options that specify the stance, payload and gains of a page.
 
-    Each is (option, element, value as typed). The element is the foot, joint or link of the value,
-    and "" for an option with a single value.
+    Each option is (option, element, value as typed). The element is the foot, joint or link to
+    which the value belongs; "" for an option with a single value.
     """
     for field, value in state.requested_values():
         for element, item in value.items() if field.per else [("", value)]:

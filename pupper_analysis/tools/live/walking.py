@@ -37,13 +37,13 @@ from pupper_analysis.tools.walk.runs import (
 )
 
 _MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
-"""Bounds of the sliders, extended to the initial command: speed [m/s], turning rate [rad/s], push
-[N s per kg of the robot]. Public policies are trained up to these commands; the range of pushes is
-that of `walk --vary`."""
+"""Bounds of the sliders, extended if the initial velocity command is larger: speed [m/s], turning
+rate [rad/s], push [N s per kg of the robot]. Public policies are trained up to these commands; the
+range of pushes is that of `walk --vary`."""
 
 _AVERAGING_TIME, _TABLE_PERIOD, _FRAME_INTERVAL = 1.0, 0.25, 0.04
-"""Averaging time of speeds and torques [s]; period of the tables [s]; period of the pictures [s].
-Chosen, not tuned."""
+"""Times of a walk on the page [s]: interval over which speeds and torques are averaged; interval
+between two tables; interval between two pictures. Chosen, not tuned."""
 
 _COMMAND_AXES = ("forward", "left", "turning")
 """Names of the components of a velocity command: forward and left [m/s], turning left [rad/s]."""
@@ -54,12 +54,13 @@ PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0,
 
 
 class WalkSession:
-    """Session of a browser: a robot that is simulated in real time until it falls.
+    """Session of a browser: a walking robot that is simulated in real time until a fall.
 
     Args:
         client: viser's client.
         stage: Policy on the robot.
-        command: Initial command, shape (3,).
+        command: Initial forward speed, speed to the left [m/s] and turning rate to the left
+            [rad/s], shape (3,).
         translator: Translator into the language of the page.
     """
 

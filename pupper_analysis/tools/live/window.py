@@ -55,8 +55,8 @@ DROP_SECONDS = 6.0
 """Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""
 
 DROP_HEIGHT = 0.15
-"""Height of the lowest foot above the ground [m] at the start of a drop, if the lowest foot of the
-keyframe is below half of this height. The value of v3's keyframe."""
+"""Height [m] of the lowest foot above the ground at which a drop starts, if the lowest foot in the
+keyframe is below half of this height. The value is the foot height in v3's keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Drop:
         time: Times, shape (n,) [s].
         height: Height of the base, shape (n,) [m].
         height_deviation: Standard deviation of the height in the last second [m].
-        end: Check of the final state against the home pose on the ground.
+        end: Comparison of the final state with the home pose on the ground.
         stable: True if ``height_deviation`` is below ``STABLE_DEVIATION``, the robot stands, and
             the simulation has not diverged.
     """
@@ -241,10 +241,10 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
 
 
 def list_contradictions(robot: Robot) -> tuple[str, ...]:
-    """Return reasons why the unmodified MJCF may fall although the simulated drop ends stable.
+    """Return reasons why the user's own MJCF may fall although the prepared robot lands stably.
 
-    The simulated drop uses the prepared robot, in which, for example, bad servos are replaced. The
-    reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, ball joints
+    The drop is simulated with the prepared robot, in which, for example, bad servos are replaced.
+    The reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, ball joints
     with which the unmodified MJCF deviates from the nominal stand, loaded motors without torque,
     and feet without friction.
     """
@@ -270,9 +270,9 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
     """Create the message about motors without torque that must hold a load in the nominal stand.
 
-    None if there are no such motors, if the nominal stand does not load these motors, or if springs
-    hold their joints. Without a nominal stand, the message is returned. Damping and friction may
-    hold such joints for longer than a drop is simulated.
+    Damping and friction may hold the joints of such motors for longer than a drop is simulated.
+    None if no motor has a torque limit of zero, if the nominal stand does not load these motors, or
+    if springs hold their joints. Without a nominal stand, the message is returned.
     """
     message = describe_zero_torque_limits(robot)
     if message is None:
