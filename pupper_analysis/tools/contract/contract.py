@@ -41,8 +41,8 @@ from pupper_analysis.tools.contract.reading import (
 )
 
 PARSED, SIMULATED, TRACED = "parsed", "simulated", "traced"
-"""Levels of evidence of a verdict: numbers were only read; the robot was also simulated; the policy
-was also compared with a recorded trace."""
+"""Levels of evidence of a contract's verdict. ``parsed``: numbers were only read. ``simulated``:
+the robot was also simulated. ``traced``: the policy was also compared with a recorded trace."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ def read_contract(
 def _compare_sources(
     sources: Sequence[str | Path], names: Mapping[str, str], *, stand: bool, fail_on: str
 ) -> Contract:
-    """Read and compare the joint numbers in files and folders.
+    """Read files and folders, and compare the numbers of the robot's joints in these.
 
     Args:
         sources: Files and folders, at least one of which is a model.
@@ -220,7 +220,7 @@ def _compare_sources(
 def _find_model_files(
     sources: Sequence[str | Path | VariantSpec], folder: Path
 ) -> tuple[list[str | Path], dict[str, str]]:
-    """Return the sources, with the files of variants and published robots instead of names.
+    """Replace names of variants and published robots in a list of sources by their model files.
 
     The files of scaled variants are written to ``folder``.
 
@@ -243,7 +243,9 @@ def _find_model_files(
 
 
 def _select_models(read: Sequence[JointSource], errors: Sequence[ModelError]) -> list[JointSource]:
-    """Return the sources that are models, MJCFs first: trainers and engines use their joint order.
+    """Return the sources that are robot models, MJCFs first.
+
+    The first model defines the joint order; trainers and engines use the order of an MJCF.
 
     Raises:
         ConfigurationError: If there is no model, and no model file in ``errors``.
@@ -262,7 +264,7 @@ def _select_models(read: Sequence[JointSource], errors: Sequence[ModelError]) ->
 def _place_sources(
     first: JointSource, others: Sequence[JointSource], joints: RobotJoints
 ) -> tuple[list[PlacedSource], list[Diagnostic], list[ModelError]]:
-    """Assign the statements of all sources to joints of the robot.
+    """Assign the numbers in all sources to joints of the robot.
 
     Args:
         first: Model that defines the joint order.
@@ -270,7 +272,7 @@ def _place_sources(
         joints: Joints of the robot.
 
     Returns:
-        Sources that can be compared; notes about these; errors of the other sources.
+        Sources that can be compared; notes about these; errors of the sources that cannot.
     """
     placed, notes, errors = list[PlacedSource](), list[Diagnostic](), list[ModelError]()
     for source in (first, *others):

@@ -32,8 +32,8 @@ from pupper_analysis.tools.contract.reading import (
 )
 
 _PRECEDENCE = (Role.DEPLOYMENT, Role.DRIVER, Role.POLICY, Role.TRAINER)
-"""Roles of sources (what a file configures), in order of precedence. If several sources state a
-number, the number of the source with the earliest role is used.
+"""Roles of source files in order of precedence. If several files state a number, the number of the
+file with the earliest role is used.
 """
 
 
@@ -61,9 +61,10 @@ class Deployment:
     notes: tuple[Diagnostic, ...]
 
     def get_numbers(self, quantity: str, joints: Sequence[str]) -> list[Fact] | None:
-        """Return the facts of a quantity for joints, in the order of ``joints``.
+        """Return the numbers (`Fact`) of a quantity for joints, in the order of ``joints``.
 
-        None unless all are stated as numbers, and without joints.
+        None if a joint lacks the quantity or its value is not a constant number, or if ``joints``
+        is empty.
         """
         facts = [self.facts.get((quantity, joint)) for joint in joints]
         known = [fact for fact in facts if fact is not None and fact.value is not None]
@@ -140,11 +141,10 @@ def read_deployment(
 
 
 def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
-    """Return the source whose joint order is that of the policy's arrays; None without an order.
+    """Find the source file that defines the joint order of the policy's arrays; None without.
 
-    The names in a policy file define the order of its arrays. Without such names, the first source
-    that lists joint names in order is returned. If no source lists names, a source with motor
-    numbers or the order of a policy is returned, and finally a source with an assumed order.
+    Precedence: a policy file with joint names; the first source that lists joint names; a source
+    whose order follows from motor numbers or from a policy; a source with an assumed order.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
     known = [one for one in placed if one.order]
@@ -159,12 +159,14 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
 
 
 def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
-    """Return the first trainer that states a stiffness or action scale of a joint, with an order.
+    """Assume that the policy's joint order is the order of the trainer's framework.
 
-    The order is assumed to be the order of the trainer's framework. Isaac Lab orders joints by
-    depth in the tree; mjlab and Isaac Gym order joints limb by limb. The order contains the joints
-    with a stiffness. If no joint has a stiffness, the order contains the joints with an action
-    scale. The result is None without such a trainer.
+    The first trainer that states a stiffness or action scale of a joint is used. Isaac Lab orders
+    joints by depth in the tree; mjlab and Isaac Gym order joints limb by limb. The order contains
+    the joints with a stiffness; if no joint has one, the joints with an action scale.
+
+    Returns:
+        This trainer with the assumed order; None without such a trainer.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

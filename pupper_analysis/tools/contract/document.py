@@ -30,7 +30,7 @@ MAX_SHOWN_FINDINGS = 25
 
 @build_document.register(Contract)
 def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
-    """Create the report of a contract: disagreements of model, policy and drivers, and their facts.
+    """Create the report of a contract: disagreements of the sources, and tables of all numbers.
 
     `build_document` calls this function for a `Contract`.
     """
@@ -63,11 +63,11 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
 
 def _select_next_step(contract: Contract) -> doc.NextStep:
-    """Return the command to run next.
+    """Return the command to suggest next; the first case that applies is used.
 
-    If the sources differ, the command is `crosscheck` of URDF and MJCF. This requires that the
-    model is a variant, or that the sources contain a URDF besides the model. In all other cases the
-    command is `stand` of the model, or `hold` for a fixed base.
+    - The sources disagree, and the model is a variant, or a source is a URDF besides the model:
+      `crosscheck` of URDF and MJCF.
+    - Otherwise: `stand` of the model, or `hold` for a fixed base.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
@@ -108,7 +108,7 @@ def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
 def _make_disagreement_block(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
     """Create the block of a disagreement, with the quoted lines of both sources.
 
-    The short view in the terminal omits the block if ``detail`` is True.
+    ``detail`` marks the block as a detail, which the short view in the terminal omits.
     """
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
@@ -207,7 +207,7 @@ def _tabulate_sources(contract: Contract) -> doc.Table:
 def _tabulate_facts(
     contract: Contract, facts: Sequence[Fact], title: doc.Words, unit: str = ""
 ) -> doc.Table:
-    """Make the table of a quantity, or of all settings, with a column per source.
+    """Create the table of a quantity, or of all settings, with a column per source.
 
     ``facts`` are the stated numbers that the table contains, in ``unit``.
     """
@@ -252,7 +252,7 @@ def _tabulate_facts(
 
 
 def _list_places(facts: Sequence[Fact], source: str) -> str:
-    """Return the files and lines in which a source states numbers: ``env.py:3-5, 9; robot.py:2``.
+    """List the places in which a source states numbers, as ``env.py:3-5, 9; robot.py:2``.
 
     Places without a line number are listed as they are.
     """
@@ -302,7 +302,7 @@ def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:
 
 
 def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
-    """Create the cell of a number, of an expression that is not constant, or an empty cell.
+    """Create a table cell with the number of a source, the text of an expression, or nothing.
 
     ``stated`` are the numbers of all sources. The number is printed with enough digits to show its
     difference from the first different number in ``stated``.

@@ -30,9 +30,9 @@ ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
 as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
-"""Largest number of values that are read from a source, to bound time and memory. The largest
-configurations that were measured have 4,000 values; a module of a training library needs about
-10,000 evaluated expressions."""
+"""Largest number of values that are read from a source, or of steps in the evaluation of a Python
+file, to bound time and memory. Measured: the largest configurations have 4,000 values; a module of
+a training library needs about 10,000 evaluated expressions."""
 
 
 class Origin(StrEnum):
@@ -66,8 +66,8 @@ FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
 """Content of ``fields.toml``: quantities, and names of concepts in each format."""
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
-"""{concept, such as joint names: keys that files of different formats use, the preferred first}. A
-dot in a key separates nested keys."""
+"""{concept, such as joint names: keys that file formats use for the concept, the preferred first}.
+A dot in a key separates nested keys."""
 
 OBSERVATION_ALIASES: Final[Mapping[str, str]] = {
     alias: name for name, aliases in FIELD_TABLE["observed"].items() for alias in aliases
@@ -106,10 +106,10 @@ QUANTITIES: Final[Mapping[str, QuantityKind]] = {
 
 
 def find_quantity_kind(quantity: str) -> QuantityKind:
-    """Return unit, severity of a difference and symmetry of a quantity, for example of ``kp``.
+    """Return unit, severity of a difference, and symmetry of a quantity, for example of ``kp``.
 
-    A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to the
-    whole source instead of a joint. Its unit is 1, and a difference between sources is an error.
+    A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to a
+    whole file instead of a joint. Its unit is 1, and a difference between files is an error.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -215,18 +215,20 @@ class Fact(Result):
 
     @property
     def implied(self) -> bool:
-        """Whether the number is a framework's default, or derived from another number."""
+        """Whether the file does not state the number: a framework's default or a derived number."""
         return self.origin in (Origin.DEFAULT, Origin.DERIVED)
 
     @property
     def number(self) -> float:
-        """Value of the fact, in ``unit``; 0 if the expression is not constant (``value`` None)."""
+        """Value of this number, in ``unit``; 0 if its expression in the file is not constant."""
         return self.value or 0.0
 
 
 @dataclass(frozen=True)
 class JointSource:
-    """Content of a source.
+    """Content of a source: numbers of joints, joint order and observations.
+
+    A source is a file, or one of several configurations in a file.
 
     Attributes:
         name: Name of the file, if needed with parent folders and the name of the configuration.
@@ -263,14 +265,13 @@ class JointSource:
     unread: Mapping[str, Diagnostic] = field(default_factory=dict)
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
-        """Create a `Fact` from a `Statement`: a number of this file, for a joint of the robot.
-
-        A `Statement` has the joint's name or index in the file; a `Fact` has its name in the robot.
+        """Create a `Fact` from a `Statement`: assign a number of this file to a joint of the robot.
 
         Args:
-            statement: Number in this file, in SI units, with quantity and line.
-            joint: Joint of the robot; empty if the number applies to no single joint, for example
-                a control period.
+            statement: Number in this file, in SI units, with quantity and line. It has the name or
+                index of the joint in the file.
+            joint: Joint of the robot; empty if the number applies to no single joint, for example a
+                control period.
         """
         return Fact(
             self.name,
@@ -287,10 +288,10 @@ class JointSource:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Content of the source without file locations, for comparisons between sources.
+        """Content of the source without file locations, to find sources with equal content.
 
         The content consists of the stated values, the orders of joints and motors, and the
-        observations of the policy. Of the sources of a file with equal content, one is kept.
+        observations of the policy. Of several sources of a file with equal content, one is kept.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]
@@ -299,7 +300,7 @@ class JointSource:
 
 @dataclass(frozen=True)
 class Request:
-    """Request to a reader.
+    """Request to a reader: which file, and which of its configurations, to read.
 
     Attributes:
         path: File.
@@ -313,7 +314,7 @@ class Request:
 
 
 class SourceReader(Protocol):
-    """Interface of a reader: a module with these names.
+    """Interface of a reader of source files: a module with these names.
 
     Attributes:
         FILE_SUFFIXES: File name suffixes, in lower case.
@@ -379,11 +380,11 @@ class LocatedValue:
         return node
 
     def find_first(self, names: str) -> LocatedValue:
-        """Return the entry of this node for a concept, such as joint names, in any file format.
+        """Return the value in this table for a concept, such as joint names, in any file format.
 
-        Each format has its own key for the concept. The known keys are tried in order, and the
-        entry of the first key in this node is returned. If no key is present, a node with the value
-        None is returned.
+        Each format has its own key for the concept. The keys in `KEY_ALIASES` are tried in order,
+        and the value of the first key in the table is returned. If no key is present, a node with
+        the value None is returned.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.
@@ -423,7 +424,7 @@ class LocatedValue:
         return texts if all(isinstance(item, str) and item for item in texts) else ()
 
     def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
-        """Create the `Statement` that a quantity has the value of this node, taken as SI units.
+        """Create a `Statement` from this value: number of a quantity, taken in SI units.
 
         A value that is no number is kept as the text of an expression.
 
@@ -476,11 +477,12 @@ class LocatedValue:
 
 
 _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-"""Unquoted text of a YAML file that is read as a finite number, if it has at most 64 characters.
-Includes ``1e-3``, which is a text in YAML 1.1, but a number for the C++ readers."""
+"""Pattern of an unquoted text in a YAML file that is read as a number, if the text has at most 64
+characters and the number is finite. Includes ``1e-3``, a text in YAML 1.1, but a number for C++
+readers."""
 
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
-"""Number as written, with groups for the decimals and the exponent."""
+"""Pattern of a number as written, with groups for the decimals and the exponent."""
 
 
 def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
@@ -514,10 +516,10 @@ def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> LocatedValue:
     """Convert a node of PyYAML, with all nodes in it, to a `LocatedValue` with lines.
 
-    ``left[0]`` is the number of values that may still be read, decremented for each value.
+    ``left[0]`` is the number of values that may still be read; each value decrements this number.
 
     Raises:
-        ModelError: If the number is used up, or a table repeats a key.
+        ModelError: If ``left[0]`` is used up, or a table repeats a key.
     """
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1

@@ -34,35 +34,35 @@ from pupper_analysis.tools.contract.orders import (
 )
 
 _NUMBER_RTOL = 2e-6
-"""Relative difference up to which two numbers count as equal: rounding of single precision and of
-seven printed digits."""
+"""Largest relative difference of two numbers that count as equal: rounding to single precision, or
+to seven printed digits."""
 
 _KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
 }
-"""{quantity: relative tolerance}, as in the comparison of a URDF with an MJCF (`crosscheck`)."""
+"""{quantity: relative tolerance of equal numbers}, as in the comparison of a URDF with an MJCF
+(`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Quantities whose values are equal if they differ by at most the absolute tolerance of position
 limits of `crosscheck`, or by the relative tolerance of all quantities."""
 
 _MIN_COMPUTED_DECIMALS = 5
-"""Smallest number of decimals with which a number counts as computed. If another source states the
-rounded number, this is no disagreement. Chosen, not tuned."""
+"""Smallest number of decimals with which a number counts as computed, not typed. If another source
+states the rounded value of a computed number, this is no disagreement. Chosen, not tuned."""
 
 _MAX_ROUNDING_FRACTION = 0.1
-"""Largest relative change of a number by rounding. If another source states the rounded number, and
-the change is not larger, both numbers count as equal. Example: 0.07 for 0.0745. Chosen, not tuned.
+"""Largest relative difference between a computed number and its rounded value in another source,
+with which both count as equal. Example: 0.07 for 0.0745. Chosen, not tuned.
 """
 
 _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 """{unit that a source may use by mistake: number in this unit / number in the SI unit}."""
 
 _UNIT_RTOL = 5e-3
-"""Relative tolerance for detecting a wrong unit. The ratio of two sources' numbers is compared with
-the factors in `_UNIT_FACTORS`. If it equals a factor within this tolerance, a wrong unit is
-reported as the probable mistake. Chosen, not tuned; angles in degrees are usually written with
-three digits.
+"""Relative tolerance with which the ratio of two sources' numbers must equal a factor in
+`_UNIT_FACTORS`. A wrong unit is then reported as the probable mistake. Chosen, not tuned; angles in
+degrees are usually written with three digits.
 """
 
 
@@ -101,7 +101,7 @@ class Disagreement(Result):
 
     @property
     def message(self) -> str:
-        """Message of the disagreement and its effects on the robot, joined by semicolons."""
+        """Message about the disagreement and its effects on the robot, joined by semicolons."""
         return "; ".join(map(str, (self.diagnostic, *self.effects)))
 
 
@@ -173,10 +173,13 @@ def find_disagreements(
 
 
 def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSource, str]]:
-    """List (model, joint) for each joint damping that represents the kd of a servo.
+    """List the joints of models whose passive damping in the file represents the kd of a servo.
 
-    Another source states this number as kd, and the model states no kd for the joint. Such a
-    damping is no passive damping; the damping of these joints is not compared between sources.
+    Another source states the same number as kd, and the model states no kd for the joint. The
+    damping of these joints is not compared between sources.
+
+    Returns:
+        (model, joint) pairs.
     """
     return [
         (source, joint)
@@ -207,9 +210,13 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
 
 
 def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
-    """List the quantities of a source that are not compared, although another source states them.
+    """List quantities that a source states but that cannot be compared, and other sources state.
 
-    A list may not be assigned to joints, or keys may match no joint of the robot.
+    The reason is a list that cannot be assigned to joints, or keys that match no joint of the
+    robot.
+
+    Returns:
+        A message per source and quantity.
     """
     lost = list[Diagnostic]()
     for source in placed:
@@ -245,9 +252,10 @@ def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
 
 
 def make_unread_finding(message: Diagnostic) -> Disagreement:
-    """Return a source or quantity that was not compared as a finding, for lists of findings.
+    """Return a finding for a source or quantity that was not compared.
 
-    A source is an error, since none of its numbers was compared; a quantity is a warning.
+    The severity is error for a source, since none of its numbers was compared, and warning for a
+    quantity.
     """
     whole = message.code == "contract-unread"
     place = str(message.values["file"] if whole else message.sources[0].file)
@@ -260,9 +268,9 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 
     The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
-    numbers are equal after rounding if the difference is at most half a unit of the last decimal
-    of one number, and the other number has at least five decimals or was computed. The
-    difference must also be at most 10 % of the other number, or below 1e-9.
+    numbers are equal after rounding if one is the other, rounded to its decimals: the difference is
+    at most half a unit of the last decimal of the rounded number, and at most 10 % of the other
+    number (or below 1e-9). The other number must have at least five decimals or be computed.
 
     Args:
         first: Number of one source, with its quantity.
@@ -289,7 +297,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 
 
 def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yield a disagreement for each model without the effort limits that another source states.
+    """Yield a disagreement for each model that lacks effort limits which another source states.
 
     The model drives at least one joint without an effort limit, so MuJoCo simulates a motor of
     unlimited torque. The disagreement states the limits of the first source that limits such a
@@ -332,7 +340,7 @@ def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagree
 
 
 FactPair = tuple[Fact, Fact]
-"""Facts of two sources; the first is the reference."""
+"""Numbers (`Fact`) of two sources for the same quantity; the first is the reference."""
 
 
 def _compare_joint_quantity(
@@ -370,7 +378,7 @@ def _compare_joint_quantity(
 def _group_by_values(
     quantity: str, kind: QuantityKind, differing: dict[str, FactPair], is_range_difference: bool
 ) -> Iterator[Disagreement]:
-    """Yield the disagreements about a quantity between two sources.
+    """Yield the disagreements about a quantity between two sources, joined over equal joints.
 
     Joints with equal pairs of numbers form one disagreement. If the second source has the numbers
     of the first at other joints, there is a single disagreement about the order.
@@ -440,8 +448,8 @@ def _group_by_values(
 
 
 _NEAR_LIMIT_RTOL = 0.02
-"""Relative difference of efforts or velocity limits up to which a disagreement has the severity
-NOTE, since data sheets round these numbers. Chosen, not tuned."""
+"""Largest relative difference of efforts or velocity limits with which a disagreement has the
+severity NOTE, since data sheets round these numbers. Chosen, not tuned."""
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
 """Quantities that are joint angles. If two joints, such as left and right, have the same pair of
@@ -449,7 +457,7 @@ different values with opposite signs, one disagreement is reported for both."""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
-    """Match joints if the second source states the numbers of the first source for other joints.
+    """Match joints whose numbers the second source has exchanged, as with a wrong joint order.
 
     Args:
         differing: {joint: facts of both sources with different numbers}.
@@ -493,9 +501,10 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
 
 
 def _classify_mistake(quantity: str, a: float, b: float) -> tuple[str, str]:
-    """Return the probable mistake between two numbers, and the wrong unit: ("unit", "deg").
+    """Find the probable mistake that explains two different numbers: sign or unit.
 
-    The mistake is "sign", "unit" or ""; the unit is "" unless the mistake is "unit".
+    Returns:
+        "sign", "unit" or ""; and for "unit" the wrong unit, such as "deg", otherwise "".
     """
     if a and abs(a + b) <= _NUMBER_RTOL * abs(a):
         return "sign", ""
@@ -570,9 +579,9 @@ def _make_disagreement(
 def _compare_sides(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], model: RobotJoints
 ) -> Iterator[Disagreement]:
-    """Yield a disagreement for each left-right pair of joints with numbers that are not symmetric.
+    """Yield a disagreement for each left-right pair of joints whose numbers are not symmetric.
 
-    Both numbers are stated in the same source.
+    Numbers of the same source are compared.
     """
     for source, pair in product(placed, find_mirror_pairs(model.order)):
         facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]
@@ -602,11 +611,13 @@ def _compare_sides(
 
 
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yield differences between the joint orders of sources that feed a policy.
+    """Yield a disagreement for each source with another joint order than the first source.
 
-    The joint order is the order of the policy's arrays. Models and assumed orders are not compared.
-    Sources with different joints are not compared, nor sources with neither numbers nor motors. Two
-    sources that both map joints to motors are not compared, since each may use any order.
+    The joint order is that of the policy's arrays. Not compared are:
+
+    - models, sources with an assumed order, and sources with neither numbers nor motors;
+    - sources with other joints than the first;
+    - sources that map joints to motors, if the first does so too: each may use any order.
     """
     feeding = [
         placed_source
@@ -647,10 +658,10 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
 
 
 def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yield a disagreement for each source that lists common observation terms in another order.
+    """Yield a disagreement for each source that lists observation terms in another order.
 
-    The reference is the first source that lists observation terms. Only terms that both sources
-    list are compared.
+    The reference is the first source that lists observation terms. Only terms that are in both
+    lists are compared.
     """
     stating = [
         placed_source.source for placed_source in placed if placed_source.source.observations

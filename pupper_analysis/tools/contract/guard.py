@@ -14,9 +14,9 @@ def guard(
 ) -> tuple[Disagreement, ...]:
     """List the disagreements between controller files, and between these files and the robot model.
 
-    The sources are files of training, policy, deployment or motor drivers. Numbers per joint (for
-    example gains, limits, default positions), the order of the joints and the observations are
-    compared. No stand is computed.
+    This function is called by the command `check`. The sources are files of training, policy,
+    deployment or motor drivers. Numbers per joint (for example gains, limits, default positions),
+    the order of the joints and the observations are compared. No stand is computed.
 
     Args:
         models: Path of the URDF or MJCF, or of both.

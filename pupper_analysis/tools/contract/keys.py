@@ -44,7 +44,7 @@ joint names.
 
 @dataclass(frozen=True)
 class KeyRule:
-    """Key of a quantity in a format.
+    """Rule for a key of a file: which quantity its value states, and in which shape.
 
     Attributes:
         quantity: Quantity, or ``observation NAME``.
@@ -69,13 +69,13 @@ class KeyRule:
     inverse: bool = False
 
     def accepts(self, node: LocatedValue) -> bool:
-        """Return True if a value is present and has the shape of the rule."""
+        """Return True if a node has a value of the required shape: number, list or table."""
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
         return node.is_present and self.shape in ("", shape)
 
     def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
-        """Yield the statements of a value: a number, a list, or a table {joint: number}.
+        """Yield the numbers of this rule's quantity in a value: number, list, or {joint: number}.
 
         A list that only contains another list, such as [[1, 2]], is read as the inner list. If the
         rule requires the reciprocal (``inverse``) and the number is <= 0, the statement has the
@@ -129,7 +129,7 @@ def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
 
 
 def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
-    """Return the rules of keys with numbers in a format; rules of the user are the last.
+    """Return the rules of keys that state numbers in a format; rules of the user are the last.
 
     ``form`` is ``table``, ``trainer`` or ``actuator``; ``source`` is the file to which the rules
     are applied.
@@ -165,7 +165,9 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
 
 @lru_cache(maxsize=8)
 def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
-    """Return the rules of a user's file; the time of its change is part of the cache's key.
+    """Read the key rules of a user's ``pupper-analysis.toml``; cached until the file changes.
+
+    ``_time`` is the time of the last change, which is part of the key of the cache.
 
     Raises:
         ModelError: If the file cannot be read, or an entry is not valid.

@@ -130,8 +130,8 @@ class RobotJoints:
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
         """Match names in a source to the joints of the robot.
 
-        A name matches the joint that the user assigned to it, the joint with the same name, or a
-        joint with the same name except for prefixes and suffixes.
+        A name matches the joint that the user assigned to the name, the joint with the same name,
+        or a joint with the same name except for prefixes and suffixes.
 
         Returns:
             {name in the source: joint}, without the names that match no joint.
@@ -164,16 +164,17 @@ class RobotJoints:
 
 
 _MIN_MIRROR_COSINE = 0.95
-r"""Smallest absolute cosine between a joint axis and the mirrored axis of the joint on the other
-side, at which both axes count as mirror images. Below, the sign between both joints is unknown.
-Chosen, not tuned.
+r"""Smallest absolute cosine between a joint axis, and the mirrored axis of the corresponding joint
+on the other side, at which both are mirror images. With a smaller cosine, the sign between the
+angles of both joints is unknown. Chosen, not tuned.
 """
 
 
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
     """Return the names of the moving joints limb by limb: the order of MuJoCo and Isaac Gym.
 
-    Slides of a base that also has a ball joint are left out: together they are a free joint.
+    Slides of a base that also has a ball joint are left out: slides and ball joint act as a free
+    joint.
     """
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
@@ -211,8 +212,8 @@ class _JointNames:
         A statement with a part of joint names (``is_part``) applies to all joints whose name
         contains the part. Exception: if the part is the name of a joint and the quantity is in
         `_QUANTITIES_BY_NAME`, the statement applies to this joint only. The result is empty if no
-        joint has the name, part, pattern or index. It is also empty for an entry of a list whose
-        length differs from the length of ``order``.
+        joint has the name, part, pattern or index. The result is also empty for an entry of a list
+        whose length differs from the length of ``order``.
         """
         if statement.index is not None:
             if statement.count != len(self.order):
@@ -300,9 +301,9 @@ def assign_joints(
 def _describe_unread_lists(
     source: JointSource, counts: Mapping[str, int], num_joints: int
 ) -> dict[str, Diagnostic]:
-    """Return {quantity: message about a list that is not assigned to joints}.
+    """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
-    Either the length is not the number of joints, or the order is not known.
+    Either the length is not the number of joints, or the joint order is not known.
 
     Args:
         source: Source of the lists.
@@ -346,7 +347,7 @@ def _list_unknown_names(
 
 
 def _list_joint_names(source: JointSource) -> list[str]:
-    """Return the texts in a source that may be names of joints: its order, then keys of numbers.
+    """Return the texts in a source that may be joint names: listed names, then keys of numbers.
 
     Regular expressions are omitted. legged_gym states gains by parts of joint names. Such a part is
     omitted, unless the source also states a default angle under the same key.
@@ -422,7 +423,11 @@ def _determine_order(
     others: Sequence[JointSource],
     matched: Mapping[str, str],
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
-    """Return the joints in the order of a source's lists, how the order is known, and notes.
+    """Determine the joint order of the lists in a source, and how this order is known.
+
+    The first case that applies: the source lists joint names; the source maps joints to motors that
+    another source names; the source is a deployment of a policy that lists joint names; the order
+    by depth or limb by limb with the better left-right symmetry of the values (assumed).
 
     Args:
         source: Source, for example a trainer's configuration.
@@ -431,8 +436,8 @@ def _determine_order(
         matched: {joint name in ``source``: joint of the model}.
 
     Returns:
-        Joints ("" for an unknown one), empty if the order is unknown; how the order is known, such
-        as ``named``; notes.
+        Joints ("" for an unknown name), empty if the order is unknown; ``named``, ``motors``,
+        ``policy``, ``assumed`` or ""; notes.
     """
     if source.order:
         return tuple(matched.get(name, "") for name in source.order), "named", []
@@ -476,14 +481,15 @@ def _determine_order(
 
 
 _MOTOR_QUANTITIES = ("effort", "velocity")
-"""Limits of motors: a deployment may list them in the order of the motors, and gains and angles in
-the order of the policy (RoboMimic_Deploy, ``tau_limit`` beside ``joint2motor_idx``)."""
+"""Quantities that limit motors. A deployment may list these in the order of the motors, but gains
+and angles in the order of the policy (RoboMimic_Deploy, ``tau_limit`` beside
+``joint2motor_idx``)."""
 
 
 def _find_motor_lists(
     source: JointSource, model: RobotJoints, order: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    """Find lists of motor limits in the order of the motors, not in the order of the policy.
+    """Find the lists of motor limits that have the order of the motors, not that of the policy.
 
     The order is decided by the mirror symmetry of the values, if the source states the motor of
     each joint of the policy. A list is in the order of the motors if two conditions hold. In the
@@ -513,9 +519,10 @@ def _find_motor_lists(
 def _find_name_lists(
     source: JointSource, model: RobotJoints, sizes: Collection[int]
 ) -> dict[str, tuple[str, ...]]:
-    """Return {key: joints of the robot} of the lists of joint names under keys that are not known.
+    """Return {key: joints of the robot} of lists of joint names under keys unknown to the rules.
 
-    A list counts if it has the size of a list of numbers, and all its names match distinct joints.
+    A list counts if its length is in ``sizes`` (lengths of the lists of numbers), and if all names
+    match distinct joints.
     """
     found = dict[str, tuple[str, ...]]()
     for key, names in source.name_lists.items():
@@ -529,8 +536,8 @@ def _find_name_lists(
 MAX_UNLIKE_FRACTION = 1 / 3
 """Largest fraction of the left-right pairs of values (such as gains) that may contradict mirror
 symmetry in an assumed joint order. If the fraction is larger, the assumed order is rejected, and
-the joint order remains unknown. A list of motor limits may be in the order of the motors instead.
-Chosen, not tuned.
+the joint order remains unknown. The same bound decides whether a list of motor limits is in the
+order of the policy (`_find_motor_lists`). Chosen, not tuned.
 """
 
 
@@ -608,11 +615,12 @@ def is_pattern(text: str) -> bool:
 
 
 _REPEAT_PATTERN = re.compile(r"[+*{?]")
-"""Pattern of a quantifier in a regular expression, to count them (`_MAX_REPEATS`)."""
+"""Pattern of a quantifier in a regular expression, to count the quantifiers (`_MAX_REPEATS`)."""
 
 _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
-matched. With 5, a name of n letters needs up to about n^5 / 120 attempts. Chosen, not tuned."""
+matched. With 5, matching a name of n letters takes up to about n^5 / 120 attempts. Chosen, not
+tuned."""
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
 """Quantifier (other than ``?``) that follows a quantifier or a group. A regular expression with
 such a pair is not evaluated, because its matching time may grow exponentially."""

@@ -27,8 +27,8 @@ from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import PlacedSource
 
 _MIN_STATED_FRACTION = 0.5
-"""Smallest fraction of the joints whose default angles a source must state. Below, no stand in this
-default pose is computed. Chosen, not tuned.
+"""Smallest fraction of the joints whose default angles a source must state, so that the stand in
+its default pose is computed. Chosen, not tuned.
 """
 
 
@@ -48,8 +48,8 @@ def stand_poses(
 
     Returns:
         Stands in the default poses, and notes. There are no stands if no source states the angles
-        of at least half of the joints. There are none either if the robot cannot be loaded, has a
-        fixed base, or has no feet.
+        of at least half of the joints, or if the robot cannot be loaded, has a fixed base, or has
+        no feet.
     """
     stated_angles = {
         placed_source: {
@@ -100,7 +100,8 @@ def _get_stated_values(
 ) -> list[float] | None:
     """Return a source's values of a quantity in actuator order; None unless all are positive.
 
-    The quantity is, for example, ``kp`` [N m/rad]. None, too, if a joint has no value.
+    The quantity is, for example, ``kp`` [N m/rad, N/m]. The result is also None if a joint has no
+    value.
     """
     facts = [placed_source.facts.get((quantity, joint)) for joint in robot.joint_names]
     values = [None if fact is None else fact.value for fact in facts]
@@ -123,7 +124,8 @@ def _stand_in_pose(
     Args:
         robot: Robot.
         name: Name of the source.
-        angles: {joint: default angle [rad]}; other joints have the angles of the robot's home.
+        angles: {joint: default angle [rad]}; other joints have the angles of the start pose
+            (``Robot.home``).
         kp: Stiffnesses, shape (nu,) [N m/rad, N/m]; None if the source does not state all.
         kd: Dampings, shape (nu,) [N m s/rad, N s/m]; None if the source does not state all.
         efforts: Effort limits, shape (nu,) [N m].

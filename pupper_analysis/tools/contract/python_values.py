@@ -39,7 +39,10 @@ Chosen, not tuned, so that Python's own recursion limit is not reached."""
 
 @dataclass(eq=False)
 class NamedValue:
-    """Value with a name that is not plain data. Deep copies share the same object."""
+    """Value of an evaluated file that is not plain data: a function, class, instance or unknown.
+
+    Deep copies share the same object.
+    """
 
     name: str
 
@@ -55,9 +58,10 @@ class UnknownValue(NamedValue):
 
 
 class LostItem(UnknownValue):
-    """Element of a list whose elements and length are unknown, since they may have changed.
+    """Marker of a list whose elements and length are unknown, since they may have changed.
 
-    `Evaluator.evaluate` returns an ``UnknownValue`` for a list that begins with such an element.
+    The marker is the first element of the list; `Evaluator.evaluate` then returns an
+    ``UnknownValue``.
     """
 
 
@@ -110,7 +114,10 @@ class InstanceValue:
 
 
 class ModuleNames(UserDict[str, LocatedValue]):
-    """Names of a module. Contains the names defined so far while the module is evaluated."""
+    """Names of an evaluated module, {name: value}.
+
+    While the module is evaluated, only the names defined so far are contained.
+    """
 
     def __init__(self, path: Path, lines: list[str]) -> None:
         super().__init__({"__name__": LocatedValue(path.stem, Place(path))})
@@ -255,7 +262,7 @@ _MAIN_TEST = ast.unparse(ast.parse('__name__ == "__main__"'))
 
 
 class Evaluator:
-    """Evaluator of modules.
+    """Evaluator of Python modules from their syntax trees, without importing or executing code.
 
     Args:
         folders: Folders in which imported modules are searched, after the folders above the
@@ -483,7 +490,7 @@ class Evaluator:
         scope[statement.name] = node
 
     def _run_import(self, statement: ast.Import, scope: Scope) -> None:
-        """Add imported modules to the scope; a module that is not found is unknown."""
+        """Add imported modules to the scope; a module that is not found is an unknown value."""
         for name in statement.names:
             shown = name.asname or name.name.split(".")[0]
             result = self._find_module(scope, name.name if name.asname else shown, 0)
@@ -567,7 +574,13 @@ class Evaluator:
                     scope[name] = self._make_lost(node, node, scope)
 
     def _make_lost(self, said: ast.AST, node: ast.AST, scope: Scope) -> LocatedValue:
-        """Make an unknown value with the first line of a statement, at the place of a node."""
+        """Make an unknown value whose text is the first line of a statement.
+
+        Args:
+            said: Statement.
+            node: Syntax element whose place (file and line) the value gets.
+            scope: Visible names.
+        """
         shown = ast.unparse(said).partition("\n")[0][:80]
         return self._make_node(UnknownValue(shown), node, scope)
 
@@ -578,7 +591,7 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """Yield the lists, tables and fields that statements may change, without a change.
+        """List the lists, tables and fields that statements may change; nothing is changed here.
 
         Args:
             body: Statements.
@@ -662,7 +675,7 @@ class Evaluator:
     def _find_values(
         self, expression: ast.expr, scope: Scope, origins: dict[str, list[LocatedValue]]
     ) -> list[LocatedValue]:
-        """Return the known values to which an expression may refer, without its evaluation."""
+        """Return the known values to which an expression may refer; it is not evaluated."""
         match expression:
             case ast.Name():
                 known = [scope[expression.id]] if expression.id in scope else []
@@ -727,7 +740,7 @@ class Evaluator:
         scope: Scope,
         origins: dict[str, list[LocatedValue]],
     ) -> list[LocatedValue]:
-        """Return the items with a key of the values of an expression; all items if it is None."""
+        """Return the items under ``key`` in the values of an expression; all items if None."""
         result: list[LocatedValue] = []
         for owner in self._find_values(expression, scope, origins):
             if key is None:
@@ -788,7 +801,7 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """Yield the changes by the functions of evaluated files that a call may evaluate."""
+        """Yield the values that a call may change through functions of evaluated files."""
         owners: list[LocatedValue | None] = [None]
         if isinstance(call.func, ast.Attribute):
             owners = [*self._find_values(call.func.value, scope, origins)]
@@ -866,8 +879,8 @@ class Evaluator:
     def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, LocatedValue]:
         """Return the fields {name: value} of an object or class, for an assignment to an attribute.
 
-        A new, empty table for other values. If the owner is itself an unknown attribute, it becomes
-        an object with the returned fields.
+        For other values, the result is a new, empty table. If the owner is an unknown attribute of
+        another object, this attribute becomes an object with the returned fields.
         """
         owner = self.evaluate(node, scope).value
         result = owner if isinstance(owner, InstanceValue | ClassValue) else InstanceValue("")
@@ -918,7 +931,7 @@ class Evaluator:
         )
 
     def _apply_function(self, work: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
-        """Call a Python function with known values.
+        """Call a function of the interpreter, such as ``math.sin``, with known values.
 
         Raises:
             NotConstantError: If the function fails, or the result is too large or complex.
@@ -1268,7 +1281,7 @@ class Evaluator:
         return self._apply_function(getattr(value, name), *own, **keywords)
 
     def _is_open(self, table: Any, key: Any) -> bool:
-        """Return True if a table lacks a key, but may have further keys that are not known."""
+        """Return True if a table lacks a key but may contain further, unknown keys."""
         is_key = isinstance(key, str | int | float | bool)
         return is_key and id(table) in self.open_tables and key not in table
 
@@ -1373,7 +1386,10 @@ def _list_parts(node: LocatedValue) -> list[LocatedValue]:
 
 
 def _list_identities(values: list[LocatedValue]) -> Iterator[int]:
-    """Yield the identities of values. A list without place has those of its items."""
+    """Yield the Python ids of values, to recognise values that were seen before.
+
+    A list without place is identified by its items.
+    """
     for value in values:
         if value.place == Place(Path()) and isinstance(value.value, list):
             yield from _list_identities(value.value)

@@ -20,14 +20,14 @@ from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, ass
 from pupper_analysis.tools.contract.readers import tables
 
 MAX_FOLDER_FILES = 500
-"""Largest number of files that are read from a folder. Chosen, to bound the time."""
+"""Largest number of files that are read from a folder, to bound the time. Chosen, not tuned."""
 
 _SKIPPED_FOLDERS = (*GENERATED_FOLDERS, "logs", "thirdparty", "__pycache__")
 """Folders that are not searched: generated or installed files, and logs of training."""
 
 
 def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[ModelError]]:
-    """Read files, and return their sources, and the errors of files that cannot be used.
+    """Read files with all readers; errors are collected as long as another file can be used.
 
     Returns:
         Sources of all files; errors of the files that cannot be used.
@@ -81,10 +81,10 @@ def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
 
 
 def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
-    """Return requests for the files, each with the name of a configuration if stated, and folders.
+    """Convert the arguments of the user to requests for files, and folders for imports.
 
-    ``FILE:NAME`` is split if no file has this whole name. Modules that a file imports are searched
-    in the folders.
+    ``FILE:NAME`` selects a configuration of a file, if no file has this whole name. Modules that a
+    file imports are searched in the folders.
 
     Returns:
         Requests, one per file; folders.
@@ -159,11 +159,11 @@ def select_configurations(request: Request, sources: Sequence[JointSource]) -> l
 def read_folder(
     folder: Path, read: Sequence[JointSource], joints: RobotJoints
 ) -> tuple[list[JointSource], list[Diagnostic]]:
-    """Read the deployments in a folder that name joints of this robot, and return them with notes.
+    """Read the deployment files in a folder that belong to this robot.
 
-    Python modules, and files of the sources ``read``, are not read. A deployment is kept if it
-    names all joints, or if the order consists of joints of the robot. Other deployments are counted
-    in a note, as are files that cannot be read.
+    Python modules, and files of the sources ``read``, are skipped. A deployment is kept if all
+    joints of the robot are named, or if the listed order consists of joints of the robot. Other
+    deployments are counted in a note, as are files that cannot be read.
 
     Returns:
         Sources that belong to the robot; notes.

@@ -116,7 +116,8 @@ def read_model_file(path: Path) -> RobotModel:
 
     Raises:
         ModelError: If the file cannot be read.
-        OutputError: If the run will write the file, or a file that a xacro file includes.
+        OutputError: If the running command also writes the file, or a file that a xacro file
+            includes.
         MissingPackageError: If the reader of the format needs a package that is not installed.
     """
     reader = reader_of(path)
@@ -187,9 +188,10 @@ def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
-    """Return the file and line of an actuator's attribute, or else of the actuator.
+    """Return the file and line of an actuator's attribute, or of the actuator without attribute.
 
-    ``number`` is the index of the actuator; ``words`` are the attributes in the order of search.
+    ``number`` is the index of the actuator. ``words`` are names of attributes; the first that the
+    file contains is used.
     """
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:

@@ -82,7 +82,7 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def read(request: Request) -> Iterator[JointSource]:
-    """Yield the joint values (such as gains) and tensor sizes that an ONNX policy states.
+    """Yield a source with the joint values (such as gains) and tensor sizes of an ONNX policy.
 
     Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
     and of the first output. Nothing is yielded for a file without joint names, joint values and

@@ -35,7 +35,7 @@ _MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
 
 
 def read(request: Request) -> Iterator[JointSource]:
-    """Yield the joint values (such as gains) of each training configuration in a Python file.
+    """Yield a source with joint values (such as gains) for each configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has no
     such object, tables ``{key: value}`` with joint values are read instead. The tables may be
@@ -78,7 +78,7 @@ def read(request: Request) -> Iterator[JointSource]:
 def _read_names(
     request: Request, evaluator: py.Evaluator, own_names: Mapping[str, LocatedValue]
 ) -> tuple[list[tuple[LocatedValue, JointSource]], list[JointSource]]:
-    """Return the sources in the values of a file: of configurations, and of tables.
+    """Return the sources that the names of a Python file define: configurations and tables.
 
     Args:
         request: File.
@@ -177,7 +177,7 @@ def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> Located
 
 
 def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
-    """Return a node whose value is an instance, table or list.
+    """Return the node of an instance, table or list that a value is, or that its call creates.
 
     A class or function is called to create the value; the arguments of a function are instances of
     its annotated classes. The value is None if ``node`` is of another type, or if the call cannot
@@ -205,7 +205,7 @@ def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
 def _find_annotated_class(
     evaluator: py.Evaluator, argument: ast.arg, function: py.FunctionValue
 ) -> LocatedValue:
-    """Return the first class in an argument's annotation; NotConstantError if there is none."""
+    """Return the first class in a function argument's annotation; else raise NotConstantError."""
     for child in [] if argument.annotation is None else ast.walk(argument.annotation):
         node = evaluator.evaluate(child, function.around) if isinstance(child, ast.Name) else None
         if node is not None and isinstance(node.value, py.ClassValue):

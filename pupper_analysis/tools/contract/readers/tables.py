@@ -36,7 +36,7 @@ FILE_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of the files that this reader of tables reads."""
 
 _MAX_TABLE_DEPTH = 4
-"""Largest depth of nested tables that are searched for numbers of joints. Chosen, not tuned."""
+"""Largest depth at which nested tables are searched for numbers of joints. Chosen, not tuned."""
 
 
 _COMMAND_PARTS = ("x", "y", "turn")
@@ -45,7 +45,7 @@ _COMMAND_PARTS = ("x", "y", "turn")
 
 @dataclass(frozen=True)
 class _View:
-    """Tables of a document that state one source, such as a controller.
+    """Tables of a document that together state one source, such as a controller.
 
     Attributes:
         key: Keys of the source in the document, joined by ``/``; empty for the document.
@@ -59,7 +59,7 @@ class _View:
 
     @property
     def place(self) -> Place:
-        """Place of the first table."""
+        """File and line of the first table."""
         return self.tables[0].place
 
     def get(self, *path: str) -> LocatedValue:
@@ -74,9 +74,10 @@ class _View:
         return next(found, LocatedValue(None, self.place))
 
     def find_first(self, names: str) -> LocatedValue:
-        """Return the value of the first key that is present for a concept (`KEY_ALIASES`).
+        """Return the value in these tables for a concept, such as joint names.
 
-        Keys of the user precede the others in a search for joint names.
+        The keys of `KEY_ALIASES` are tried in order. In a search for joint names, keys that the
+        user has defined come first.
         """
         paths = [tuple(alias.split(".")) for alias in KEY_ALIASES[names]]
         if names == "joints":
@@ -105,9 +106,9 @@ class _View:
         }
 
     def conflicts_with(self, other: _View) -> bool:
-        """Return True if both state the same quantity, or joint names, at different places.
+        """Return True if this view and ``other`` state the same quantity, or joint names, twice.
 
-        The values may be equal.
+        The values may be equal, but the places differ.
         """
         first, second = self._find_joint_values(), other._find_joint_values()
         first["names"], second["names"] = self.find_first("joints"), other.find_first("joints")
@@ -126,7 +127,7 @@ def _get_in_any_case(node: LocatedValue, path: Iterable[str]) -> LocatedValue:
 
 
 def _lower_keys(node: LocatedValue) -> LocatedValue:
-    """Return a table with keys in lower case, except in tables without nested tables or lists."""
+    """Return a table with keys in lower case; keys in tables without tables or lists are kept."""
     if not isinstance(node.value, dict):
         return node
     # Keys that are names of joints keep their case: numbers have no nested tables.
@@ -382,7 +383,7 @@ def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
 
 
 def list_numeric_keys(path: Path) -> tuple[str, ...]:
-    """Return the keys of numbers and lists of numbers in a YAML or JSON file, nested with dots.
+    """Return the keys of numbers and lists of numbers in a YAML or JSON file, as ``outer.inner``.
 
     Keys of lists, which more often contain a number per joint, are the first. Tables nested deeper
     than `_MAX_TABLE_DEPTH` are left out.
@@ -537,7 +538,8 @@ def list_observation_terms(terms: LocatedValue) -> Iterator[ObservedTerm]:
 
     The name is the name of the term's function if `OBSERVATION_ALIASES` contains it, otherwise the
     key. The scale is 1 for a function without a stated scale, and None if the scale is unknown. The
-    history length is stated by the group of terms or, if the group states none, by the term.
+    number of time steps (history) is that of the group of terms or, without such a number, that of
+    the term.
     """
     group_history = terms.get("history_length").number
     for name, term in terms.table.items():
