@@ -48,16 +48,17 @@ from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
 
 SIMULATION_KIND = "simulation"
-"""Value of ``Remark.kind`` for a remark on the combined effect of all changes of a file."""
+"""Value of ``Remark.kind`` for a remark on the effect, in a simulation, of all changes of a file
+together."""
 
 
 def list_history_remarks(
     file: Path, before: Callable[[Path], Path], pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
-    """Yield a remark for each change of a model file since an old version.
+    """Yield a remark (finding of `check`) for each change of a model file since an old version.
 
-    Remarks on the combined effect of all changes follow. Nothing is yielded for a new file, or if
-    the versions cannot be compared.
+    Remarks on the effect of all changes together, found by simulation, follow. Nothing is yielded
+    for a new file, or if the versions cannot be compared.
 
     Args:
         file: Present version of the file.
@@ -103,12 +104,15 @@ def list_history_remarks(
 
 
 def _get_effect_severity(has_effect: bool) -> Severity:
-    """Return WARNING for a change with an effect, otherwise NOTE."""
+    """Return the severity of a change: WARNING with an effect on the robot, otherwise NOTE."""
     return Severity.WARNING if has_effect else Severity.NOTE
 
 
 def _get_change_severity(consequences: tuple[Diagnostic, ...]) -> Severity:
-    """Return ERROR for a fall or a divergence, WARNING for other effects, otherwise NOTE."""
+    """Return the severity of a change's effects: ERROR for a fall or a divergence.
+
+    WARNING for other effects, NOTE without effects.
+    """
     felt = [message for message in consequences if message.code != "simulation-unchanged"]
     if any(message.values.get("falls") or message.values.get("diverges") for message in felt):
         return Severity.ERROR
@@ -175,13 +179,14 @@ def check_repository(
 ) -> RepositoryCheck:
     """Compare and audit all models listed in a ``pupper-analysis.toml``.
 
-    Findings in the baseline with the same value pass. A file that cannot be read or compared is a
-    failure; the other files are checked nevertheless.
+    The baseline is the file of accepted findings: a finding that it contains with the same value
+    passes. A file that cannot be read or compared is a failure; the other files are checked
+    nevertheless.
 
     Args:
         config: Configuration; by default the file in the current folder or a folder above.
-        update_baseline: Write all findings, except changes since a revision, to the baseline,
-            unless a file cannot be read or compared.
+        update_baseline: Whether to write all findings to the baseline, except changes since a
+            revision. Nothing is written if a file cannot be read or compared.
         since: Revision of git. Changes since this revision are reported with the effects. A change
             is an error if the robot falls or MuJoCo diverges. Changes are never written to a
             baseline.
@@ -193,7 +198,8 @@ def check_repository(
         ConfigurationError: If there is no configuration, or ``config`` is the text of a model.
         ModelError: If the configuration or the baseline is invalid (mostly with the line), or the
             files of the revision cannot be read, for example without git or repository.
-        OutputError: If the baseline cannot be written, or this run writes a file of the check.
+        OutputError: If the baseline cannot be written, or an output file of the command is also a
+            file to be checked.
     """
     require_path("config", config)
     settings = read_config(Path(config) if config is not None else find_config())
@@ -235,7 +241,7 @@ def check_repository(
 
 
 def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Return the result of a pair of files with its numbers of failing and known findings."""
+    """Add the numbers of failing and known findings to the result of a pair of files."""
     pair_remarks = [
         remark
         for remark in remarks
@@ -254,8 +260,8 @@ def _list_changes_since(
 ) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
-    A change is left out if ``found`` contains it as a difference between URDF and MJCF, or states
-    that a file of the pair cannot be read.
+    Left out are changes that ``found``, the remarks on the present files, contains as a difference
+    between URDF and MJCF, and pairs with a file that cannot be read.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
@@ -276,7 +282,7 @@ def _list_changes_since(
 
 
 def _is_failure(remark: Remark, config: GuardConfig) -> bool:
-    """Return True if a remark is not in the baseline and at least as severe as ``fail-on``."""
+    """Return True if a remark is not in the baseline and has at least the severity ``fail-on``."""
     return not remark.known and remark.severity.rank <= config.fail_on.rank
 
 
@@ -328,12 +334,12 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
 
 
 def _has_refusal(remarks: Iterable[Remark]) -> bool:
-    """Return True if a file could not be read, or a comparison or another tool's check failed."""
+    """Return True if a file cannot be read, or a comparison or another tool ended with an error."""
     return any(remark.kind == REFUSED_KIND for remark in remarks)
 
 
 def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Yield remarks without repetitions, since a file may belong to several pairs of files.
+    """Yield remarks without duplicates, which occur if a file belongs to several pairs.
 
     Remarks on differences between two files are never dropped.
     """

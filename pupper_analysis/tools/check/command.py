@@ -112,7 +112,7 @@ def command(
 
 
 def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
-    """Return the typed configuration file, or the one of the typed or the current folder.
+    """Return the configuration file that the user typed, or that of the typed or current folder.
 
     Raises:
         ConfigurationError: If both were typed, or the folder does not exist, is a file, or has no

@@ -96,7 +96,7 @@ def find_config(start: Path | None = None) -> Path:
         start: Folder; by default the current folder.
 
     Raises:
-        ConfigurationError: If there is none.
+        ConfigurationError: If none of these folders contains a configuration.
     """
     folder = (start or Path.cwd()).absolute()
     for parent in (folder, *folder.parents):
@@ -139,7 +139,7 @@ _WILDCARDS: Final = "*?["
 
 
 class _ValueKind(NamedTuple):
-    """Required kind of a value: description, and function that checks a value."""
+    """Required kind of a value in the configuration: description for errors, and test function."""
 
     valid: Term
     check: Callable[[Any], bool]
@@ -186,8 +186,8 @@ _TOP_KEYS: Final = {
 }
 """{key: required kind of its value} at the top of a configuration."""
 _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
-"""{key: required kind of its value} of the keys that only a ``[[pair]]`` entry may contain, without
-``map``."""
+"""{key: required kind of its value} of the keys that are valid in a ``[[pair]]`` entry but not at
+the top, except ``map``."""
 _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
 """{key: required kind of its value} in a ``[[pair]]`` entry (URDF and MJCF of one robot), without
 the keys that tools add by a module ``guard``."""
@@ -208,10 +208,10 @@ KeyPath = tuple[str | int, ...]
 
 
 def find_key_line(text: str, key: KeyPath) -> int | None:
-    """Return the line, from 1, of the TOML statement that defines a key; None if none does.
+    """Return the line, from 1, of the TOML statement that defines a key; None if undefined.
 
-    The file is parsed from its beginning to the end of each line that ends a statement. The first
-    statement after which the key exists defines it.
+    Longer and longer beginnings of the text are parsed, each up to the end of a statement. The key
+    is defined in the last statement of the first beginning that contains the key.
     """
     start = None
     lines = text.split("\n")
@@ -290,7 +290,7 @@ class _ConfigReader:
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def list_pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
-        """Yield the model pair of a ``[[pair]]`` entry; with wildcards, a pair for each match.
+        """Yield the pair of models of a ``[[pair]]`` entry; with wildcards, a pair per match.
 
         Raises:
             ModelError: If a key or value is not valid, a file is missing, or no file matches.
@@ -386,8 +386,8 @@ class _ConfigReader:
     def resolve_file(self, key: str, text: str) -> Path:
         """Return the path of an existing file or folder that the configuration names.
 
-        Relative paths in the configuration refer to its folder. For ``FILE:NAME``, the result ends
-        with ``:NAME``, and only FILE must exist.
+        Relative paths in the configuration refer to the folder of the configuration. For
+        ``FILE:NAME``, the result ends with ``:NAME``, and only FILE must exist.
 
         Args:
             key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
@@ -406,7 +406,7 @@ class _ConfigReader:
     def resolve_package(self, name: str, folder: str) -> Path:
         """Return the folder of the ROS package ``name``.
 
-        A relative path in the configuration refers to its folder.
+        A relative path in the configuration refers to the folder of the configuration.
 
         Raises:
             ModelError: If there is no such folder.
@@ -506,10 +506,10 @@ def _format_pair(entry: dict[str, str]) -> str:
 
 
 def list_pair_entries(folder: Path) -> list[dict[str, str]]:
-    """List the models in a folder and below: URDF, MJCF, or both with the same stem.
+    """List the models in a folder and below as entries of a configuration.
 
-    Two files with the same stem form a pair if they are in the same folder, or if there are no
-    other unpaired files with this stem.
+    An entry is a URDF, an MJCF, or both. Two files with the same stem (name without suffix) form an
+    entry if they are in the same folder, or if no other unpaired file has this stem.
 
     Returns:
         The keys ``name``, ``urdf`` and ``mjcf`` of each [[pair]], paths relative to ``folder``.

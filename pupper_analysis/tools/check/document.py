@@ -67,9 +67,9 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
-    """Return the first failing finding with its place; without failures, the checked numbers.
+    """Return the first failing finding with its place, as the short answer.
 
-    These are the numbers of pairs and of files.
+    Without failures: the numbers of checked pairs and files.
     """
     if check.failures:
         first = check.remarks[0]
@@ -80,13 +80,15 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
-    """Return the command that details the first failing finding, or examines the first pair.
+    """Return the command to suggest next, or None; the first case that applies is used.
 
-    If nothing fails and the baseline has stale entries, the command updates the baseline. If
-    nothing fails and no entry is stale, the first pair with two files is examined. If its
-    differences are known, the command is ``crosscheck``. If the files agree, the command is
-    ``stand``, or ``hold`` for a fixed base. The result is None for a failing change, for a failing
-    finding of another tool, and if no pair has two files.
+    - The first failing finding is a file that cannot be read, or a finding of `audit`: ``audit``.
+    - The first failing finding is a difference of URDF and MJCF: ``crosscheck`` of the pair.
+    - Other failures, such as a change since a revision: None.
+    - The baseline has entries that no longer occur: ``check --update-baseline``.
+    - A pair has two files: for the first such pair ``crosscheck`` if it has known differences,
+      otherwise ``stand``, or ``hold`` for a fixed base.
+    - No pair has two files: None.
     """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
@@ -107,13 +109,16 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
 
 
 def _run_on_files(command: str, folder: Path, files: Iterable[str]) -> doc.NextStep:
-    """Return a command for files whose paths are relative to the folder of the configuration."""
+    """Return the suggestion to run a command on files.
+
+    The paths of ``files`` are relative to ``folder``, the folder of the configuration.
+    """
     paths = (os.path.relpath(folder / file) for file in files)
     return doc.NextStep(command, tuple(paths), robot_typed=False)
 
 
 def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Group remarks with the same cause, or with the same values at several elements."""
+    """Group remarks that have the same cause, or the same values at several elements."""
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)
@@ -129,7 +134,7 @@ def _describe_known_group(group: list[Remark]) -> Text:
 
 
 def _describe_remark(first: Remark) -> doc.Words:
-    """Return the message of a remark, or the cause of the difference that the remark reports."""
+    """Return the text of a remark: the common cause of several differences, else the message."""
     message = doc.diagnostic_text(first.diagnostic if first.cause is None else first.cause)
     if not _is_audit_rule(first):
         return message
@@ -220,7 +225,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
 
 
 def relative_to_root(place: str) -> str:
-    """Return ``file:line`` with the path relative to the checkout, as CI services expect."""
+    """Convert ``file:line`` to a path relative to the repository's root, as CI services expect."""
     file, line = Annotation("", "", "", place).file_and_line
     return relative_to_checkout(file) if line is None else f"{relative_to_checkout(file)}:{line}"
 

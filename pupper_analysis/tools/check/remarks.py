@@ -93,12 +93,12 @@ class Remark(Result):
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """Key of the remark (check, pair, file, kind and element), without values and lines."""
+        """Key that remains equal if values or lines change: check, pair, file, kind and element."""
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property
     def finding(self) -> tuple[object, ...]:
-        """Key of the finding to which this remark belongs, for counts and groups.
+        """Key of the finding to which this remark belongs; remarks of one finding are counted once.
 
         Remarks of a pair and file with the same cause, or the same values at several elements, have
         equal keys.
@@ -206,7 +206,7 @@ def list_guard_remarks(
 def make_error_remark(
     error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
-    """Create the remark about a file that cannot be read, or a failed comparison or other check.
+    """Create the remark about a file that cannot be read, or a check that ended with an error.
 
     Args:
         error: Error of the audit, the comparison or another tool.
@@ -317,17 +317,17 @@ _HEADER_LINES: Final = _HEADER_TEXT.splitlines()
 """Lines of the comment at the top of a baseline."""
 
 _VALUE_RTOL: Final = 1e-6
-"""Difference of two numbers, relative to the largest number of their list, up to which a remark
-agrees with the baseline. Values have 9 digits; rotated angles and inertias agree to about 12 digits
-on different machines."""
+"""Largest difference of two numbers, relative to the largest number of their list, with which a
+finding has the same value as in the baseline. Values have 9 digits; rotated angles and inertias
+agree to about 12 digits on different machines."""
 
 
 @dataclass(frozen=True)
 class BaselineEntry(Result):
-    """Known remark.
+    """Accepted remark in the baseline.
 
     Attributes:
-        identity: Identity of the remark.
+        identity: Identity of the remark (`Remark.identity`).
         values: Values of the remark.
     """
 
@@ -362,8 +362,8 @@ class Baseline:
         """Return the text of this baseline with other entries, which are sorted.
 
         All comments of the user are kept. A comment stays above its entry: the new entry with the
-        same values, otherwise the first one with the same identity. Comments whose entry is gone
-        move to the end. Blank lines between entries are dropped.
+        same values, otherwise the first entry with the same identity. Comments whose entry no
+        longer exists move to the end. Blank lines between entries are dropped.
         """
         written = sorted(
             ((_format_baseline_line(entry), entry) for entry in entries), key=itemgetter(0)
@@ -524,8 +524,9 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 def values_agree(first: Any, second: Any) -> bool:
     """Return True if the values of two remarks agree, for example of a finding and the baseline.
 
-    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of their list (in a list
-    with texts, of the pair). Tables need the same keys, lists the same structure.
+    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of both lists; in lists that
+    contain texts, relative to the larger of the two numbers. Tables need the same keys, lists the
+    same structure.
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(
@@ -544,7 +545,7 @@ def values_agree(first: Any, second: Any) -> bool:
 
 
 def _flatten_value(value: Any) -> list[Any]:
-    """List the leaves of nested lists and tables, with markers for the ends."""
+    """List the numbers and texts in nested lists and tables, with markers for their ends."""
     if isinstance(value, list | tuple):
         return [(), *(leaf for item in value for leaf in _flatten_value(item)), ()]
     if isinstance(value, Mapping):

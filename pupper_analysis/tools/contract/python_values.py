@@ -39,7 +39,7 @@ Chosen, not tuned, so that Python's own recursion limit is not reached."""
 
 @dataclass(eq=False)
 class NamedValue:
-    """Value of an evaluated file that is not plain data: a function, class, instance or unknown.
+    """Value of an evaluated file that is not plain data: function, class or unknown value.
 
     Deep copies share the same object.
     """
