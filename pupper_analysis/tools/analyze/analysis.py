@@ -80,7 +80,7 @@ class JointSummary(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joint."""
+        """Units of position, effort etc. of the joint: those of a hinge or of a slide."""
         return select_joint_units(slides=self.is_sliding)
 
     @property
@@ -302,7 +302,7 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 
 
 def _list_link_masses(robot: Robot) -> dict[str, float]:
-    """Return the masses of the base and of the body that each joint moves, as {name: mass [kg]}.
+    """Return {base or joint: mass [kg] of the body that it is or moves}.
 
     The joints are those of ``robot.joint_names``. Links fixed to a body belong to the body.
     """

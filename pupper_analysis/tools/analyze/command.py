@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 _FIGURE_FILES = kinds.Folder(
     dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE_KIND)
 )
-"""Figures that ``analyze`` writes in addition to the figure of each robot's pose."""
+"""Files that ``analyze`` may write or replace in its output folder, in addition to a figure of each
+robot's pose."""
 
 
 @shared.command("analyze")
@@ -183,9 +184,9 @@ def _analyze_all(
 def _compare_variants(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
-    """Return a row of key figures per robot, with the ratios of variants to their base model.
+    """Return a row of key figures per robot; variants with ratios to the unscaled variant.
 
-    The base model is the unscaled variant. Robots from files have no base model, and no ratios.
+    Robots from files have no ratios.
     """
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec

@@ -41,14 +41,15 @@ of a printed page.
 """
 
 MIN_SHOWN_DEVIATION = 1e-4
-"""Height deviation [mm] at the lower end of the colour scale. Smaller deviations have the same
-colour, since a tenth of a micrometre is far below the resolution of a robot's sensors. Chosen, not
-tuned.
+"""Height deviation [mm] at the lower end of the colour scale of the heat maps. All smaller
+deviations have the same colour, since a tenth of a micrometre is far below the resolution of a
+robot's sensors. Chosen, not tuned.
 """
 
 MIN_SHOWN_LOSS = 0.1
-"""Smallest range of the vertical axis [mm of height loss]. If all losses are smaller, the axis
-still extends to this value, so that rounding errors are not enlarged. Chosen, not tuned.
+"""Smallest height loss [mm] at which the vertical axis of the height figure may end. If all losses
+are smaller, the axis extends to this value, so that rounding errors are not enlarged. Chosen, not
+tuned.
 """
 
 _LOSS_WINDOW = 1.0
@@ -58,10 +59,11 @@ between base height and height of the stand in this interval. Chosen, not tuned.
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw the magnitudes of the motor torques of each robot in percent of the effort limits.
+    """Draw predicted and simulated motor torques of each robot, in percent of the effort limits.
 
-    A panel has a row for each joint of a leg, with two marks per leg: the torque that Pinocchio
-    predicts, and the torque of the simulation with feed-forward. Other joints have a row each.
+    Magnitudes are drawn, in a panel per robot. Corresponding joints of all legs share a row, with
+    two marks per leg: the torque that Pinocchio predicts, and the torque of the simulation with
+    feed-forward. Other joints have a row each.
 
     Args:
         analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are
@@ -220,7 +222,7 @@ def _make_panels(
 
 
 def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
-    """Return {row title: joint indices} of the torque figure.
+    """Return {row title: joint indices} for the rows of the torque figure.
 
     The first rows contain corresponding joints of all legs, the last rows one other joint each. The
     legs are sorted by name, so that a leg has the same colour in all panels.
@@ -242,7 +244,7 @@ def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
 
 
 def _join_common_parts(names: Sequence[str]) -> str:
-    """Return the parts of joint names that all names have in common; without any, the first name.
+    """Return the common parts of joint names, joined; the first name if there are none.
 
     The parts of a name are separated by underscores.
 
@@ -314,7 +316,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> N
 
 
 def _list_ground_contacts(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
-    """Yield time [s] and link of each contact with the ground that a failure states."""
+    """Yield (time [s], link) of each contact of a link with the ground among the failures."""
     for failure in failures:
         time = failure.values.get("time")
         if failure.code == "body-touches-ground" and isinstance(time, Quantity):
@@ -376,8 +378,8 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
 
 
 _MIN_BRIGHT_FRACTION = 0.6
-"""Position on the colour scale of the heat map, 0 to 1. Above this position, the colour map viridis
-is bright, and the number in a cell is written in black instead of white.
+"""Position on the colour scale of the heat map, 0 to 1, above which the number in a cell is written
+in black instead of white, because the colour map viridis is bright there.
 """
 
 

@@ -128,12 +128,12 @@ _MAX_SHOWN_FAILURES = 2
 tuned."""
 
 _CROSS_CHECK_CODE = "models-deviate"
-"""Code of the failures for quantities in which URDF and MJCF differ; the report contains them as a
-single failure."""
+"""Code of the failures that report a quantity in which URDF and MJCF differ. The report joins all
+these failures."""
 
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
-    """List the failures, causes first.
+    """List the failures of an analysis, causes before effects.
 
     All quantities in which URDF and MJCF differ are a single failure.
     """
@@ -157,10 +157,9 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
 
 
 def _select_next_step(analysis: Analysis) -> doc.NextStep:
-    """Return the command to run next.
+    """Return the command to suggest next.
 
-    This is ``payload`` for a verified robot, ``crosscheck`` if URDF and MJCF differ, else
-    ``stand``.
+    ``payload`` for a verified robot, ``crosscheck`` if URDF and MJCF differ, else ``stand``.
     """
     if analysis.verified:
         return doc.NextStep("payload")
@@ -169,9 +168,13 @@ def _select_next_step(analysis: Analysis) -> doc.NextStep:
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
-    """Yield the verdict's warnings ``first``, and the failures of the run without feed-forward.
+    """Yield the warnings of the verdict, and failures of the simulation without feed-forward.
 
     The failures are omitted if the verdict already contains them.
+
+    Args:
+        analysis: Analysis.
+        first: Warnings of the verdict.
     """
     yield from first
     alone = analysis.verdict.commands_alone
@@ -224,7 +227,7 @@ def _format_height(run: StandVerification) -> doc.Words:
 
 
 def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
-    """Yield a warning that lists why the simulation without feed-forward failed, if it failed."""
+    """Yield a warning with the reasons if the simulation without feed-forward failed."""
     if not without.passed:
         failures = join_ground_touches(without.failures)
         why = join_words(map(doc.diagnostic_text, failures), "semicolon")
@@ -363,8 +366,8 @@ def _make_jacobian_table(analysis: Analysis) -> doc.Block:
 def _make_check_table(analysis: Analysis) -> doc.Block:
     """Create the table of the cross-check, a row per compared quantity.
 
-    The columns belong to the largest relative deviation of the quantity. They are the element, the
-    pair of evaluations, the deviation, and whether the deviation is within the tolerance.
+    A row describes the largest relative deviation of the quantity: the element, the two evaluations
+    (file and engine) that are compared, the deviation, and whether it is within the tolerance.
     """
     check = analysis.check
     rows: list[tuple[doc.Cell, ...]] = []
@@ -434,9 +437,10 @@ def _format_interval(values: Array) -> str:
 
 
 def deviation_table(sweep: GainSweep, units: JointUnits) -> doc.Table:
-    """Create the table of base height deviations [mm] by kp [N m/rad] and kd [N m s/rad].
+    """Create the table of base height deviations [mm], a row per kp and a column per kd.
 
-    Gains with which the undisturbed robot does not stay at rest are marked.
+    Gains with which the undisturbed robot does not stay at rest are marked. ``units`` are the units
+    of kp and kd.
     """
     deviations = [
         [
@@ -547,7 +551,7 @@ def compare_with_base(
 
 
 def _get_verdict_key(verified: bool, stands_without: bool) -> str:
-    """Return the catalogue key of a verdict, for example "VERIFIED".
+    """Return the key, in the catalogue of texts, of an analysis verdict, such as "VERIFIED".
 
     The key of a verified robot whose simulation without feed-forward fails is "VERIFIED with
     feed-forward".
@@ -558,7 +562,7 @@ def _get_verdict_key(verified: bool, stands_without: bool) -> str:
 
 
 def _compute_ratio(length: float | None, reference: float | None) -> float | None:
-    """Return ``length`` / ``reference``; None if either is unknown or the reference is zero."""
+    """Return ``length`` / ``reference``; None if a value is None, or the reference is zero."""
     return length / reference if length is not None and reference else None
 
 

@@ -53,9 +53,11 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 )
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
-"""Margin around a robot, relative to the tile width. Chosen, not tuned."""
+"""Margin around a robot in its tile (part of the picture), relative to the tile width [1]. Chosen,
+not tuned."""
 LABEL_HEIGHT = 0.125
-"""Height of the text below a robot, relative to the tile width. Chosen, not tuned."""
+"""Height of the text below a robot, relative to the width of the robot's tile [1]. Chosen, not
+tuned."""
 _GROUND_MARGIN = 0.5
 """Margin of the drawn ground around the outermost feet, divided by the radius of the largest foot
 [1]. Chosen, not tuned.
@@ -66,12 +68,13 @@ _MAX_BAR_LENGTH = 0.3
 """Upper bound of the length of the scale bar, relative to the width of a tile. Chosen, not
 tuned."""
 _BAR_MARGIN = 0.07
-"""Height of the strip for the scale bar, relative to the width of a tile. Chosen, not tuned."""
+"""Height of the strip for the scale bar at the lower edge, relative to the width of a tile [1].
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Part of the picture that shows a robot, in a parallel projection.
+    """Rectangular part of the picture that shows one robot, in a parallel projection.
 
     Attributes:
         robot: Robot.
@@ -266,7 +269,7 @@ def _list_backends() -> tuple[str, ...]:
 
 @contextmanager
 def _quiet_attempt() -> Iterator[None]:
-    """Suppress warnings while an OpenGL backend is tried, and undo the effects of the attempt.
+    """Suppress warnings while an OpenGL backend is tried, and undo side effects afterwards.
 
     Environment variables are restored. After an exception, imported modules of OpenGL are removed,
     so that another backend can be tried: PyOpenGL binds to a single backend on import, by an

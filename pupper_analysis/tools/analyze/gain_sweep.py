@@ -49,11 +49,11 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 GainPair = tuple[float, float]
-"""kp [N m/rad] and kd [N m s/rad] of all servos in a simulation."""
+"""Gains of all servos in a simulation: kp [N m/rad, N/m] and kd [N m s/rad, N s/m]."""
 
 GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Factors on the median gain of the model (kp or kd) [1]. The products are the default values of a
-gain sweep. Chosen, not tuned.
+"""Factors on the median kp or kd of the model [1], which give the default gains of a sweep. Chosen,
+not tuned.
 """
 
 
@@ -89,8 +89,8 @@ class GainSweep(Tabular):
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {column: values} of a table with a row per pair of kp and kd.
 
-        The columns are kp [N m/rad], kd [N m s/rad], height deviation [m], and the truth values
-        ``fell`` and ``lasts``, shape (n m,) each.
+        The columns are kp [N m/rad, N/m], kd [N m s/rad, N s/m], height deviation [m], and the
+        truth values ``fell`` and ``lasts``, shape (n m,) each.
         """
         kp, kd = np.meshgrid(self.kp, self.kd, indexing="ij")
         return {
@@ -128,8 +128,8 @@ def sweep_gains(
     Args:
         robot: Robot.
         stand: Stand.
-        kp: Stiffnesses [N m/rad]. Default: `GAIN_FACTORS` times the median kp of the model.
-        kd: Dampings [N m s/rad]. Default: `GAIN_FACTORS` times the median kd of the model.
+        kp: Stiffnesses [N m/rad, N/m]. Default: `GAIN_FACTORS` times the median kp of the model.
+        kd: Dampings [N m s/rad, N s/m]. Default: `GAIN_FACTORS` times the median kd of the model.
         amplitude: Amplitude of the force [N].
         frequency: Frequency of the force [Hz].
         duration: Simulated time [s], 2 to 600.
@@ -208,7 +208,7 @@ class _SweepTrial:
         """Simulate a stand with pairs of gains, and evaluate its stability at rest.
 
         Args:
-            cells: (kp [N m/rad], kd [N m s/rad]) pairs.
+            cells: Pairs (kp [N m/rad, N/m], kd [N m s/rad, N s/m]).
             amplitude: Amplitude of the vertical force on the base [N].
             frequency: Frequency of the force [Hz].
             progress: Show a progress bar.
@@ -233,7 +233,7 @@ class _SweepTrial:
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            """Store the initial state and the state of rest of a stiffness ``kp`` [N m/rad]."""
+            """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m]."""
             # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
             starts[kp] = place_on_ground(robot, drive, stand, self.torques)
