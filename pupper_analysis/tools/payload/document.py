@@ -75,18 +75,20 @@ _NEXT_STEPS = {
     "servos": NextStep("stand", ("--minimum-stiffness",)),
     "simulation": NextStep("push"),
 }
-"""{bound that limits the payload: next command}."""
+"""{name of the bound that limits the payload: command to suggest next}."""
 
 
 def _select_next_step(limit: PayloadLimit) -> NextStep:
-    """Return the command to run next.
+    """Return the command to suggest next; the first case that applies is used.
 
-    If motor limits are unknown and the upper bound is above 0 kg, this is `audit`. If the result
-    does not pass, it is `crosscheck` or `audit` if the files explain the failure. If the files do
-    not explain the failure, it is `payload` without the present payload, which finds the largest
-    payload, or `stand`, which states the cause, without a present payload. Otherwise it is the
-    command for the bound that limits the payload (`_NEXT_STEPS`). Except for `best`, which searches
-    for a payload, the command loads the robot with `VERIFIED_FRACTION` of a finite bound.
+    - Motor limits are unknown, and the upper bound is above 0 kg: `audit`.
+    - The result fails, and the files may explain this: `crosscheck` or `audit`.
+    - The result fails with a payload on the command line: `payload` without that payload.
+    - The result fails without: `stand`, which states the cause.
+    - Otherwise: the command for the bound that limits the payload (`_NEXT_STEPS`).
+
+    Except for `best`, which searches for a payload, the command loads the robot with
+    `VERIFIED_FRACTION` of a finite bound.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
@@ -171,7 +173,7 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Create the table of payload bounds [kg], smallest first, with the failure beyond each.
+    """Create the table of payload bounds [kg], smallest first, with the failure above each bound.
 
     The bound of the simulation is listed only if finite.
     """
@@ -226,7 +228,7 @@ def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
 
 
 def _describe_nudged_trials(trial: PayloadTrial) -> doc.Text:
-    """Return the text of the result of the nudged simulations with a payload: holds or fails."""
+    """Return the text that the robot with the payload holds or fails in nudged simulations."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         return text(

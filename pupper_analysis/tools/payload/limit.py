@@ -78,10 +78,10 @@ def simulate_payload(
 ) -> PayloadTrial:
     """Simulate a stance with a payload after each of twelve nudges of the base.
 
-    A nudge is an initial velocity of the base at 10 mm/s: ten directions, and a rotation about the
-    base's z axis in both senses (``simulate_nudges``). The simulations start in the stand that
-    ``stand --payload`` judges (``solve_loaded_stand``). The servos have feed-forward torques for
-    the load.
+    A nudge is an initial velocity of the base of about 10 mm/s: a translation in ten directions, or
+    a rotation about the base's z axis in both senses (``simulate_nudges``). The simulations start
+    in the stand that ``stand --payload`` judges (``solve_loaded_stand``). The servos have
+    feed-forward torques for the load.
 
     Args:
         robot: The robot.
@@ -93,7 +93,7 @@ def simulate_payload(
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         duration: Simulated time after each nudge [s], 2 to 600. A simulation ends earlier if its
             outcome is known.
-        until_failure: End all simulations once the earliest failure is known.
+        until_failure: Whether to end all simulations once the earliest failure is known.
 
     Returns:
         The outcome of the simulations.
@@ -117,20 +117,20 @@ def simulate_payload(
 
 
 MAX_BOUND_RATIO = 10.0
-"""Factor [1] on the first payload that fails, or on the robot's mass if that is larger. After a
-first failure, the search for the other kinds of failure (stance, motors, servos) ends at this
-payload. It also ends if the stance fails. If a kind has not failed at the end, its bound is
-infinite. Chosen, not tuned.
+"""Factor [1] on the first payload that fails by one of three criteria (stance, motors, servos), or
+on the robot's mass if that is larger. The search for the payloads at which the other criteria fail
+ends at the product, or when the stance fails. A criterion that has not failed then has an infinite
+bound. Chosen, not tuned.
 """
 
 VERIFIED_FRACTION = 0.97
-"""Fraction [1] of the computed largest payload. With this payload, the stance is judged and
-simulated with nudges. Chosen, not tuned.
+"""Fraction [1] of the computed largest payload with which the stance is judged and simulated with
+nudges. Chosen, not tuned.
 """
 
 FAILING_RATIO = 1.03
-"""Factor [1] on the bound of the servos, which is computed from eigenvalues. If the robot holds
-this larger payload in simulation, the bound is raised. Chosen, not tuned.
+"""Factor [1] on the payload bound of the servos, which is computed from eigenvalues. If the robot
+holds this larger payload in simulation, the bound was too small and is raised. Chosen, not tuned.
 """
 
 SIMULATION_RTOL = 0.02
@@ -141,10 +141,10 @@ eigenvalues. Chosen, not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
-"""Relative tolerances [1] of the bounds of stance, motors and servos. ``BINDING_BOUND_RTOL``
-applies to the smallest bound, except if the servos set this bound. ``BOUND_RTOL`` applies to the
-other bounds, and is relative to the first mass that fails. Each bound is the lower end of the
-bracket. Chosen, not tuned.
+"""Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
+``BINDING_BOUND_RTOL`` applies to the smallest bound, except if this is the bound of the servos.
+``BOUND_RTOL`` applies to the other bounds, and is relative to the first mass that fails. Each bound
+is the lower end of the bracket. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
@@ -156,9 +156,9 @@ _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
 
 _MASS_GROWTH = 1.5
-"""Factor [1] between successive masses before the first failure. It is also the factor in searches
-for a failing mass above a known bound. A failure that occurs only in a narrower interval of masses
-may be missed. Chosen, not tuned.
+"""Factor [1] between successive payload masses before the first failure, and in searches for a
+failing mass above a known bound. A failure that occurs only in a narrower interval of masses may be
+missed. Chosen, not tuned.
 """
 
 _FAST_MASS_GROWTH = 3.0
@@ -167,9 +167,9 @@ servos) has failed. The mass still grows to find the bounds of the other criteri
 because the smallest bound is the result. Chosen, not tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
-"""Bound of the friction coefficient [1] with which a failed stance would be in balance. Up to the
-bound, the failure is called sliding. If balance needs more friction, or if no friction is
-sufficient, it is called tipping. Chosen, not tuned.
+"""Largest friction coefficient [1] with which a stance that fails would be in balance, at which the
+failure is called sliding. If balance needs more friction, or is impossible with any friction, the
+failure is called tipping. Chosen, not tuned.
 """
 
 
@@ -265,7 +265,7 @@ class PayloadLimit(Result):
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
-        """``{joint: static motor torque [N m or N] in the stand of the result}``."""
+        """{joint: static motor torque [N m or N] in ``stand``}."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     def get_torque_unit(self, joint: str) -> str:
@@ -354,16 +354,16 @@ def payload_limit(
 
 
 def _find_binding(bounds: Mapping[str, Bound]) -> str:
-    """Return the name of the smallest bound; of equal bounds, the first."""
+    """Return the name of the smallest payload bound ("motors", ...); of equal bounds, the first."""
     return min(bounds, key=lambda name: bounds[name].mass)
 
 
 def _add_simulated_bounds(
     bounds: Mapping[str, Bound], simulations: _PayloadSimulations
 ) -> dict[str, Bound]:
-    """Return the bounds of stance, motors and servos, corrected and completed by simulations.
+    """Add the bound of the simulation to the payload bounds of stance, motors and servos.
 
-    If the servos set the smallest bound, simulations may raise it (`_raise_servo_bound`).
+    If the servos set the smallest bound, simulations may raise this bound (`_raise_servo_bound`).
     ``simulation`` is infinite if the smallest bound holds in simulation, or is 0 or infinite.
     """
     completed = dict(bounds)
@@ -387,8 +387,9 @@ def _make_payload_limit(
 ) -> PayloadLimit:
     """Create the result: the smallest bound, the stand with this mass, and the verdict.
 
-    The verdict and the trial are those with ``VERIFIED_FRACTION`` of a finite limit. If the limit
-    is 0 or infinite, the verdict is that without payload, and there is no trial.
+    Verdict and nudged simulation belong to ``VERIFIED_FRACTION`` of a finite limit. If the limit is
+    0 or infinite, the verdict is that of the stance without payload, and there is no nudged
+    simulation.
     """
     binding = _find_binding(bounds)
     mass_limit = bounds[binding].mass
@@ -429,7 +430,7 @@ def _make_payload_limit(
 
 
 class _PayloadSimulations:
-    """Simulations of a stance with a payload. Results of `judge` and `simulate_nudged` are kept."""
+    """Simulations of a stance with a payload; `judge` and `simulate_nudged` cache their results."""
 
     def __init__(
         self,
@@ -467,9 +468,7 @@ class _PayloadSimulations:
         """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
 
         The simulation with position commands alone is left out, since it does not decide whether
-        the verdict passes. Tests of growing modes are left out if the response to the nudge
-        decides. ``trial`` contains simulations of the loaded stand after nudges; None without
-        these.
+        the verdict passes. Tests of growing modes are left out if the nudged simulations decide.
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
@@ -485,7 +484,7 @@ class _PayloadSimulations:
         )
 
     def holds(self, mass: float) -> bool:
-        """Return True if there is a stand with a payload [kg] that holds with feed-forward."""
+        """Return True if a stand with a payload [kg] exists, and holds in simulation."""
         try:
             return _holds_in_simulation(self.judge_with_feedforward(mass, None))
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
@@ -495,7 +494,8 @@ class _PayloadSimulations:
 def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
     """Return the motor joints without a stated torque limit that may carry load.
 
-    These move a foot, a hand or the payload, or belong to a closed loop or coupling.
+    Joints may carry load if they move a foot, a hand or the payload, or belong to a closed loop or
+    coupling.
     """
     unloaded_joints = set(find_footless_joints(robot)) - set(place.chain)
     unknown_joints = (
@@ -505,15 +505,16 @@ def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
 
 
 FailureCause = tuple[Failure, tuple[str, ...]] | None
-"""Failure with the motors, joints, feet or bodies; None without a failure."""
+"""Kind of a failure, and names of the motors, joints, feet or bodies that fail; None without a
+failure."""
 
 
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
-    """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
+    """Return the payload bound of the servos, raised if the robot holds more mass in simulation.
 
     Masses that grow by the factor `_MASS_GROWTH` are tested. The bound is infinite if no tested
-    mass below the smaller bound of stance and motors fails. The given bound is kept if it is zero
-    or infinite, or if a command that is out of range sets it.
+    mass below the smaller bound of stance and motors fails. Exceptions: a bound that is zero or
+    infinite, or that is set by a command out of range, is kept.
 
     The given bound is computed for the modes directly after the start. Above this bound, a
     deviation doubles within ``HOLD_DURATION``, or oscillates. `stand` evaluates the modes after 5
@@ -545,7 +546,7 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
 
 
 def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
-    """Return the largest mass for which ``VERIFIED_FRACTION`` times the mass holds in simulation.
+    """Find the largest mass M for which ``VERIFIED_FRACTION`` times M holds in simulation.
 
     The bound is infinite if ``static_limit`` [kg], the smallest static bound, holds, and 0 if the
     stance fails without payload. Static bounds apply to an undisturbed stand. Only a simulation
@@ -630,7 +631,7 @@ def _bisect_mass(
 
 @dataclass(frozen=True, eq=False)
 class _LoadedStand:
-    """Stand of a robot with a payload; without a stand, the cause.
+    """Stand of a robot with a payload, or the reason why there is none.
 
     Attributes:
         robot: Robot with the payload; without a stand, the robot without payload.
@@ -649,9 +650,9 @@ class _LoadedStand:
 
 
 class _PayloadSearch:
-    """Search for the payloads at which stance, motors and servos fail.
+    """Search for the payloads at which stance, motors and servos begin to fail.
 
-    Each ``find_..._failure`` method evaluates a mass [kg].
+    Each ``find_..._failure`` method returns the failure with a payload of a given mass [kg].
     """
 
     def __init__(
@@ -734,9 +735,8 @@ class _PayloadSearch:
     def _solve_stand(self, mass: float) -> _LoadedStand:
         """Solve the stand with a payload of ``mass`` [kg].
 
-        If there is no stand, the result contains the cause: kind of failure, and names of the parts
-        concerned. Kinds are out of reach, sliding (more friction would permit the stand), and
-        tipping.
+        If there is no stand, the result contains the kind of failure and the names of the parts
+        concerned. Kinds are: out of reach; sliding (more friction would permit the stand); tipping.
         """
         try:
             return _LoadedStand(
@@ -754,10 +754,10 @@ class _PayloadSearch:
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def find_stance_failure(self, mass: float) -> FailureCause:
-        """Return the failure of a stance with a payload [kg], without an evaluation of the motors.
+        """Return the failure of a stance with a payload [kg], apart from motors and servos.
 
-        The failure is that there is no stand, or that a part other than a foot touches the ground.
-        None if neither is so.
+        Either there is no loaded stand, or a part other than a foot touches the ground. None if the
+        loaded stand exists and only feet touch the ground.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
@@ -786,12 +786,12 @@ class _PayloadSearch:
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
-        """Check the servo bound by simulations; if it is wrong, search the bound by simulations.
+        """Check the payload bound of the servos by simulations; if wrong, search by simulations.
 
-        The servo bound in ``bounds`` is computed from the spectrum of the linearised step, which
-        takes milliseconds for each mass. The simulations are run just below the smallest bound and,
-        if the servos set this bound, just above; a bound of zero is simulated without payload. The
-        bound of a command that is out of range is not simulated.
+        The servo bound in ``bounds`` is computed from the eigenvalues of the linearised time step,
+        which takes milliseconds for each mass. The simulations are run just below the smallest
+        bound and, if the servos set this bound, just above; a bound of zero is simulated without
+        payload. The bound of a command that is out of range is not simulated.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         find_cause = self.find_servo_failure
@@ -821,10 +821,11 @@ class _PayloadSearch:
         return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
 
     def find_spectrum_failure(self, mass: float) -> FailureCause:
-        """Return the servo failure with a payload [kg] by the spectrum (``find_servo_failure``).
+        """Return the failure of the servos with a payload [kg], judged by eigenvalues alone.
 
-        Two kinds of modes are omitted, since only a simulation decides on them: modes that dry
-        friction hides, and modes that depend on the finite-difference step.
+        The method is ``find_servo_failure`` without simulation. Two kinds of modes are omitted,
+        since only a simulation decides on these: modes that dry friction hides, and modes that
+        depend on the finite-difference step.
         """
         return self.find_servo_failure(mass, is_simulated=False)
 

@@ -8,7 +8,7 @@ from pupper_analysis.tools.payload.limit import payload_limit
 
 
 def _measure_payload(design: Any) -> float:
-    """Compute the largest payload of a design [kg]; not a number if the payload is unknown."""
+    """Compute the largest payload [kg] of a design of a study; NaN if the payload is unknown."""
     return payload_limit(design.robot, design.stand, design.point, **design.gains).mass
 
 
