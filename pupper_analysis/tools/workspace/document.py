@@ -24,17 +24,17 @@ _MERGED_NAMES = {
     "workspace-ends-at-joint-limits": "joints",
     "workspace-ends-at-ground": "links",
 }
-"""{code of a limit: key of the value that contains the names of joints or links}. `_join_limits`
-lists the names of all directions together.
+"""{code of a limit of the base workspace: key of the diagnostic's value with joint or link names}.
+For these limits, `_join_limits` lists the names of all directions together.
 """
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the limits as one text: a part for each limit, with the limited directions.
+    """Return the reasons why the base cannot move farther as one text, with the directions of each.
 
-    Joint limits and the ground clearance have a part each, with the joints and links of all
-    directions. Each pair of links without clearance has its own part. The limit of most directions
-    comes first.
+    Joint limits and the ground clearance are one reason each, with the joints or links of all
+    directions. Each pair of links without clearance is a reason of its own. The reason that limits
+    most directions comes first.
     """
     limits: dict[tuple[str, object], Diagnostic] = {}
     directions: dict[tuple[str, object], list[str]] = {}
@@ -62,7 +62,7 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:
-    """Return the names in a limit of `_MERGED_NAMES`: joints at their limits, or lowest links."""
+    """Return the names in a limit of the base: joints at their limits, or lowest links."""
     names = limit.values[_MERGED_NAMES[limit.code]]
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
