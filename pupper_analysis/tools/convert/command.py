@@ -142,11 +142,12 @@ def command(
 
 
 _MAX_LISTED_MESHES = 2
-"""Largest number of written mesh files that are listed without -v. Chosen, not tuned."""
+"""Largest number of written mesh files whose names are printed without ``-v``. Chosen, not
+tuned."""
 
 
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
-    """Parse the texts ``[JOINTS=]KGM2`` of ``--armature`` to {joint: armature [kg m^2]}.
+    """Parse the texts ``[JOINTS=]KGM2`` of ``--armature`` to {joint: armature [kg m^2, kg]}.
 
     The last text that matches a joint applies. JOINTS is a name or a pattern (`match_names`);
     without JOINTS the value applies to all joints. A pattern that matches no joint

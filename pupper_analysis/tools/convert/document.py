@@ -49,16 +49,16 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 
 def _is_servo_note(note: Diagnostic) -> bool:
-    """Return True for the note that the new file has other servos than the converted variant."""
+    """Return True for the note that servos differ from those of the converted variant's MJCF."""
     return note.code == "servos-of-variant-not-used"
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
-    """Return the command to run next.
+    """Return the command to suggest next.
 
-    If the conversion failed, the command shows the differences from the source, or audits the
-    source. Otherwise the command simulates the new file: ``stand`` for a robot with a free base and
-    feet, else ``hold``.
+    ``crosscheck`` if the new file disagrees with the source; ``audit`` after another failure.
+    Otherwise the new file is simulated: ``stand`` for a robot with a free base and feet, else
+    ``hold``.
     """
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
@@ -71,7 +71,7 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
 
 
 def _get_verdict_key(conversion: Conversion) -> str:
-    """Return the catalogue key of the verdict: "agree", "disagree" or "FAILED"."""
+    """Return the key of the verdict in the catalogue of texts: "agree", "disagree" or "FAILED"."""
     if not conversion.agree:
         return "disagree"
     return "agree" if conversion.passed else "FAILED"
@@ -113,19 +113,19 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
 
 
 MAX_REST_FRACTION = 0.01
-"""Bound of the ratio between the speed at the end of a simulation and the speed of the nudge (the
-disturbance at the start) [1]. Up to the bound, the robot counts as at rest, even if the linear
-model has a slowly decaying mode: dry friction stops the motion. Chosen, not tuned.
+"""Largest speed at the end of a simulation, divided by the speed of the nudge (disturbance at the
+start) [1], at which the robot counts as at rest, even if the linear model has a slowly decaying
+mode: dry friction stops the motion. Chosen, not tuned.
 """
 
 
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    Nothing is yielded if the robot does not stand, or if there is no least damped mode. The least
-    damped mode must decay to 1/e within the simulated time t: 2 pi f z t >= 1, with damping ratio z
-    and frequency f. If it does not, and more than `MAX_REST_FRACTION` of the nudge is left after t,
-    its decay time [s] is stated as a warning.
+    Nothing is yielded if the robot does not stand, or if no mode oscillates. The least damped mode
+    should decay to 1/e within the simulated time t: 2 pi f z t >= 1, with damping ratio z and
+    frequency f. If this mode does not, and more than `MAX_REST_FRACTION` of the nudge is left after
+    t, a warning states its decay time [s].
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:

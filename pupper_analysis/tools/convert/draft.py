@@ -96,7 +96,10 @@ class ConversionDraft:
 
 @dataclass(frozen=True, eq=False)
 class NewMjcf(MjcfXml):
-    """XML tree of a new MJCF, with the same additions for simulation as `SpecTree`."""
+    """XML tree of a new MJCF, with methods that add what a simulation needs.
+
+    The methods are those of `SpecTree`: floor, servos, IMU, keyframe and contact settings.
+    """
 
     @property
     def joints(self) -> list[etree._Element]:
@@ -200,7 +203,7 @@ class NewMjcf(MjcfXml):
             body: Body of the sphere.
             radius: Radius [m].
             place: Centre, shape (3,) [m], in the frame of the body.
-            like: Unused; a new MJCF has a single collision class.
+            like: Ignored; in a new MJCF all collision geoms have the same contact parameters.
         """
         add_element(
             self.body(body),
@@ -280,9 +283,9 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 
 
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
-    """Return messages on the parts of a URDF that the new MJCF does not contain, with numbers.
+    """List the parts of a URDF that the new MJCF does not contain, with their counts.
 
-    These are stated velocity limits, textures, children of ``<robot>`` with other tags than
+    The parts are stated velocity limits, textures, children of ``<robot>`` with other tags than
     `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
     """
     losses = []
@@ -315,7 +318,9 @@ def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
 def _add_stand(
     bare: ConvertedMjcf, options: MjcfOptions
 ) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
-    """Add the ground, feet, servos and start pose that `load_robot` determines.
+    """Add ground, feet, servos and start pose to a new MJCF, so that the robot stands.
+
+    The additions are those that `load_robot` determines for the same robot.
 
     Returns:
         Notes; the reason if the robot does not stand, otherwise None; the joints whose feet were
@@ -351,7 +356,7 @@ def _add_stand(
 
 
 def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
-    """Return the names of the joints of bodies whose shapes were replaced by balls."""
+    """Return the joints that move bodies whose collision shapes were replaced by balls."""
     model = robot.mj_model
     balls = [addition for addition in robot.description.added if isinstance(addition, Ball)]
     bodies = {int(model.body_weldid[model.body(ball.body).id]) for ball in balls}
@@ -361,7 +366,7 @@ def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
 
 
 def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Robot) -> Addition:
-    """Return the addition of a start pose with qpos in the coordinates of the new file.
+    """Convert the start pose that is added to a new file to the coordinates of this file.
 
     If the origin of the base frame is below the feet, `load_robot` may move the frame. The new file
     keeps the original frame, so qpos is converted. Other additions are returned unchanged.
@@ -450,8 +455,8 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
     """Raise the base so that no collision shape is below the ground at zero joint positions.
 
     Otherwise, in a simulation that does not start from the keyframe, contact forces would throw the
-    robot upward. The base is raised at least to its height in the keyframe. The height is rounded
-    to a micrometre.
+    robot upward. The base is raised at least to the height of the base in the keyframe. The height
+    is rounded to a micrometre.
 
     Args:
         mjcf: New MJCF, with a keyframe if present.
@@ -621,7 +626,7 @@ def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> 
 def _find_changed_values(
     model: mujoco.MjModel, tag: str, rows: Iterable[int]
 ) -> dict[str, list[ParameterValues]]:
-    """Find attribute values that differ from MuJoCo's defaults.
+    """Find attribute values of geoms or options that differ from MuJoCo's defaults.
 
     Args:
         model: Compiled model.
@@ -629,8 +634,8 @@ def _find_changed_values(
         rows: Ids of geoms; ``[0]`` for options.
 
     Returns:
-        {attribute: its values that differ from the default}; attributes without such a value are
-        left out.
+        {attribute: values that differ from the default}; attributes without such a value are left
+        out.
     """
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"

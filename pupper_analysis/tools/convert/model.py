@@ -103,8 +103,8 @@ def convert_model(
             ``load_robot``.
         fixed_base: Fix the base in the world. Default: False for a base with two or more limbs that
             is not named ``world``.
-        armature: {joint: rotor inertia [kg m^2]}. Default: the rotor inertias of the source if it
-            is a ``pin.Model``, otherwise none.
+        armature: {joint: rotor inertia [kg m^2; kg for a slide]}. Default: the rotor inertias of
+            the source if the source is a ``pin.Model``, otherwise none.
         repair_inertia: Replace physically impossible inertias of moving links by the nearest
             possible inertias, and masses of zero by 1 g. Default: such links are refused.
         copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
@@ -264,7 +264,7 @@ def _list_changed_servos(
 
 
 def _check_output(output: Path, *, force: bool) -> None:
-    """Raise an OutputError if the new file cannot be written."""
+    """Raise an OutputError if the path of the new file cannot be used as an output."""
     check_writable(output, MODEL_KIND, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
@@ -273,7 +273,7 @@ def _check_output(output: Path, *, force: bool) -> None:
 def _put_impossible_first(
     failures: Iterable[Diagnostic], remarks: Iterable[Diagnostic]
 ) -> tuple[Diagnostic, ...]:
-    """Return failures after the remarks about impossible inertials; () without a failure."""
+    """Put remarks about impossible inertials, as possible causes, before the failures."""
     found = tuple(failures)
     return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
 
@@ -283,8 +283,8 @@ def _make_converted_robot(
 ) -> Robot:
     """Return the robot of source and new file, with a free base if the MJCF has one.
 
-    The base is fixed in two cases. A new MJCF is not required to stand; or the robot of a new URDF
-    cannot be prepared with a free base, for example without feet.
+    The base of the robot is fixed in two cases: a new MJCF with a fixed base; or a new URDF whose
+    robot cannot be prepared with a free base, for example without feet.
     """
     if draft.urdf is None:
         with contextlib.suppress(ModelError):
@@ -293,7 +293,7 @@ def _make_converted_robot(
 
 
 def _list_armatures(model: pin.Model) -> dict[str, float]:
-    """Return {joint: rotor inertia [kg m^2]} of the joints with one velocity and an armature."""
+    """Return {joint: rotor inertia [kg m^2, kg]} of joints with one DoF and an armature."""
     return {
         name: float(model.armature[joint.idx_v])
         for name, joint in list(zip(model.names, model.joints, strict=True))[1:]
@@ -302,7 +302,7 @@ def _list_armatures(model: pin.Model) -> dict[str, float]:
 
 
 def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
-    """Raise an error if an option of new MJCFs is passed for a new URDF."""
+    """Raise an error if an option that only concerns new MJCFs is passed for a new URDF."""
     for field in fields(options):
         if getattr(options, field.name) != field.default:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
@@ -407,7 +407,7 @@ def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRu
 
 
 def check_armatures(urdf: UrdfFile, armatures: dict[str, float]) -> None:
-    """Check requested armatures: their joints exist in the URDF, the values are finite and >= 0.
+    """Check that requested armatures are finite and >= 0, and that the joints exist in the URDF.
 
     Args:
         urdf: URDF.
