@@ -25,15 +25,15 @@ _MERGED_NAMES = {
     "workspace-ends-at-ground": "links",
 }
 """{code of a limit of the base workspace: key of the diagnostic's value with joint or link names}.
-For these limits, `_join_limits` lists the names of all directions together.
+If the limit has such a code, `_join_limits` lists the names of all directions together.
 """
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
     """Return the reasons why the base cannot move farther as one text, with the directions of each.
 
-    Joint limits and the ground clearance are one reason each, with the joints or links of all
-    directions. Each pair of links without clearance is a reason of its own. The reason that limits
+    Joint limits and the ground clearance are a reason each, with the joints or links of all
+    directions. Each pair of links without clearance is a separate reason. The reason that limits
     most directions comes first.
     """
     limits: dict[tuple[str, object], Diagnostic] = {}
