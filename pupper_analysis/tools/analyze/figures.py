@@ -361,7 +361,7 @@ _NUM_COLUMNS = 3
 
 @dataclass(frozen=True)
 class Picture:
-    """Picture that was written.
+    """Picture file that was written, and the method by which it was drawn.
 
     Attributes:
         path: PNG file.

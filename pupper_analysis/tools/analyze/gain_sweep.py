@@ -177,7 +177,7 @@ def sweep_gains(
 
 
 def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[float]:
-    """Return the values of a gain (kp or kd) in the sweep.
+    """Return the values of a gain (kp or kd) with which a sweep simulates the stand.
 
     Args:
         given: Values that the caller passed; None for the default.
@@ -243,7 +243,12 @@ class _SweepTrial:
                 rests[kp] = None if pose.failures else start
 
         def simulate(cell: GainPair) -> tuple[float, bool]:
-            """Return (height deviation [m], rest) of a pair of gains, as `run` defines them."""
+            """Simulate the stand with a pair of gains, kp and kd.
+
+            Returns:
+                Height deviation [m], and whether the robot comes to rest and remains at rest, as
+                for `run`.
+            """
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
             watcher = monitor.ContactSampler(robot, drive.model)
             states = roll_out(

@@ -168,7 +168,7 @@ def _make_best_stance(
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> BestStance:
-    """Make the result for a stance of a search.
+    """Create the result of `best_stance` from one evaluated stance of a search.
 
     If the objective is the payload at ``point``, and the initial task has a larger payload limit,
     the result is the initial task. The servos have stiffness ``kp`` [N m/rad, N/m] and damping

@@ -106,7 +106,7 @@ class Objective(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedStance:
-    """Evaluated stance of a search.
+    """Stance that a search has evaluated: stand, scaled objective and constraints.
 
     Attributes:
         coordinates: Coordinates in the `StanceSpace`, shape (n,) [m or rad].
@@ -446,11 +446,13 @@ class StanceSearch:
         missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
 
         def evaluate_rows(share: Array) -> Array:
-            """Solve a stance, and return a and b of its constraints a + b level >= 0.
+            """Solve a stance, and return (a, b) of each constraint a + b t >= 0, shape (k, 2).
 
-            The result has shape (k, 2); the level is the scaled objective. ``share`` contains the
-            scaled coordinates of the stance, 0 to 1. ``best`` is updated if the stance is allowed
-            and has the smallest level so far.
+            t (level) is the scaled objective. ``best`` is updated if the stance is allowed and has
+            the smallest level so far.
+
+            Args:
+                share: Scaled coordinates of the stance, 0 to 1, shape (size,).
             """
             nonlocal best
             stance = self.evaluate(subspace.compute_coordinates(share))

@@ -86,7 +86,7 @@ soles are redundant, and are satisfied to rounding. Chosen, not tuned.
 
 @dataclass(frozen=True, eq=False)
 class StanceSlack:
-    """Constraint slacks of a stance.
+    """Constraint slacks of a stance: distances from the bounds, negative if violated.
 
     In an allowed stance all slacks are >= 0, those of the joints >= -`JOINT_LIMIT_OVERSHOOT`.
 

@@ -121,7 +121,7 @@ def _get_change_severity(consequences: tuple[Diagnostic, ...]) -> Severity:
 
 @dataclass(frozen=True, eq=False)
 class PairCheck(Result):
-    """Result for a pair.
+    """Result of the check of one pair of models (URDF, MJCF or both).
 
     Attributes:
         name: Name of the pair.

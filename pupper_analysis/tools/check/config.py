@@ -74,7 +74,7 @@ class GuardedPair:
 
 @dataclass(frozen=True, eq=False)
 class GuardConfig:
-    """Content of a configuration.
+    """Content of a configuration file of `check`: pairs of models, and settings.
 
     Attributes:
         path: Path of the configuration. Relative paths in the file refer to its folder.

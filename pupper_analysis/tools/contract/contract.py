@@ -47,7 +47,7 @@ the robot was also simulated. ``traced``: the policy was also compared with a re
 
 @dataclass(frozen=True, eq=False)
 class SourceRead(Result):
-    """Source that was read.
+    """Summary of a source (file or configuration) that was read: role and joint order.
 
     Attributes:
         name: Name of the file, if needed with parent folders and the name of the configuration.

@@ -44,8 +44,8 @@ _KIND_TOLERANCES = {
 (`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
-"""Quantities whose values are equal if they differ by at most the absolute tolerance of position
-limits of `crosscheck`, or by the relative tolerance of all quantities."""
+"""Position limits of joints. Two sources agree on a limit if the difference is at most the absolute
+tolerance of position limits in `crosscheck`, or the relative tolerance `_NUMBER_RTOL`."""
 
 _MIN_COMPUTED_DECIMALS = 5
 """Smallest number of decimals with which a number counts as computed, not typed. If another source
@@ -695,9 +695,10 @@ ERROR."""
 def add_height_effects(
     findings: tuple[Disagreement, ...], poses: tuple[DefaultPoseStand, ...]
 ) -> tuple[Disagreement, ...]:
-    """Return the disagreements, with an effect added to those about default joint angles.
+    """Add the resulting difference of base heights to disagreements about default angles.
 
-    The effect is the difference between the base heights [m] in the two default poses.
+    The effect of different default joint angles is the difference between the base heights [m] in
+    the two default poses. Other disagreements are returned unchanged.
 
     Args:
         findings: Disagreements between sources.

@@ -63,7 +63,7 @@ class PlacedSource:
 
 @dataclass(frozen=True)
 class RobotJoints:
-    """Joints of the model that defines the order.
+    """Joints of the robot, from the model that defines the joint order.
 
     Attributes:
         order: Names of the moving joints, limb by limb (`list_depth_first`).
@@ -143,18 +143,19 @@ class RobotJoints:
         return {**pairs, **match_without_affixes(names, self.order, pairs)}
 
     def mirrored_sign(self, first_name: str, second_name: str) -> int:
-        """Return the sign between the angles of two joints in mirrored postures.
+        """Return whether two joints have equal or opposite angles in mirrored postures: 1 or -1.
 
-        The axes are expressed in the base frame, at zero joint angles. A rotation about the axis a,
-        mirrored at the xz plane of the base frame, is a rotation about (-a_x, a_y, -a_z).
+        A left and a right joint are meant. Their axes are expressed in the base frame, at zero
+        joint angles. A rotation about the axis a, mirrored at the xz plane of the base frame, is a
+        rotation about (-a_x, a_y, -a_z).
 
         Args:
             first_name: Joint on one side.
             second_name: Joint on the other side.
 
         Returns:
-            1 if mirrored postures have equal angles, -1 if opposite angles, 0 if the axes are no
-            mirror images or a joint is not a hinge.
+            1 for equal angles, -1 for opposite angles, 0 if the axes are no mirror images or a
+            joint is not a hinge.
         """
         first, second = self.axes.get(first_name), self.axes.get(second_name)
         if first is None or second is None:

@@ -518,7 +518,7 @@ class Evaluator:
             self._add_imports({name.asname or name.name: home.get(name.name, lost)}, scope)
 
     def _add_imports(self, names: Mapping[str, LocatedValue], scope: Scope) -> None:
-        """Add imported names to a scope, and mark them as imported in the module."""
+        """Add imported names to a scope, and record in the module that the names are imported."""
         scope.update(names)
         get_module(scope).imported.update(names)
 
@@ -1043,7 +1043,7 @@ class Evaluator:
     _evaluate_list = _evaluate_set = _evaluate_tuple
 
     def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, LocatedValue]:
-        """Return {key: value} of a dict display, with entries of ``**other`` included."""
+        """Return {key: value} of a dict literal, with entries of ``**other`` included."""
         result: dict[Any, LocatedValue] = {}
         for key, value in zip(expression.keys, expression.values, strict=True):
             content = self.evaluate(value, scope)

@@ -365,7 +365,7 @@ class Conversion(Result):
 
 @dataclass(frozen=True, eq=False)
 class KeyframeRun(Result):
-    """Simulation of an MJCF from the first keyframe, with a nudge.
+    """Simulation of an MJCF from the first keyframe, after a nudge (small initial velocity).
 
     Attributes:
         keyframe: Name of the keyframe.

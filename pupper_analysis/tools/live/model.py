@@ -173,7 +173,7 @@ def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
     """Simulate a push of the robot in its stance, with position commands without feed-forward.
 
     Args:
-        answer: Answer to the state of the page, with robot and stand.
+        answer: Solved stance of the page, with robot and stand.
         impulse: Impulse [N s].
         direction: Direction of the horizontal push, from the forward axis of the base [rad].
 

@@ -281,7 +281,7 @@ class Session:
             self._panels.clear_results()
 
     def _show_status(self) -> None:
-        """Show the status panel of the current answer."""
+        """Show loads, sag and contact forces of the current stance in the number panel."""
         answer = self._answer
         assert answer is not None
         if answer.unreachable:

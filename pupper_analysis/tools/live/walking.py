@@ -185,7 +185,7 @@ class WalkSession:
             self._closed.wait(max(0.0, due - time.monotonic()))
 
     def _draw_robot(self, state: Array) -> None:
-        """Draw the robot above the origin, and move the grid of the ground below instead.
+        """Draw the walking robot fixed above the origin; the grid of the ground moves instead.
 
         ``state`` is MuJoCo's full physics state, shape (size,); nothing is drawn if its
         configuration is not finite.

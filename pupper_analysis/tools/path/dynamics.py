@@ -39,7 +39,7 @@ tuned."""
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Equilibrium):
-    """Torques and forces of a motion at a time: an `Equilibrium` with inertial forces.
+    """Motor torques and contact forces of a motion at one instant, including inertial forces.
 
     Attributes:
         contact_moments: Moment of the ground on each foot about the contact point, shape (3,), in
@@ -273,11 +273,14 @@ def rolling_levers(
 def remaining_moment_fraction(
     robot: Robot, foot: str, force: Array, moment: Array, normal: Array
 ) -> float:
-    """Compute the fraction of the resisting moment on a foot that its contact force permits.
+    """Compute how much of the resisting moment on a foot is possible besides the contact force.
 
-    Force and moment share a friction cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2,
-    with the components along the normal (n), tangential (t) and across the normal (r), and the
-    sliding, torsional and rolling friction coefficients mu [1], mu_n and mu_r [m].
+    The tangential force f_t, the spinning moment m_n about the normal, and the rolling moment m_r
+    across the normal share a friction cone (f_n: normal force):
+
+        |f_t|^2 / mu^2 + m_n^2 / mu_n^2 + |m_r|^2 / mu_r^2 <= f_n^2
+
+    The coefficients are mu [1] of sliding, mu_n [m] of torsional and mu_r [m] of rolling friction.
 
     Args:
         robot: Robot.
@@ -288,7 +291,7 @@ def remaining_moment_fraction(
         normal: Shape (3,); unit vector out of the ground.
 
     Returns:
-        Fraction from 0 to 1.
+        Largest factor from 0 to 1 on ``moment`` that satisfies the inequality.
     """
     slide, _, spin, roll, _ = robot.contacts[foot].friction
     pressing, spinning = float(force @ normal), float(moment @ normal)

@@ -340,7 +340,7 @@ class PathPlace:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Geometry of a path through stances.
+    """Stands of all samples of a path, with derivatives along the path, without dynamics.
 
     Attributes:
         stances: Solved stances.

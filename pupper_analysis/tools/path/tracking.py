@@ -568,7 +568,7 @@ def _as_finite(utilisation: float) -> float | None:
 def _check_states(
     plan: PathCommands, states: Array, evaluations: NDArray[np.int64]
 ) -> tuple[list[Diagnostic], float, dict[str, float]]:
-    """Check contacts, orientation and falls of selected states.
+    """Check selected simulated states for wrong contacts, orientation errors, slip and falls.
 
     Args:
         plan: Path and commands.

@@ -823,9 +823,9 @@ class _PayloadSearch:
     def find_spectrum_failure(self, mass: float) -> FailureCause:
         """Return the failure of the servos with a payload [kg], judged by eigenvalues alone.
 
-        The method is ``find_servo_failure`` without simulation. Two kinds of modes are omitted,
-        since only a simulation decides on these: modes that dry friction hides, and modes that
-        depend on the finite-difference step.
+        The method is ``find_servo_failure`` without simulation. Two kinds of growing modes are
+        omitted, since only a simulation can decide whether the robot leaves the stand: modes that
+        grow only without dry friction, and modes that depend on the finite-difference step.
         """
         return self.find_servo_failure(mass, is_simulated=False)
 

@@ -132,10 +132,11 @@ def _select_whole_configurations(
 def _read_constants(
     request: Request, evaluator: py.Evaluator, own_names: dict[str, LocatedValue]
 ) -> Iterator[JointSource]:
-    """Yield the constants of a file without tables as a source: of a deployment or a simulation.
+    """Yield a source with the constants of a Python file that defines no tables.
 
-    Read are constants of the module, of classes in the module, and constants that a method assigns
-    to ``self``. ``own_names`` is {name: value} of the module.
+    Such a file is for example part of a deployment or a simulation. Constants of the module, of its
+    classes, and constants that a method assigns to ``self`` are read. ``own_names`` is {name:
+    value} of the module.
     """
     table = {
         name.lower(): _make_constant_table(evaluator, node)

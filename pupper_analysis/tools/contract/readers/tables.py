@@ -96,7 +96,11 @@ class _View:
         return bool(self._find_joint_values())
 
     def _find_joint_values(self) -> dict[str, LocatedValue]:
-        """Return {quantity and joints: value} of the numbers per joint that the tables state."""
+        """Return the values in these tables that are numbers per joint.
+
+        Returns:
+            {quantity and joint pattern, as one text: value}.
+        """
         return {
             f"{rule.quantity} {rule.joints}": node
             for rule in self.rules
@@ -106,9 +110,10 @@ class _View:
         }
 
     def conflicts_with(self, other: _View) -> bool:
-        """Return True if this view and ``other`` state the same quantity, or joint names, twice.
+        """Return True if this view and ``other`` both state a quantity per joint, or joint names.
 
-        The values may be equal, but the places differ.
+        The values may be equal. A value that both views contain because they share a table is no
+        conflict.
         """
         first, second = self._find_joint_values(), other._find_joint_values()
         first["names"], second["names"] = self.find_first("joints"), other.find_first("joints")
