@@ -302,9 +302,9 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 
 
 def _list_link_masses(robot: Robot) -> dict[str, float]:
-    """Return {base or joint: mass [kg] of the body that it is or moves}.
+    """Return {name: mass [kg]} of the base, and of the body that each joint moves.
 
-    The joints are those of ``robot.joint_names``. Links fixed to a body belong to the body.
+    A body has the name of its joint. Links that are fixed to a body belong to the body.
     """
     model = robot.pin_model
     root = 1 if robot.floating else 0

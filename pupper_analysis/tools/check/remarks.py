@@ -517,7 +517,7 @@ def mark_known_remarks(
 
 
 def count_findings(remarks: Iterable[Remark]) -> int:
-    """Count findings: remarks with the same cause or the same values count as one finding."""
+    """Count the findings that remarks report; equal cause or equal values make one finding."""
     return len({remark.finding for remark in remarks})
 
 

@@ -378,7 +378,7 @@ def _compare_joint_quantity(
 def _group_by_values(
     quantity: str, kind: QuantityKind, differing: dict[str, FactPair], is_range_difference: bool
 ) -> Iterator[Disagreement]:
-    """Yield the disagreements about a quantity between two sources, joined over equal joints.
+    """Yield the disagreements about a quantity between two sources, grouped by the numbers.
 
     Joints with equal pairs of numbers form one disagreement. If the second source has the numbers
     of the first at other joints, there is a single disagreement about the order.

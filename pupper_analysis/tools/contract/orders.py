@@ -240,7 +240,7 @@ class _JointNames:
 
     @cached_property
     def source_names(self) -> dict[str, str]:
-        """{joint of the robot: last of its names in the source}, without joints that have none."""
+        """{joint of the robot: name of the joint in the source}; the last of several names."""
         return {joint: name for name, joint in self.matched.items()}
 
 

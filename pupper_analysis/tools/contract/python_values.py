@@ -740,7 +740,10 @@ class Evaluator:
         scope: Scope,
         origins: dict[str, list[LocatedValue]],
     ) -> list[LocatedValue]:
-        """Return the items under ``key`` in the values of an expression; all items if None."""
+        """Return the items with a key or index in the lists and tables of an expression.
+
+        All items if ``key`` is None. The expression is not evaluated (`_find_values`).
+        """
         result: list[LocatedValue] = []
         for owner in self._find_values(expression, scope, origins):
             if key is None:
@@ -801,7 +804,11 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """Yield the values that a call may change through functions of evaluated files."""
+        """Yield what a call may change, if it calls functions of evaluated files.
+
+        Yields:
+            Content (list, table or fields), key and unknown value, as `_list_changes`.
+        """
         owners: list[LocatedValue | None] = [None]
         if isinstance(call.func, ast.Attribute):
             owners = [*self._find_values(call.func.value, scope, origins)]

@@ -19,9 +19,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture
 
 _MAX_LINEAR_OPENING = 1e-6
-"""Largest opening of a loop [m, rad] with which the motion of its joints counts as proportional.
-The opening is tested with the joints moved in proportion (`_TESTED_RANGE_FRACTIONS`). If it is
-larger, the loop is closed numerically at each sample of a motion. Chosen, not tuned.
+"""Largest opening of a loop [m, rad] when its joints are moved in proportion
+(`_TESTED_RANGE_FRACTIONS`), with which a motion of the loop is computed as proportional. With a
+larger opening, the loop is closed numerically at each sample of a motion. Chosen, not tuned.
 """
 
 _MIN_COUPLING_RATIO = 1e-9
