@@ -493,8 +493,8 @@ def _report_added_servos(
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the added servos with their gains.
 
-    Servos at passive joints, which exert no torque, are not listed. ``kp`` [N m/rad] and ``kd``
-    [N m s/rad], (nu,) each, are the gains of all servos in actuator order.
+    Servos at passive joints, which exert no torque, are not listed. ``kp`` [N m/rad, N/m] and
+    ``kd`` [N m s/rad, N s/m], (nu,) each, are the gains of all servos in actuator order.
     """
     added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
     added -= set(built.description.passive_joints)
@@ -514,7 +514,7 @@ def _merge_gains(
     """Return kp and kd, (nu,) each, of a robot with servos of the MJCF and added servos.
 
     Dependent joints have gains of 0, and joints in ``own_gains`` the gains in this mapping. Other
-    joints have the suggested gains ``kp`` [N m/rad] and ``kd`` [N m s/rad].
+    joints have the suggested gains ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m].
     """
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(

@@ -1,8 +1,8 @@
-"""Suggest gains of position servos: stiffness kp [N m/rad] and damping kd [N m s/rad] per joint.
+"""Suggest gains of position servos: stiffness kp and damping kd of each joint.
 
-A servo is deflected by tau / kp. The stiffness therefore follows from a torque and from the
-permitted deflection. The time step h bounds the stiffness: h sqrt(kp / I), with the inertia I of
-the joint, must remain well below 2.
+Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m]. A servo is deflected by tau / kp. The stiffness
+therefore follows from a torque and from the permitted deflection. The time step h bounds the
+stiffness: h sqrt(kp / I), with the inertia I of the joint, must remain well below 2.
 
 The requirement depends on the base:
 
