@@ -260,8 +260,8 @@ def _list_changes_since(
 ) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
-    Left out are changes that ``found``, the remarks on the present files, contains as a difference
-    between URDF and MJCF, and pairs with a file that cannot be read.
+    ``found`` are the remarks on the present files. Changes that these report as a difference
+    between URDF and MJCF are left out, and pairs with a file that cannot be read.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}

@@ -135,8 +135,8 @@ def find_disagreements(
     """List the disagreements between sources, and within a source, the worst first.
 
     Sources are for example a robot model, a motor driver and a policy. A number of a source is
-    compared with the first source that states the number. Left and right joints of a source are
-    compared with each other. Exceptions, which are not listed:
+    compared with the first source that states the number. If a quantity is symmetric, the numbers
+    of left and right joints within a source are compared. Exceptions, which are not listed:
 
     - quantities without a severity,
     - joint damping, if it represents the kd of a servo,
@@ -210,7 +210,7 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
 
 
 def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
-    """List quantities that a source states but that cannot be compared, and other sources state.
+    """List quantities in sources that cannot be compared with the numbers of other sources.
 
     The reason is a list that cannot be assigned to joints, or keys that match no joint of the
     robot.

@@ -114,7 +114,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
     - The posture fails without payload: `audit`, which checks the files.
     - The further payload that all postures found hold is unknown or unlimited, zero, or less than
       `MIN_FURTHER_SHARE` of the present payload: `audit`.
-    - Otherwise: `hold` with this further payload, rounded down.
+    - Otherwise: `hold` with the present and the further payload, rounded down.
     """
     payload = hold.payload.worst_posture_mass
     overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))

@@ -73,7 +73,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_motor_regions(path: StancePath) -> list[doc.Words]:
-    """Return the text that names the motors whose torque-speed region limits the path.
+    """Return the text that names the motors whose torque-speed regions define the utilisation.
 
     Empty without motors.
     """

@@ -178,11 +178,12 @@ def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> Located
 
 
 def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
-    """Return the node of an instance, table or list that a value is, or that its call creates.
+    """Return a value that is an instance, table or list; create it by a call if necessary.
 
-    A class or function is called to create the value; the arguments of a function are instances of
-    its annotated classes. The value is None if ``node`` is of another type, or if the call cannot
-    be evaluated.
+    A class or function is called; the arguments of a function are instances of its annotated
+    classes. If the function returns None, the first argument is returned, because the function may
+    modify this argument. The value of the result is None for a node of another type, or if the call
+    cannot be evaluated.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):
