@@ -74,7 +74,7 @@ bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned
 
 _SHAKE_DURATION = 3.0
 """Duration [s] of a simulated stand in the search for the upper bound of stiffness or damping.
-Chosen, not tuned: long compared with an oscillation that doubles within 0.1 s."""
+Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
 
 GAIN_MARGIN = 2.0
 """Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray

@@ -163,8 +163,8 @@ missed. Chosen, not tuned.
 
 _FAST_MASS_GROWTH = 3.0
 """Factor between successive payload masses after the first of three criteria (stance, motors,
-servos) has failed. The mass still grows to find the bounds of the other criteria, which matter less
-because the smallest bound is the result. Chosen, not tuned."""
+servos) has failed. The mass still grows, to find the bounds of the other criteria. Chosen, not
+tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
 """Largest friction coefficient [1] with which a stance that fails would be in balance, at which the
