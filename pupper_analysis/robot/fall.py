@@ -170,9 +170,10 @@ class BodyMotion:
         )
 
     def _has_collapsed(self, away: float) -> bool:
-        """Return the result of the function `has_collapsed` for this motion.
+        """Return True if this motion is a fall: too large a tilt, change of CoM height, or travel.
 
-        ``away`` is the horizontal distance of the CoM from its start [m].
+        ``away`` is the horizontal distance of the CoM from its start [m]. The function
+        `has_collapsed` defines the limits.
         """
         size = self.height + max(self.clearance, 0.0) if self.lies else self.height
         return has_collapsed(self.lean, size - self.end_height, away, size)

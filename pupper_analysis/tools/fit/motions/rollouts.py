@@ -631,10 +631,15 @@ class MomentCoordinates:
     def to_parameters(self, moments: Array) -> Array:
         """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
 
-        The inverse of `from_parameters`. A CoM component of a body with an estimated mass m is c =
-        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0. In this formula, m is at
-        least `MIN_MASS_FRACTION` m0. The delay is the delay coordinate plus the lag of commands, if
-        both are estimated. Other parameters are equal to the coordinates.
+        The inverse of `from_parameters`. If the mass m of a body is estimated, a component of its
+        CoM is
+
+            c = c0 + (m0 / m) (coordinate - c0) [m],
+
+        with the stated values c0 and m0, and m at least `MIN_MASS_FRACTION` m0. So the coordinate
+        is also a length, in the axes of the CoM. If delay and lag of the servo commands are both
+        estimated [s], the delay is its coordinate plus the lag. Other parameters are equal to the
+        coordinates.
         """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com
@@ -660,7 +665,8 @@ class MomentCoordinates:
         """Compute the Jacobian of `to_parameters`, shape (n, n).
 
         `to_parameters` converts first-moment coordinates, the coordinates of the fit, to physical
-        parameters.
+        parameters. The derivative assumes that each mass is at least `MIN_MASS_FRACTION` times the
+        stated mass.
 
         Args:
             moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).
