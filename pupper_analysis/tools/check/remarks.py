@@ -327,7 +327,7 @@ class BaselineEntry(Result):
     """Accepted remark in the baseline.
 
     Attributes:
-        identity: Identity of the remark (`Remark.identity`).
+        identity: Identity of the remark.
         values: Values of the remark.
     """
 
