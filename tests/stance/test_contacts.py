@@ -449,7 +449,7 @@ def plane(**more: object) -> pa.Contact:
 @pytest.mark.parametrize(
     ("make", "match"),
     [
-        (lambda: pa.Plane((0, 0, 0), (0, 0, 0)), "no direction"),
+        (lambda: pa.Plane((0, 0, 0), (0, 0, 0)), "not a direction"),
         (lambda: pa.Plane((0, 0, 0), (0, 0, 1), -0.1), "friction: -0.1 is not between"),
         (lambda: pa.Plane((0, 0, math.nan), (0, 0, 1)), r"plane\.point"),
         (lambda: pa.Plane((0, 0), (0, 0, 1)), r"plane\.point"),  # type: ignore[arg-type]
@@ -461,7 +461,7 @@ def plane(**more: object) -> pa.Contact:
             "FL has a plane of its own, and is in heights",
         ),
         (lambda: pa.Slope(0.1, math.inf), r"slope\.uphill"),
-        (lambda: pa.Bar((0, 0, 0), (0, 0, 0), 0.1), "no direction"),
+        (lambda: pa.Bar((0, 0, 0), (0, 0, 0), 0.1), "not a direction"),
         (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.0), r"bar\.radius: 0"),
         (lambda: plane(grip=0), "grip: 0 is not more than 0"),
         (lambda: plane(grip=5.0, force=3.0), "no force is stated"),
