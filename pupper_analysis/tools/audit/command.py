@@ -108,7 +108,7 @@ def command(
     refuse_unknown_variant(str(file))
     folders = shared.parse_packages(packages)
     named = is_variant(file)
-    if fix and (named or xacro or not file.is_file()):
+    if fix and (named or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
     with shared.show_progress("checking the model against the rules"):
         models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
