@@ -156,3 +156,9 @@ def test_first_moments_convert_to_masses_and_coms_and_back() -> None:
         [(moments.to_parameters(y + step * unit) - x) / step for unit in np.eye(5)]
     )
     assert moments.differentiate_parameters(y) == pytest.approx(jacobian, abs=1e-5)
+    y[1] = 0.01  # 0.5 % of the stated mass: the conversion uses 1 %
+    start = moments.to_parameters(y)
+    jacobian = np.column_stack(
+        [(moments.to_parameters(y + step * unit) - start) / step for unit in np.eye(5)]
+    )
+    assert moments.differentiate_parameters(y) == pytest.approx(jacobian, abs=1e-5)

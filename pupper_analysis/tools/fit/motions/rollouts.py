@@ -665,8 +665,8 @@ class MomentCoordinates:
         """Compute the Jacobian of `to_parameters`, shape (n, n).
 
         `to_parameters` converts first-moment coordinates, the coordinates of the fit, to physical
-        parameters. The derivative assumes that each mass is at least `MIN_MASS_FRACTION` times the
-        stated mass.
+        parameters. Below `MIN_MASS_FRACTION` times the stated mass, the CoM does not depend on the
+        mass.
 
         Args:
             moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).
@@ -674,7 +674,9 @@ class MomentCoordinates:
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com
         derivative[self._coms, self._coms] = mass_ratio
-        derivative[self._coms, self._masses] = -(mass_ratio**2) * deviation / self._stated_mass
+        is_above = moments[self._masses] > MIN_MASS_FRACTION * self._stated_mass
+        rates = -(mass_ratio**2) * deviation / self._stated_mass
+        derivative[self._coms, self._masses] = np.where(is_above, rates, 0.0)
         derivative[self._delay_indices[0], self._delay_indices[1]] = 1.0
         return derivative
 
