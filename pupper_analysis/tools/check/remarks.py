@@ -307,9 +307,9 @@ def to_rounded_plain(value: Any) -> Any:
 
 
 _HEADER_TEXT: Final = """\
-# What `pupper-analysis check` knows of the models: only what is not here, or has changed, fails.
-# Written by `pupper-analysis check --update-baseline`; its diff is what is let pass. A line each:
-# ["check", "pair", "file", "kind", "element", {its values}]
+# Accepted findings of `pupper-analysis check`. A finding that is new or has another value fails.
+# Written by `pupper-analysis check --update-baseline`; review its diff. One finding per line:
+# ["check", "pair", "file", "kind", "element", {values}]
 """
 """Comment at the top of a baseline."""
 
