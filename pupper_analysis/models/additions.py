@@ -26,10 +26,11 @@ options. With a pyramidal cone and impratio 10, Go2 oscillates."""
 
 @dataclass(frozen=True)
 class Addition:
-    """Addition to a model for simulation, applied by a method of `SpecTree` or of a new MJCF file.
+    """Element that is added to a model for simulation, such as a floor, with the reason.
 
     Attributes:
-        verb: Name of the method. The arguments are the fields of the addition except the reason.
+        verb: Name of the method of `SpecTree`, or of a new MJCF file, that adds the element. Its
+            arguments are the fields of the addition except the reason.
         reason: Reported reason.
     """
 
@@ -94,7 +95,7 @@ class Ball(Addition):
 
 @dataclass(frozen=True)
 class DisabledContacts(Addition):
-    """Disabling of the contacts of geoms.
+    """Contacts of geoms are disabled by zero contact bits.
 
     Attributes:
         geoms: Names of the geoms.
@@ -107,7 +108,7 @@ class DisabledContacts(Addition):
 
 @dataclass(frozen=True)
 class ContactExclusion(Addition):
-    """Exclusion of contacts between two bodies.
+    """Contacts between two bodies are excluded (``<exclude>``).
 
     Attributes:
         one: First body.

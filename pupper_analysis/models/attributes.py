@@ -26,11 +26,12 @@ class JointAttribute:
     """Scalar parameter of a hinge or slide, such as damping, with its names in all formats.
 
     Attributes:
-        kind: Name of the parameter, and of a difference in it; a term of the catalogue.
-        field: Field of `multibody.TreeJoint`; "" if there is none.
+        kind: Name of the parameter in messages, also of a difference between two files; a term of
+            the translation catalogue.
+        field: Field of `multibody.TreeJoint` with the value; "" if there is none.
         units: Unit for a hinge, and for a slide.
-        tolerance: Field of `Tolerances`.
-        relative: Whether the tolerance is relative.
+        tolerance: Field of `Tolerances` with the largest accepted difference of two files.
+        relative: Whether the tolerance is relative to the value; otherwise in ``units``.
         felt: Whether the forward dynamics that a comparison evaluates depend on the parameter.
             These dynamics contain neither friction loss nor limits.
         unstated: Default if a file does not specify the parameter.

@@ -104,12 +104,12 @@ class MujocoTree:
 
 
 def _select_changed(values: Mapping[str, _T], previous: Mapping[str, _T]) -> dict[str, _T]:
-    """Return the {name: value} whose value is not the same object (``is``) in ``previous``."""
+    """Return the entries of ``values`` that are not the same object (``is``) in ``previous``."""
     return {name: value for name, value in values.items() if value is not previous.get(name)}
 
 
 def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
-    """Return a cache key of a tree's structure: names, parents and joint types, without numbers."""
+    """Return a comparison key of a tree's structure: names, parents and joint types, no numbers."""
     joints = tuple((name, joint.parent, joint.slides) for name, joint in parameters.joints.items())
     frames = tuple((name, owner) for name, (owner, _) in parameters.frames.items())
     return parameters.base, parameters.floating, joints, tuple(parameters.bodies), frames
@@ -319,7 +319,7 @@ def joint_damping(model: mujoco.MjModel) -> Array:
 
 
 def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
-    """Return the sum of gear^2 times value over the actuators at each degree of freedom, (nv,).
+    """Sum an actuator value, such as armature, at each degree of freedom: gear^2 x value, (nv,).
 
     ``values`` has an entry per actuator. Only actuators at a single joint are included.
     """
@@ -377,11 +377,12 @@ def _add_pinocchio_joint(
 
 
 def split_joint_placement(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
-    """Return the fixed placements before and after the motion of a hinge or slide in MuJoCo.
+    """Return the constant placements before and after the motion of a MuJoCo hinge or slide.
 
     B is the frame of the moved body. J is the joint frame, fixed to the body, with its origin at
     ``jnt_pos``. B0 is the frame B at the joint position ``qpos0``, as specified by ``body_pos`` and
-    ``body_quat``.
+    ``body_quat``. At the joint position q, the pose of B in B0 is ``before * M(q) * after``. M(q)
+    is the rotation about, or the translation along, ``jnt_axis`` by q.
 
     Args:
         model: MuJoCo model.

@@ -29,8 +29,8 @@ _UNSUPPORTED_COUNTS: Final = {
     "nplugin": "plugin",
     "nplastic": "springyield",
 }
-"""{count of elements in a MuJoCo model: name of the element for messages}. A model with one of
-these elements cannot be converted to a spec, and is refused."""
+"""{field of ``mjModel`` with the number of elements: name of the element for messages}. A model
+with one of these elements cannot be converted to a spec, and is refused."""
 
 # Fields of the elements of a spec that are copied from the arrays of a model. A tuple contains the
 # common name of both; a mapping is {field of the spec: array of the model without the prefix}.
@@ -381,7 +381,7 @@ class _SpecWriter:
 def _copy_fields(
     element: Any, model: mujoco.MjModel, prefix: str, index: int, names: Mapping[str, str]
 ) -> None:
-    """Copy numbers of an element from the arrays of a model, in place.
+    """Copy the values of one element from the arrays of a model into a spec element, in place.
 
     Args:
         element: Element of the new spec, modified.
@@ -410,7 +410,7 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 
 
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
-    """Yield the compared arrays, geoms and options in which two compiled models differ.
+    """Yield the names of arrays, geoms and options in which two compiled models differ.
 
     ``model`` is the original. ``made`` is compiled from the reconstructed spec.
     """
@@ -440,7 +440,7 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
 
 
 def _outline(model: mujoco.MjModel, geom: int) -> Array:
-    """Return points of a geom in its body, shape (n, 3) [m].
+    """Return points that define pose and size of a geom, shape (n, 3) [m], in the body frame.
 
     For a mesh, the points are the vertices. For other types, they are the end points of the three
     sizes along the axes of the geom.

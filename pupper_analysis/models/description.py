@@ -21,13 +21,13 @@ from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 ModelTree = UrdfTree | SpecTree
-"""Links and joints of a URDF, or bodies and joints of an MJCF. Both have common methods: a change
-of both files is written once, and applied to each tree."""
+"""Tree of the links and joints of a URDF, or of the bodies and joints of an MJCF. Both classes have
+common methods, so that one function can change either file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """URDF and MJCF of a robot, and names in both: the input from which a ``Robot`` is built.
+    """URDF and MJCF of a robot, with names of feet and frames in both; input of a ``Robot``.
 
     Attributes:
         name: Name of the robot.
@@ -42,7 +42,8 @@ class Description:
         feet: {foot: contact points} of the feet with several contact points.
         foot_geoms: {contact point: (geom in the MJCF, radius [m])}. The radius of a corner of a box
             is 0. A contact point without an entry is the centre of a collision sphere.
-        nominal: {joint: position [rad, m]} of the nominal stand; missing joints are at zero.
+        nominal: {joint: position [rad, m]} of the nominal stand, the pose in which the robot stands
+            by default; missing joints are at zero.
         made_frames: Contact points without a frame in either file.
         added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written get
             the same additions.
@@ -52,7 +53,8 @@ class Description:
             actuators at other joints only. Their servos in ``mjcf`` exert no torque.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
-        null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks such ranges.
+        null_efforts: {joint: force range of the MJCF that permits no force}, because its ends are
+            equal or inverted. MuJoCo drops such a range when it compiles.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
             other model; "" if both models have files.
     """

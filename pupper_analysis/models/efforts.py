@@ -55,7 +55,7 @@ smallest geared motors have 1e-4 N m."""
 
 
 class EffortCode(StrEnum):
-    """Meaning of the torque limit of a joint: stated by a file, zero, negative, or unknown."""
+    """Kind of a joint's torque limit: stated by a file, zero, negative, or unknown."""
 
     STATED = "stated"
     ZERO = "zero"
@@ -132,7 +132,7 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
     def scaled(self, factor: float) -> EffortStatement:
-        """Return a copy whose torques at the joint are multiplied by a gear or lever arm.
+        """Convert the range by a gear or lever arm to a torque at the joint; return a copy.
 
         Args:
             factor: Torque at the joint per unit of the present torque or force; may be negative.
@@ -200,10 +200,10 @@ class EffortLimit(Result):
         return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
 
     def without_file(self, file: str) -> EffortLimit:
-        """Return the limit without the statements of a generated file, if the range stays the same.
+        """Return a copy without the statements of a generated file, so that reports do not cite it.
 
-        If the range would change, the limit is returned unchanged. Use this method if a file was
-        generated from the user's file: reports then cite only the user's file.
+        If the range of the limit would change, this limit is returned unchanged. Use this method if
+        one of both files was generated from the user's file.
 
         Args:
             file: Type of the generated file, ``URDF`` or ``MJCF``.
@@ -218,7 +218,7 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """Statement of the smallest limit with torque in both directions; None if there is none."""
+        """Smallest of the stated limits that permit torque in both directions; None without one."""
         positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
         return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 
@@ -277,7 +277,7 @@ def resolve_effort_limit(
 def _list_statements(
     model: mujoco.MjModel, joint: int, drives: Sequence[int]
 ) -> list[EffortStatement]:
-    """Return the force ranges that an MJCF states for a joint, on the joint or on its actuators.
+    """Collect the torque limits that an MJCF states for a joint, on the joint or its actuators.
 
     Actuator ranges are converted to joint torques [N m, N]. If several actuators drive the joint
     and each has a limit, their ranges are added. The limits of the actuator of a fixed tendon apply
@@ -301,7 +301,7 @@ def _list_statements(
 
 
 def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Return the torque limits at a joint of a fixed tendon, from the actuator of the tendon.
+    """Return the torque limits at a joint that an actuator drives by a fixed tendon.
 
     Empty unless exactly one actuator at a fixed tendon acts on the joint, and has a limit.
     """
@@ -331,7 +331,7 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Find the joints of an MJCF whose force range is empty: with equal ends, or inverted.
+    """Find the joints of an MJCF whose force range permits no force: equal or inverted ends.
 
     MuJoCo ignores an empty range without a message, so the compiled model has no limit for the
     joint. The range is the ``actuatorfrcrange`` of the joint, the ``forcerange`` of all its
@@ -365,7 +365,7 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return an empty range of an actuator; None if the actuator has no empty range.
+    """Return the force or control range of an actuator that permits no force; None without one.
 
     An empty range permits no force: the lower end is above the upper end, or the file states equal
     ends.
@@ -522,8 +522,8 @@ def placeholder_efforts(
        (`MAX_TORQUE_PER_LINK_MASS`) times the mass of the joint's two links. This mass must be more
        than 0.001 of the robot's mass.
     2. It is above 1e5 rad/s^2 (`MAX_ROTOR_ACCELERATION`) times the armature.
-    3. The sum of the remaining efforts is above 90 N m/kg (`MAX_TORQUE_PER_ROBOT_MASS`) times the
-       robot's mass. All remaining efforts are then placeholders.
+    3. The sum of the efforts without case 1 or 2 is above 90 N m/kg (`MAX_TORQUE_PER_ROBOT_MASS`)
+       times the robot's mass. All these efforts are then placeholders.
 
     Args:
         motors: All hinges with a torque limit.

@@ -67,7 +67,10 @@ def pointed_file(blob: bytes) -> str | None:
 
 
 def git_entries(output: bytes | None) -> list[GitEntry] | None:
-    """Parse the output of ``git ls-tree -z`` or ``git ls-files --stage -z``; None for None."""
+    """Parse the file list that ``git ls-tree -z`` or ``git ls-files --stage -z`` prints.
+
+    None if ``output`` is None, because git failed.
+    """
     if output is None:
         return None
     entries = []
@@ -99,7 +102,7 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 
 
 def refuse_uncommitted(path: Path) -> None:
-    """Raise an error if a file of a git repository has uncommitted changes.
+    """Raise an error if a file in a git repository differs from its committed version.
 
     Untracked files are accepted, and files that differ from the commit only in line ends. Every
     file is accepted if git is not installed, or cannot list the files (for example of another
@@ -125,6 +128,6 @@ def refuse_uncommitted(path: Path) -> None:
 
 
 def _query_git(folder: Path, *arguments: str) -> bytes | None:
-    """Return the output of git; None if git fails."""
+    """Run a git command in a folder and return its output; None if git fails."""
     completed = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
     return completed.stdout if completed.returncode == 0 else None

@@ -72,7 +72,8 @@ class FormatReader(Protocol):
     """Interface of the module ``reader`` of a further file format (other than URDF and MJCF)."""
 
     CHECKS: Mapping[str, Check]
-    """{audit rule, of the format or of this package: additional check}."""
+    """{name of an audit rule, of the format or of this package: check that the format adds to
+    it}."""
 
     def read_file(self, path: Path) -> ModelFile:
         """Read a model file of this format, without building the robot."""

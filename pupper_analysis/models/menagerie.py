@@ -63,8 +63,8 @@ def find_menagerie_file(word: str) -> Path:
     """Return the MJCF of a robot of MuJoCo Menagerie, such as ``unitree_go2/go2.xml``.
 
     Without a file name in ``word``, the result is the package's default model, without the scene.
-    If no installed package lists the robot, the result is the file with the longest stem with which
-    the robot's name ends.
+    If no installed package lists the robot, the file is selected by its stem: the longest stem that
+    is an ending of the robot's name (``go2.xml`` for ``unitree_go2``).
 
     Args:
         word: Name; `is_menagerie_name` states the valid forms.
@@ -96,7 +96,7 @@ def find_menagerie_file(word: str) -> Path:
 
 
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
-    """Return the default model of a robot in ``folder``; None if there is none.
+    """Return the file of a Menagerie robot's default model in ``folder``; None if there is none.
 
     ``robot`` is the robot's entry in the Menagerie package. If there is no entry (None), stems of
     the XML files are compared with the end of ``name``. The file with the longest matching stem is

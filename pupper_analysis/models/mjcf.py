@@ -172,7 +172,7 @@ _NAN_FREE_FIELDS = (
 model with NaN in such a field is refused."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
-"""{prefix of a model's array: tag of the element}, if both differ."""
+"""{prefix of an array of ``mjModel``: tag of the element in an MJCF}, if both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
@@ -214,9 +214,9 @@ def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
 
 
 def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
-    """Return the two objects that an equality constraint connects, as (object type, id).
+    """Return the two objects, such as joints, that an equality constraint connects.
 
-    The second id is -1 if there is no second object.
+    Each object is (object type, id). The second id is -1 if there is no second object.
 
     Args:
         model: MuJoCo model.
@@ -240,7 +240,7 @@ _EQUALITY_OBJECTS = {
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the name of an equality constraint, for messages.
+    """Return the name of an equality constraint for messages, also of an unnamed constraint.
 
     Without a name, the result contains number and objects: ``#3 (rod = heel)``.
     """
@@ -282,7 +282,7 @@ class _WarningSuppressor:
         self._lock, self._num_users, self._restore = Lock(), 0, ExitStack()
 
     def begin(self) -> None:
-        """Register a user of the warning suppression; the first one replaces MuJoCo's handler."""
+        """Start a suppression of warnings; the first user replaces MuJoCo's warning handler."""
         with self._lock:
             self._num_users += 1
             if self._num_users == 1:
@@ -293,7 +293,7 @@ class _WarningSuppressor:
                 warnings.simplefilter("ignore")
 
     def end(self) -> None:
-        """Unregister a user of the warning suppression; the last one restores MuJoCo's handler."""
+        """End a suppression of warnings; the last user restores MuJoCo's warning handler."""
         with self._lock:
             self._num_users -= 1
             if not self._num_users:
@@ -364,7 +364,7 @@ def spec_to_data(spec: mujoco.MjSpec) -> dict[str, Any]:
 
 
 def spec_from_data(state: dict[str, Any]) -> mujoco.MjSpec:
-    """Restore a spec from the data of ``spec_to_data``; no files are read."""
+    """Restore a spec from the picklable data of ``spec_to_data``; no files are read."""
     with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]

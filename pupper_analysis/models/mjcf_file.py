@@ -98,7 +98,7 @@ def leave_out_missing(
 def _find_missing_files(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return {mesh: missing file} and {texture: first of its files, if a file is missing}.
+    """Find the meshes and textures of a spec whose files do not exist.
 
     A file is missing if it is neither in memory nor in a folder of the model.
 
@@ -106,12 +106,15 @@ def _find_missing_files(
         spec: Spec.
         tree: Elements of the file, whose folders are searched.
         index: {(tag or section, name): element}, from `index_of`.
+
+    Returns:
+        {mesh: missing file}; {texture: first of its files}.
     """
     folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
     def is_missing(file: str, folder: str) -> bool:
-        """Return True if a file is neither in memory nor in a folder of the model."""
+        """Return True if a mesh or texture file is neither in memory nor in a model folder."""
         name = Path(file).name if spec.strippath else file
         if Path(name).name in in_memory:
             return False
@@ -240,7 +243,7 @@ def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
 
 
 def taken_as_shells(names: list[str]) -> Diagnostic:
-    """Create the note about meshes that MuJoCo treats as thin shells to compute their inertia."""
+    """Create the note that MuJoCo treats flat meshes as thin shells to compute the inertia."""
     return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
 
@@ -264,14 +267,15 @@ more is refused. Bounds the compile time. Chosen, not tuned."""
 
 @dataclass(frozen=True)
 class XmlNode:
-    """Element of an MJCF with expanded includes.
+    """XML element of an MJCF whose includes are replaced by the included elements.
 
     Attributes:
         tag: Tag.
         attributes: Attributes as in the file.
         place: Location: file and line.
         children: Child elements.
-        childclass: Default class from the ``childclass`` of the bodies above; None without.
+        childclass: Default class for the element, from the nearest body above with the attribute
+            ``childclass``; None without.
     """
 
     tag: str
@@ -309,12 +313,13 @@ unknown."""
 
 
 class IncludeTree:
-    """Elements of an MJCF with expanded includes, and the files that contain these elements.
+    """Tree of the XML elements of an MJCF with all its includes, and list of its files.
 
     Args:
         path: The file.
         root: Root element of the file.
-        within: Files that attach this file, the outermost first; empty for the main file.
+        within: Resolved paths of the files that attach this file, the outermost first; empty for
+            the main file.
         includes: Counter of the includes, shared by attached files; a new counter by default.
 
     Attributes:
@@ -565,7 +570,7 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 
 
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
-    """Return the element that sets an attribute: the element itself, or a default for it.
+    """Find where an attribute of an element is set: in the element, or in a default class.
 
     The default class is the class of the element; else the ``childclass`` of a body above the
     element; else the first top-level class. A class inherits from the enclosing classes. In a
@@ -639,8 +644,9 @@ class MjcfFile:
             file does not, because ``MjSpec.copy()`` drops elements that refer to missing elements.
         as_it_is: Message and location of MuJoCo's error for the unmodified file, if the reader
             repaired the file (flat meshes); None otherwise.
-        unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
-            converted from a format in which a missing parameter is unknown, and not zero.
+        unknown: {kind of a joint parameter, such as ``effort``: joints with an unknown value}. Set
+            if the MJCF was converted from a format in which a missing parameter is unknown, and not
+            zero.
         stands_for: Word that messages use for the original file of a converted robot; "" for an
             MJCF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m), from the
@@ -746,9 +752,9 @@ class MjcfFile:
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
-        """Return the names in one value of all diagnostics ``files-missing``, without duplicates.
+        """Return the names of one kind in the notes about missing files, without duplicates.
 
-        ``key`` is the name of the value, such as ``bodies``.
+        ``key`` selects the kind: ``files``, ``touching`` (collision meshes) or ``bodies``.
         """
         values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
         names = (str(name) for value in values if isinstance(value, tuple) for name in value)
@@ -932,7 +938,7 @@ def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], X
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
-        """Return True if a range is not set, but written by MuJoCo, and so in ``index``.
+        """Return True if the spec does not set a range that MuJoCo has written to the XML.
 
         A range is not set if both ends are 0 and its ``switch`` (mjtLimited) is "auto".
         """
@@ -962,7 +968,7 @@ def _compile_file(
     index: Mapping[tuple[str, str], XmlNode],
     make_spec: Callable[[], tuple[mujoco.MjSpec, list[Diagnostic]]],
 ) -> MjcfFile:
-    """Return the MJCF file of a new spec, compiled.
+    """Compile a new spec of an MJCF, and return the `MjcfFile` with the model or the error.
 
     ``refusal`` is set if MuJoCo does not compile the spec, or a number of the model is not valid.
 
@@ -1028,7 +1034,7 @@ def _make_refusal(
 def _locate_message(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[str, Place]:
-    """Return MuJoCo's message, and the location of the element that the message concerns.
+    """Return MuJoCo's error message, and the file and line of the element at fault.
 
     MuJoCo's line number alone is not sufficient: it may belong to an unspecified file, and is 0 for
     included elements. Therefore the element is also searched by the name in the message, which may

@@ -69,11 +69,11 @@ class TreeJoint:
     """Hinge or slide: parent, pose of the moved body in the parent body, axis and parameters.
 
     Attributes:
-        parent: Joint that moves the parent body, or name of the base.
+        parent: Name of the parent body: of the joint that moves it, or of the base.
         position: Position (3,) [m] in the frame of the parent body.
-        rotation: Rotation (3, 3) from the axes of the body to the axes of the parent, at a joint
-            position of zero.
-        axis: Unit vector (3,) in the frame of the body.
+        rotation: Rotation (3, 3) from the axes of the moved body to the axes of the parent body, at
+            a joint position of zero.
+        axis: Unit vector (3,) in the frame of the moved body.
         slides: Whether the joint is prismatic.
         lower: Lower limit [rad, m].
         upper: Upper limit [rad, m].
@@ -135,10 +135,10 @@ class MultibodyTree:
     base_armature: float = 0.0
 
     def children(self, body: str) -> list[str]:
-        """Return the names of the joints whose parent is a given body, as a new list.
+        """Return the names of the child joints of a body, as a new list.
 
         Args:
-            body: Base, or joint that moves the body.
+            body: Name of the base, or of the joint that moves the body.
         """
         return list(self._children_by_body.get(body, ()))
 
@@ -154,7 +154,7 @@ class MultibodyTree:
         """Return the names of the frames that are fixed to a body.
 
         Args:
-            body: Base, or joint that moves the body.
+            body: Name of the base, or of the joint that moves the body.
         """
         return list(self._frames_by_body.get(body, ()))
 
@@ -174,7 +174,7 @@ class MultibodyTree:
         """Return the names of all joints below a body, in depth-first order.
 
         Args:
-            body: Base, or joint that moves the body.
+            body: Name of the base, or of the joint that moves the body.
         """
         order: list[str] = []
         pending = self.children(body)[::-1]
@@ -184,7 +184,7 @@ class MultibodyTree:
         return order
 
     def select_joints(self, names: Collection[str]) -> MultibodyTree:
-        """Return a tree with a subset of the joints, and with the bodies and frames that they move.
+        """Return a tree with some of the joints, and the bodies and frames that these joints move.
 
         Args:
             names: Joints. The base with its body and frames is not included.
@@ -301,7 +301,7 @@ def _find_links(model: pin.Model) -> dict[int, str]:
 
 
 _BODY_FIELDS = ("mass", "com", "inertia")
-"""Names of the compared fields of `TreeBody`, also used as kinds of differences between models."""
+"""Fields of `TreeBody` that a comparison of two models evaluates; also the kinds of differences."""
 
 _JOINT_FIELDS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},

@@ -101,8 +101,8 @@ class ObjectFiles:
 
     Attributes:
         files: Model files.
-        source: First Pinocchio model among the objects; None if there is none. A URDF cannot state
-            its armature and gravity.
+        source: First Pinocchio model among the objects, for armature and gravity, which a URDF
+            cannot state; None if there is none.
         folder: Temporary folder with the meshes of the Pinocchio model.
     """
 
@@ -113,8 +113,8 @@ class ObjectFiles:
     def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
         """Add armature and gravity of the Pinocchio model to an MJCF; a URDF cannot state them.
 
-        Armature is in kg m^2 or kg, gravity in m/s^2. Meshes of the temporary folder become assets
-        in memory.
+        Armature is in kg m^2 (hinge) or kg (slide), gravity in m/s^2. Meshes of the temporary
+        folder become assets in memory.
 
         Args:
             mjcf: MJCF that was converted from the URDF of the Pinocchio model.
@@ -176,7 +176,7 @@ def read_objects(
 
 
 def _unwrap(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
-    """Return the model and the collision model of a ``pin.RobotWrapper``; other objects alone."""
+    """Split a ``pin.RobotWrapper`` into model and collision model; keep other objects."""
     if not isinstance(model, pin.RobotWrapper):
         return (model,)
     shapes = model.collision_model
@@ -184,7 +184,10 @@ def _unwrap(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
 
 
 def _is_geometry_of(geometry: pin.GeometryModel, model: pin.Model) -> bool:
-    """Return True if joint and frame of each shape exist, and the frame is fixed to this joint."""
+    """Return True if a geometry model fits to a Pinocchio model, as far as its indices show.
+
+    The joint and frame of each shape must exist, and the frame must be fixed to this joint.
+    """
     return all(
         item.parentJoint < model.njoints
         and item.parentFrame < model.nframes
@@ -237,7 +240,7 @@ def _read_object(
 
 
 def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
-    """Return the model file of a spec.
+    """Return the `MjcfFile` of a spec; if its XML is not usable, via the compiled model.
 
     A spec with an attached model may have no usable XML. MuJoCo cannot write the XML if the
     compiler settings of both differ, and the folder of the attached model's files is unknown. In

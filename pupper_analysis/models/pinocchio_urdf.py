@@ -30,8 +30,8 @@ largest double for "no limit". Lower and upper limit are tested separately. Chos
 
 _IDENTITY_ATOL: Final = 1e-12
 """Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
-rotation matrix. If both are equal, the link of the joint gets the name of the body frame. Otherwise
-the body frame gets a link of its own. Chosen, not tuned."""
+rotation matrix. If both frames are equal, the link of the joint gets the name of the body frame.
+Otherwise the body frame gets a link of its own. Chosen, not tuned."""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""
@@ -65,7 +65,7 @@ def write_urdf_of_model(
 
 
 def _check_joints(model: pin.Model, source: str) -> bool:
-    """Return True if the first joint is a free flyer, and False if the model has none.
+    """Check that a URDF can state the joints of a Pinocchio model; return whether the base is free.
 
     Raises:
         ModelError: If a joint other than the first is a free flyer, or has a type other than hinge
@@ -97,7 +97,7 @@ _FREE_FLYER: Final = "JointModelFreeFlyer"
 
 
 def _read_motion(model: pin.Model, index: int) -> Array:
-    """Return the unit motion vector (linear, angular) of a joint in the joint frame, shape (6,)."""
+    """Return a joint's unit motion vector (linear, angular), shape (6,), in the joint frame."""
     return np.array(model.joints[index].createData().S).reshape(6)
 
 
@@ -242,7 +242,7 @@ class _UrdfWriter:
 
 
 def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
-    """Return an STL file [m] as bytes. The shape is a mesh, a convex shape or an ellipsoid.
+    """Convert a mesh, convex shape or ellipsoid to the bytes of an STL file [m].
 
     Raises:
         ModelError: If the shape is of another type.

@@ -91,7 +91,7 @@ def _read_package_name(folder: Path) -> str:
 
 
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield the folders that may be a ROS package: a folder itself, and its subfolder of that name.
+    """Yield the folders that may contain a ROS package: a given folder, or its subfolder.
 
     ``folder`` is yielded if its name, or the name in its ``package.xml``, is ``package``. The
     subfolder ``folder / package`` is yielded if it exists, in both cases.
@@ -195,7 +195,7 @@ def _list_descriptions() -> list[str]:
 
 
 def _is_description(word: str) -> bool:
-    """Return True if a word names a robot description.
+    """Return True if a word names a description of the package ``robot_descriptions``.
 
     A word is a description in two cases: it has the prefix ``DESCRIPTION_PREFIX``, or it has the
     form of ``go2_mj_description`` and is not an existing path.

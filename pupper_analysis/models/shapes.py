@@ -24,7 +24,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 
 Direction = tuple[float, float, float]
-"""Vector or point (x, y, z), three floats."""
+"""Vector or point (x, y, z) as three floats, for scalar arithmetic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,8 @@ class Mesh:
         """Return the submesh with some vertices and triangles of this mesh.
 
         Args:
-            numbers: Indices of the vertices, shape (k,).
-            faces: Triangles, shape (m, 3), as vertex indices of this mesh.
+            numbers: Row indices of the kept vertices, shape (k,).
+            faces: Kept triangles, shape (m, 3), as vertex indices of this mesh.
         """
         new_numbers = np.full(len(self.vertices), -1, dtype=np.int64)
         new_numbers[numbers] = np.arange(len(numbers))
@@ -132,12 +132,14 @@ def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
 
 
 class Terms(NamedTuple):
-    """Convex sets whose Minkowski sum is the convex hull of a shape, in the frame of the body [m].
+    """Terms of a Minkowski sum that equals the convex hull of a shape, in the body frame [m].
 
     Attributes:
         centre: Point (3,).
-        bars: Half vectors of line segments: three for a box, a single one for a capsule.
-        radii: Semi-axes of an ellipse (two) or of an ellipsoid (three); () if there is none.
+        bars: Vectors (3,) from the middle to one end of each line segment: three for a box, a
+            single one for a capsule.
+        radii: Vectors (3,) of the semi-axes of an ellipse (two) or of an ellipsoid (three); () if
+            there is none.
         ball: Radius of the ball.
         hull: Vertices (n, 3) of a convex hull, relative to the centre; None if there is none.
     """
@@ -374,7 +376,7 @@ class Shape:
         return lowest
 
     def outline(self, circle: Array, globe: Array) -> Array | None:
-        """Return the centres of equal balls whose convex hull is the convex hull of the shape.
+        """Return centres of equal balls that together have the same convex hull as the shape.
 
         The radius of the balls is ``minkowski_terms.ball``: the radius of a sphere or capsule, and
         0 for boxes, cylinders and meshes. Ellipses (of cylinders) and ellipsoids are approximated
@@ -401,11 +403,10 @@ class Shape:
 
     @property
     def points(self) -> Array | None:
-        """Points (n, 3) [m] in the frame of the body; their hull approximates the shape.
+        """Points (n, 3) [m] in the frame of the body whose hull approximates the shape from inside.
 
         26 points on the surface replace a ball or an ellipsoid, and a polygon with 16 corners
-        replaces an ellipse. Therefore the hull of the points lies inside of the shape. None if the
-        extent of the shape is unknown.
+        replaces an ellipse. None if the extent of the shape is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
@@ -498,7 +499,7 @@ def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
 
 
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return the convex hull of a mesh, from MuJoCo's compiled model if available.
+    """Return the convex hull of a mesh: MuJoCo's own hull if the model contains it.
 
     The layout of ``mesh_graph`` is defined by MuJoCo's compiler: numbers of vertices and faces,
     address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.

@@ -68,11 +68,12 @@ def mirror_name(name: str) -> str:
 
 
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the pairs of names that differ only in left and right, in the given order.
+    """Return the pairs of names that differ only in the word for left or right.
 
     A name without a side, such as ``foot`` of a planar walker, is paired with ``foot_left`` or
-    ``foot_right``, unless both exist. These pairs come last. Names of grippers, fingers, cameras,
-    IMUs and sensors are excluded (``ASYMMETRIC_PART_NAME``).
+    ``foot_right``, unless both exist. These pairs come last. The other pairs are in the given
+    order. Names of grippers, fingers, cameras, IMUs and sensors are excluded
+    (``ASYMMETRIC_PART_NAME``).
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
@@ -97,17 +98,19 @@ def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 def find_unlike_pairs(
     pairs: Iterable[tuple[str, str]], numbers: Mapping[str, float]
 ) -> list[tuple[str, str]]:
-    """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
+    """Return the left-right pairs of joints whose values of one parameter differ unexpectedly.
 
-    Which pairs are returned depends on the values:
+    A pair is equal if the values of both joints agree within 2 % (``_MOTOR_PARAMETER_RTOL``). Three
+    cases are distinguished:
 
-    - If at least three quarters of the pairs are equal: all unequal pairs, because motors of the
-      same type have a single set of values.
-    - If the unequal pairs have at most one distinct value per pair, for example one value for all
-      left joints and another for all right joints: all unequal pairs. (In five published robots
-      with identified motors, there are 1.67 to 2 values per unequal pair.)
-    - Otherwise the motors were identified individually: the pairs whose absolute values differ by a
-      factor of at least 20 (``_MIN_REPORTED_RATIO``).
+    - At least three quarters of the pairs are equal: all unequal pairs are returned, because motors
+      of the same type have a single set of values.
+    - The unequal pairs contain at most as many distinct values as there are unequal pairs, for
+      example one value for all left joints and another for all right joints: all unequal pairs are
+      returned. (In five published robots with identified motors, there are 1.67 to 2 values per
+      unequal pair.)
+    - Otherwise the motors were identified individually: only pairs whose absolute values differ by
+      a factor of at least 20 (``_MIN_REPORTED_RATIO``) are returned.
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.
@@ -128,7 +131,10 @@ def find_unlike_pairs(
 
 
 def _are_equal(first: float, second: float) -> bool:
-    """Return True if the difference is at most ``_MOTOR_PARAMETER_RTOL`` of the second value."""
+    """Return True if two motor parameters differ by at most ``_MOTOR_PARAMETER_RTOL`` (relative).
+
+    The difference is relative to the second value.
+    """
     return first == second or abs(first - second) <= _MOTOR_PARAMETER_RTOL * abs(second)
 
 

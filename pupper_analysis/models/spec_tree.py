@@ -336,9 +336,10 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Make all joint couplings as stiff as the couplings of ``add_coupling``, in place.
+        """Make all joint couplings (equality constraints of two joints) stiff, in place.
 
-        Reason: MuJoCo's couplings are soft, whereas a mimic joint of a URDF follows exactly.
+        The stiffness is the stiffness of `add_coupling`. Reason: MuJoCo's couplings are soft,
+        whereas a mimic joint of a URDF follows exactly.
         """
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -372,7 +373,7 @@ class SpecTree:
         return motor
 
     def _add_actuator(self, joint: str) -> mujoco.MjsActuator:
-        """Add an actuator with transmission ``joint`` at a joint."""
+        """Add an actuator with transmission ``joint``; the caller sets the force law."""
         transmission = mujoco.mjtTrn.mjTRN_JOINT
         return self.spec.add_actuator(name=f"{joint} (servo)", target=joint, trntype=transmission)
 
@@ -404,7 +405,7 @@ class SpecTree:
             motor.forcerange = sorted(float(limit) / gear for limit in limits)
 
     def limit_effort(self, joint: str, effort: float) -> None:
-        """Replace the force limits of a joint and its actuators by a symmetric limit of the sum.
+        """Replace the force limits of a joint by a symmetric limit of the sum of its actuators.
 
         Control ranges of torque motors are disabled; ranges of servos stay. Only actuators with
         transmission ``joint`` are changed. A joint without such an actuator gets no limit.
@@ -468,11 +469,11 @@ class SpecTree:
                 geom.contype = geom.conaffinity = 0
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Replace all keyframes by the single keyframe `HOME_KEYFRAME` (``home``).
+        """Replace all keyframes by a single keyframe ``home`` (`HOME_KEYFRAME`), the start pose.
 
         Args:
             qpos: Configuration in MuJoCo's order.
-            ctrl: Commands of the actuators; zero if empty.
+            ctrl: Controls of the actuators, MuJoCo's ``ctrl``; zero if empty.
         """
         for key in list(self.spec.keys):
             self.spec.delete(key)
@@ -483,9 +484,9 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Smallest singular value of the matrix (3, 3) of the unit axes of three slides or three hinges,
-above which the joints move a base in all directions. For orthogonal axes the value is 1. Chosen,
-not tuned."""
+"""Lower bound of the smallest singular value of the matrix (3, 3) of the unit axes of three slides
+or three hinges. Above this bound the joints can move a base in all directions. For orthogonal axes
+the value is 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of three slides, by which MJCFs without a free joint let a base translate in all
@@ -554,9 +555,10 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
-    """Return the body of the world with the most joints in its subtree, if it is a free base.
+    """Find the base that three slides and three hinges, or a ball, move freely.
 
-    None unless all conditions hold:
+    The candidate is the child of the world with the most joints in its subtree. None unless all
+    these conditions hold:
 
     - The joints of the body are three slides, and either three hinges or a ball.
     - The axes span all directions.

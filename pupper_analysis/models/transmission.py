@@ -20,7 +20,7 @@ from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.mjcf import JointKind
 
 _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
-"""Transmissions of actuators that act on a single joint, in a compiled model."""
+"""MuJoCo's transmission types (``actuator_trntype``) of actuators that act on a single joint."""
 
 _SCALAR_JOINT_KINDS = (int(JointKind.HINGE), int(JointKind.SLIDE))
 """Types of joints with a single coordinate."""
@@ -37,8 +37,8 @@ def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.
     """Return the object type and the ids of the targets of an actuator.
 
     Returns:
-        Object type, such as mjOBJ_JOINT; two ids of this type. The second id is -1 for most
-        transmissions.
+        Object type, such as mjOBJ_JOINT; two ids of this type. The second id is -1 if the
+        transmission has a single target.
     """
     kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
     type_name = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
@@ -46,7 +46,7 @@ def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
-    """Return the gear of the first output of an actuator.
+    """Return the gear of an actuator: the transmission ratio of its first output.
 
     Returns:
         Shape (1,) for an actuator at a single joint, otherwise (6,).
@@ -386,7 +386,10 @@ not tuned: a position gain of any use gives a force at this step that rounding d
 
 
 def _depends_on_position(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if the force of an actuator without commands changes with the joint position."""
+    """Return True if an actuator's force at zero control changes with the joint position.
+
+    The forces at two joint positions, `_POSITION_STEP` apart, are compared.
+    """
     data = mujoco.MjData(model)
     address = int(model.jnt_qposadr[model.actuator_trnid[motor, 0]])
     start, forces = float(data.qpos[address]), []

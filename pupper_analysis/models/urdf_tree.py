@@ -189,7 +189,7 @@ class UrdfJoint(UrdfElement):
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
-        """Return the text of a joint parameter in the file.
+        """Return the value of a joint parameter as written in the URDF.
 
         None if the parameter is missing, or if URDF does not support it.
         """
@@ -252,7 +252,7 @@ class UrdfJoint(UrdfElement):
 
 
 def _scale_attribute(element: etree._Element | None, attribute: str, factor: float) -> None:
-    """Multiply the number in an attribute by a factor; nothing without element or attribute."""
+    """Multiply the number in an XML attribute by a factor; no effect if it is missing."""
     text = None if element is None else element.get(attribute)
     if element is not None and text is not None:
         element.set(attribute, repr(float(text) * float(factor)))
@@ -315,7 +315,7 @@ class UrdfTree:
         return self.parent_joints[link].parent if link in self.parent_joints else None
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the name of the joint that moves a link, as a tuple.
+        """Return the moving joint between a link and its parent, as a tuple of at most one name.
 
         Empty for the base, and for a link that is fixed to its parent. (A body of an MJCF may have
         several joints: `SpecTree.movers`.)
@@ -347,7 +347,7 @@ class UrdfTree:
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return a link, and all descendants that are fixed to this link, breadth first."""
+        """Return the names of a link and of all descendants fixed to the link, breadth first."""
         group = [link]
         for name in group:
             group += [joint.child for joint in self.child_joints.get(name, ()) if joint.is_fixed]
@@ -471,7 +471,10 @@ class UrdfTree:
         origin.set("xyz", join_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiply a joint parameter by a factor, in place; no effect if it is missing."""
+        """Multiply a joint parameter, such as damping, by a factor, in place.
+
+        A parameter that the joint does not state stays unstated.
+        """
         text = self.joints[joint].parameter_text(attribute)
         if text is not None:
             self.joints[joint].set_parameter(attribute, float(text) * float(factor))

@@ -1,6 +1,6 @@
-"""Removal of xacro elements that only declare something, and that a URDF does not use.
+"""Removal of unused xacro declarations, such as properties and macros, from a URDF.
 
-Converters and hand-written URDFs keep such elements, and readers of URDF ignore them: 88 of 674
+Converters and hand-written URDFs keep such declarations, and readers of URDF ignore them: 88 of 674
 public URDFs contain xacro elements of this kind only. A file that uses xacro otherwise must be
 expanded first.
 """
@@ -44,7 +44,7 @@ if there is no such file."""
 
 
 def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) -> list[Diagnostic]:
-    """Remove the unused xacro elements from the tree of a URDF, in place.
+    """Remove unused xacro declarations and harmless includes from a URDF tree, in place.
 
     Args:
         path: The file, for messages.

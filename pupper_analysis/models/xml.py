@@ -226,8 +226,8 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Largest absolute value, relative to the largest number, that `join_numbers` writes as 0. Such
-values are rounding errors of products of rotation matrices. Chosen, not tuned."""
+"""Absolute value, relative to the largest of the written numbers, up to which `join_numbers` writes
+0. Such values are rounding errors of products of rotation matrices. Chosen, not tuned."""
 
 NUM_DIGITS: Final = 12
 """Number of significant digits in new files. The relative rounding error is at most 5e-12, 200
@@ -257,12 +257,12 @@ def join_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM
 
 
 def is_zero(text: str) -> bool:
-    """Return True if all numbers in a text, separated by spaces, are zero."""
+    """Return True if all numbers in a text such as ``0 0 0`` are zero."""
     return all(float(word) == 0 for word in text.split())
 
 
 def write_halves(text: str) -> str:
-    """Return a text with the numbers of another text divided by 2.
+    """Divide the numbers in a text by 2: full lengths of a URDF become half lengths of an MJCF.
 
     A URDF contains full lengths of shapes, an MJCF half lengths.
     """
@@ -298,7 +298,7 @@ def make_unique_name(wanted: str, taken: set[str]) -> str:
 
 
 _COMPACT_SECTIONS = {"transmission"}
-"""Tags of the elements of a URDF before which the writer inserts no blank line."""
+"""Tags before which `new_file_text` inserts no blank line, unlike before other sections."""
 
 
 _INVALID_CHARACTERS: Final = re.compile(

@@ -129,7 +129,7 @@ class XmlDocument:
         return data
 
     def list_splices(self) -> list[tuple[int, int, bytes]]:
-        """Return (first byte, byte after the last, new bytes) of each changed part of the file."""
+        """Return the byte replacements that turn the file into the changed file."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
             splices += splice_attributes(self.data, element)
@@ -190,8 +190,9 @@ def _find_value_spans(data: bytes, element: XmlElement) -> dict[str, tuple[int, 
 
 
 def splice_attributes(data: bytes, element: XmlElement) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of changed attributes: first byte, byte after the last, new bytes.
+    """Yield the byte replacements for the changed attributes of an element.
 
+    Each replacement is (start, end, new bytes): the new bytes replace ``data[start:end]``.
     Attributes are renamed and changed in place; new attributes follow the last attribute.
 
     Args:
@@ -223,7 +224,7 @@ def splice_attributes(data: bytes, element: XmlElement) -> Iterator[tuple[int, i
 def _splice_children(
     data: bytes, element: XmlElement, new: list[XmlElement]
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices that insert new elements as first children of an element.
+    """Yield the byte replacements that insert new elements as first children of an element.
 
     The new elements get the indentation of the first child, if this child is on a separate line.
 

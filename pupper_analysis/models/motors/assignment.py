@@ -12,7 +12,7 @@ from pupper_analysis.models.motors.motor import Motor
 def describe_weak_motor(
     joint: str, motor: str, torque: float, largest: float, number: str
 ) -> Diagnostic:
-    """Return the message that a motor at rest cannot exert a required torque.
+    """Create the message that a motor at rest is too weak for a required torque.
 
     Args:
         joint: Joint.

@@ -38,7 +38,7 @@ differ by up to sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:
-    """Return a dataclass field for a number of a kind in ``UNIT_KINDS``; by default None."""
+    """Create a dataclass field for a motor number with the unit of its kind; by default None."""
     found: float | None = field(
         default=None, metadata={"kind": kind, "unit": UNIT_KINDS[kind].unit}
     )
@@ -120,7 +120,7 @@ class Motor:
     price: float | None = _number("price")
 
     def __post_init__(self) -> None:
-        """Check the numbers against each other.
+        """Check that stated numbers, such as stall torque and resistance, do not contradict.
 
         Raises:
             ModelError: If numbers contradict each other.

@@ -20,7 +20,7 @@ _MIN_TORQUE = 1e-9
 
 
 def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLike) -> Array:
-    """Return |torque| / available torque of a motor at its speed; above 1 the motor is too weak.
+    """Compute the utilisation |torque| / available torque of a motor; above 1 it is too weak.
 
     The available torque is the largest torque at this speed (`Motor.compute_available_torques`).
 

@@ -30,8 +30,8 @@ THERMAL_NUMBERS = (
     "resistance_rise",
     "resistance_temperature",
 )
-"""Numbers of a motor without which no temperature can be computed. Both numbers of the housing may
-be unknown: the network then has one node, the winding."""
+"""Fields of `Motor` that the thermal network requires: the network is refused if one is unknown.
+Both fields of the housing may be unknown: the network then has one node, the winding."""
 
 _TIME_TOLERANCE = 1e-12
 """Relative tolerance of the time at which a temperature is reached. Chosen, not tuned."""
@@ -173,9 +173,10 @@ class ThermalNetwork:
 
 
 def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> tuple[str, ...]:
-    """Return the unknown numbers of a motor without which no temperature can be computed.
+    """Return the fields of `Motor` that the thermal network requires but that are unknown.
 
-    The electrical resistance of the winding is not one of these numbers.
+    If only one of both fields of the housing is known, the unknown field is included. The
+    electrical resistance of the winding is not checked.
 
     Args:
         motor: Motor.

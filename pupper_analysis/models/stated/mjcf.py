@@ -1,4 +1,4 @@
-"""Reading of the `stated` robot model, and of other parameters, from a compiled MJCF.
+"""Reading of a robot model as stated by an MJCF (`stated.model`), and of other parameters.
 
 `read_mjcf_model` returns the links and joints of an MJCF, expressed in the base frame at zero joint
 positions. Poses come from the compiled model. Specified values come from the spec, because the
@@ -52,7 +52,7 @@ JOINT_KIND_NAMES: dict[int, str] = {
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
-    """Return the links and joints of an MJCF, as the file specifies them.
+    """Read the links and joints of an MJCF with the values that the file specifies.
 
     The base is the root of the heaviest tree; trees with a free joint and further joints have
     priority. If MuJoCo does not compile the file, the model has no links.
@@ -124,7 +124,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:
-    """Return the name of each body by id; "#3" for the body 3 without a name."""
+    """Return the names of all bodies, indexed by body id; "#3" for body 3 without a name."""
     return [model.body(body).name or f"#{body}" for body in range(model.nbody)]
 
 
@@ -151,7 +151,10 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
 
 
 def zero_configuration(model: mujoco.MjModel) -> Array:
-    """Return qpos (nq,) with hinges and slides at zero, and other joints as in ``qpos0``."""
+    """Return the configuration qpos (nq,) with hinges and slides at zero.
+
+    Other joints are as in ``qpos0``.
+    """
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
         if JOINT_KIND_NAMES[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):
@@ -356,7 +359,7 @@ def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, P
 
 
 def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
-    """Return the index of an element in an array of MjModel, for reading or writing its values.
+    """Return the row or rows of an element in an array of MjModel, to read or write its values.
 
     Args:
         model: Compiled model.

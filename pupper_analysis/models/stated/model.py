@@ -49,8 +49,8 @@ class Inertial:
         inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
         stated: Whether the file specifies the values; otherwise the values are derived from the
             shapes.
-        rounding: Rounding error [kg m^2] of the specified entries: the largest half unit of a last
-            digit.
+        rounding: Rounding error [kg m^2] of the specified entries: half a unit of the last digit,
+            of the entry with the fewest decimal places.
     """
 
     mass: float
@@ -98,8 +98,9 @@ class Joint:
         axis: Unit vector (3,) in the base frame, with all joint positions zero; (0, 0, 0) for an
             axis of zero, and for ball and free joints of an MJCF.
         raw_axis: Axis (3,) as in the file.
-        stated: {kind of parameter (`attributes`): value} of the parameters that the file specifies,
-            in SI units; an effort acts at the joint. Missing parameters are unknown, not zero.
+        stated: {kind of parameter, such as ``damping`` (`attributes`): value} of the parameters
+            that the file specifies, in SI units. An effort is converted to a torque at the joint.
+            Missing parameters are unknown, not zero.
         lower: Lower limit [rad, m]; -inf if unlimited.
         upper: Upper limit [rad, m]; inf if unlimited.
         effort: Effort limit [N m, N]; inf if the file states no limit.
@@ -238,7 +239,7 @@ class RobotModel:
         return False
 
     def inertial_path(self, part: str) -> str:
-        """Return the XML path of an inertial value below its link or body, to locate the value.
+        """Return the XML path from a link to its mass, CoM or inertia, to locate the value.
 
         Args:
             part: ``mass``, ``origin`` or ``inertia``.
@@ -288,7 +289,7 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Return the moving link to which a link is fixed: itself, or the nearest moving ancestor.
+        """Find the link with whose motion a link moves: itself, or the nearest moving ancestor.
 
         The root is returned if no ancestor moves.
         """
@@ -330,7 +331,7 @@ class MjcfModel(RobotModel):
         mj_model: Compiled model; None if MuJoCo does not compile the file.
         refusal: Message of MuJoCo and the location, if the unmodified file does not compile; None
             otherwise.
-        body_names: Name in ``links`` of each body of MuJoCo, by id.
+        body_names: Names of all bodies as in ``links``, indexed by MuJoCo's body id.
     """
 
     file: MjcfFile

@@ -1,4 +1,4 @@
-"""Reading of the `stated` robot model of a URDF from XML, including meshes.
+"""Reading of a robot model as stated by a URDF (`stated.model`), including meshes.
 
 `read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
 zero joint positions. Convex hulls and integrals of meshes are computed on demand. The
@@ -50,7 +50,7 @@ _JOINT_KINDS = {
 
 
 def read_urdf_model(file: UrdfFile) -> UrdfModel:
-    """Return the links and joints of a URDF, as the file specifies them.
+    """Read the links and joints of a URDF with the values that the file specifies.
 
     The links must form a single tree.
     """
@@ -143,9 +143,9 @@ def _make_inertial(link: UrdfLink) -> Inertial | None:
 
 
 def half_digit(text: str) -> float:
-    """Return half a unit of the last digit of a number in a text: 0.05 for ``1.5``.
+    """Return the rounding error of a written number: half a unit of its last digit.
 
-    This is the rounding error of the number. The result is 0 for zero, and for an invalid text.
+    For example, 0.05 for ``1.5``. The result is 0 for zero, and for an invalid text.
     """
     try:
         value = Decimal(text.strip())
