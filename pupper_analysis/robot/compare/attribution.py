@@ -147,7 +147,7 @@ def explain_differences(
 def _compute_residual(
     relative_error: RelativeError, patched: Mapping[str, Array], reduced: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return {quantity: relative deviation that the found differences do not explain}.
+    """Compute the residual: {quantity: relative deviation that no found difference explains}.
 
     Deviations are relative to the scale of the quantity (`RelativeError.scale`).
 
@@ -194,7 +194,7 @@ def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
 
 
 def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
-    """Return the difference for a mimic joint of the URDF without an equality in the MJCF.
+    """Create the difference for a mimic joint of the URDF that the MJCF lacks as an equality.
 
     ``mimic`` contains the leading joint, the multiplier and the offset [rad, m].
     """

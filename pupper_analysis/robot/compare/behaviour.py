@@ -38,7 +38,7 @@ class MujocoBehaviour:
         states: States,
         moved: Mapping[str, Array],
     ) -> None:
-        """Look up the ids that all evaluations share.
+        """Store the states, and look up the element ids, that all evaluations share.
 
         Args:
             robot: The robot.
@@ -61,7 +61,7 @@ class MujocoBehaviour:
         self._local_offsets = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
 
     def __call__(self, model: mujoco.MjModel) -> dict[str, Array]:
-        """Return {quantity: values at all states} of a model.
+        """Evaluate a model: {quantity, such as ``mass matrix``: values at all states}.
 
         Args:
             model: Model with the same elements as the reference.
@@ -131,7 +131,7 @@ def offsets_in_world(
 
 
 def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
-    """Return a mask (nbody,) of the bodies of a compiled MJCF that belong to the robot.
+    """Return a mask (nbody,) that separates the robot's bodies from other objects of the MJCF.
 
     If the base is fixed, all static bodies belong to the robot, as in `pinocchio_from_mujoco`. The
     mask is False for bodies that ``robot.mj_model`` does not contain.
@@ -157,13 +157,13 @@ class Behaviour:
     """
 
     def __init__(self, robot: Robot, states: States) -> None:
-        """Store robot and states."""
+        """Store the robot and the states; the model is compiled at the first call."""
         self.states, self._robot = states, robot
         self._tree: MujocoTree | None = None
         self._evaluate_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
-        """Return {quantity: values at all states} of a multibody tree."""
+        """Evaluate a tree: {quantity, such as ``mass matrix``: values at all states}."""
         if (
             self._tree is None
             or self._evaluate_tree is None

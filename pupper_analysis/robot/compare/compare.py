@@ -349,7 +349,7 @@ def _compare_feet(
 def _find_lowest_shape(
     shapes: Sequence[_PlacedShape],
 ) -> tuple[float, Diagnostic | Term, _PlacedShape | None]:
-    """Return the lowest height [m] of shapes, a description of the lowest shape, and the shape.
+    """Find the lowest shape: its lowest height [m] in the world, a description, and the shape.
 
     Without shapes, the result is NaN, the term "none", and None.
     """
@@ -611,7 +611,7 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return mistakes in a file, each with the differences that the mistake explains.
+    """Find mistakes in a file, such as wrong units, that each explain several differences.
 
     The first installed tool with a module ``causes`` finds the mistakes. Without such a tool, the
     result is empty.
@@ -680,7 +680,7 @@ bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
-    """Return True if a difference affects the robot itself.
+    """Return True if a difference affects the robot itself, and not only its coordinates.
 
     Differences of a kind in `CONVENTION_KINDS` affect only the coordinates.
     """
@@ -714,7 +714,7 @@ def _add_places(
 
 
 def _explained_fraction(explanation: Explanation) -> float:
-    """Return the fraction of the largest dynamic deviation that the differences explain, 0 to 1.
+    """Compute how much of the largest dynamic deviation the differences explain, from 0 to 1.
 
     The fraction is 1 - residual / deviation. The residual is the deviation after all differences
     are removed. Both numbers are the largest of all quantities.
@@ -728,7 +728,7 @@ def _explained_fraction(explanation: Explanation) -> float:
 
 
 def _report_name(urdf: str, mjcf: str) -> Difference:
-    """Return the difference between the names of a matched joint in both files."""
+    """Create the difference for a matched joint with different names in both files."""
     message = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
     return Difference("name", mjcf, urdf, mjcf, "", message, {})
 

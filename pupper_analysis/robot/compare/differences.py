@@ -343,7 +343,7 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the number by which deviations of a quantity are divided, in its unit.
+        """Return the scale of a quantity, by which its deviations are divided, in its unit.
 
         The scale is the largest absolute value of the first model. If a value of the first model is
         not finite, the second model is used. Lower bounds:
@@ -379,7 +379,7 @@ class RelativeError:
         return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
 
     def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
-        """Return the effect of a change of the model on each quantity, from two evaluations.
+        """Compute the effect of a change of the model on each quantity, from two evaluations.
 
         Args:
             before: {quantity: values before the change}.
@@ -472,7 +472,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return two numbers with unit as values of a message, under the keys ``one`` and ``two``.
+    """Format two compared numbers with unit as values ``one`` and ``two`` of a message.
 
     The term "unlimited" replaces a number that is not finite.
     """
@@ -614,7 +614,7 @@ def change_of(
 
 
 def _format_value(value: Any, unit: str) -> Any:
-    """Return a value for a message: numbers and arrays with unit, texts unchanged."""
+    """Format a value for a message: numbers and arrays get the unit, texts stay unchanged."""
     if isinstance(value, str | Quantity):
         return value
     if isinstance(value, np.ndarray):
@@ -737,7 +737,7 @@ def body_changes(
 
 
 def _clear_rounding(value: float, scale: float) -> float:
-    """Return a tensor entry, or 0 if it is only the rounding error of a rotated tensor.
+    """Replace a tensor entry by 0 if it is only the rounding error of a rotated tensor.
 
     ``scale`` is the largest entry of the compared tensors, to which `_ROUNDING_RTOL` is relative.
     """

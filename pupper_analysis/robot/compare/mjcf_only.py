@@ -89,7 +89,7 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator exerts a force without a command, also in the passive model.
+    """Return True if an actuator exerts a force without a command: a DC motor that brakes.
 
     True for an enabled DC motor without a controller, because its back-EMF brakes. False for
     servos, because `make_passive_model` disables servos.
@@ -139,7 +139,7 @@ _DISABLING_FLAGS = {
 
 
 class NamedModel:
-    """Names, values and flags of the elements of a compiled MJCF.
+    """Queries of names, values and flags of the elements of a compiled MJCF.
 
     Args:
         reference: Compiled MJCF, and element names.
@@ -199,7 +199,7 @@ class NamedModel:
         return self.name("joint", joint)
 
     def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
-        """Return the attributes of an element that are not zero.
+        """Return the nonzero attributes of an element, for example of a tendon.
 
         An attribute counts as zero if a flag of the MJCF disables it, such as ``damping`` with the
         flag ``damper`` (`_DISABLING_FLAGS`).
@@ -230,7 +230,7 @@ def _make_effect(
     numbers: Numbers,
     beside: Numbers | None = None,
 ) -> MjcfOnlyEffect:
-    """Return the effect of an element that is disabled by zero entries of ``mjModel``.
+    """Create the record of an element that only the MJCF has, with the entries that disable it.
 
     Args:
         kind: Kind of the difference, an entry of ``KIND_ORDER``.

@@ -181,7 +181,7 @@ def measure_tree_deviation(
 def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation of a joint, its body and frames [bits, see `measure_deviation_bits`].
+    """Sum the deviations of a joint, its body and its frames [bits, see `measure_deviation_bits`].
 
     Child joints are not included.
     """
@@ -218,7 +218,7 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
 
 
 def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
-    """Return the deviation between two joint frames: the sum for position and rotation [bits].
+    """Measure the deviation between two joint frames: the sum for position and rotation [bits].
 
     `measure_deviation_bits` converts each to log2(1 + deviation / tolerance), 0 within tolerance.
     """
@@ -256,7 +256,7 @@ def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str)
 def _matching_points(
     first: MultibodyTree, second: MultibodyTree, name: str
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield pairs of points on a body that both trees contain: CoM, child joints, frames.
+    """Yield the corresponding points of a body in two trees: CoM, child joints, frames.
 
     Points have shape (3,) [m], each expressed in the body frame of its tree.
     """

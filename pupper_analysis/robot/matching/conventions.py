@@ -132,7 +132,7 @@ def _is_base_frame_confirmed(
 def _find_zero_offset(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the offset of a joint's zero: q in ``first`` minus q in ``second`` [rad, m].
+    """Find how far the zero of a joint differs: q in ``first`` minus q in ``second`` [rad, m].
 
     The result is 0 in three cases:
 
@@ -196,7 +196,7 @@ def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
 def _find_base_pose(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
-    """Return the pose of the first tree's base frame in the second tree's base frame.
+    """Find a pose of the first tree's base frame in the second that explains the deviation.
 
     For a ``fixed`` base, a rotation that exchanges axes is also accepted, if it removes the whole
     deviation.
@@ -256,7 +256,7 @@ def _find_base_pose(
 def _find_pose_of_joints(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> pin.SE3 | None:
-    """Return the pose of the base frame with which all joints on the base agree in both trees.
+    """Fit the pose between the base frames of two trees with which all joints on the base agree.
 
     Only positions and axes of the joints are compared, because masses and inertias of the bodies
     may differ with any base frame. The pose is fitted by least squares to the joint positions and
@@ -317,7 +317,7 @@ the base. Otherwise no pose is determined. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
-    """Return positions [m] and unit axes of joints in the frame of the base, shape (n, 3) each."""
+    """Return the positions [m] and unit axes of joints on the base, in its frame, (n, 3) each."""
     joints = [tree.joints[name] for name in names]
     axes = np.array([joint.rotation @ joint.axis for joint in joints])
     return np.array([joint.position for joint in joints]), axes
@@ -326,7 +326,7 @@ def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array
 def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Return the deviations of the base body, and of each joint on the base, between two trees.
+    """Measure the deviations of the base, and of each joint on the base, between two trees [bits].
 
     Deviations are in bits: log2(1 + size / tolerance), 0 within the tolerance.
     """

@@ -110,8 +110,8 @@ def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
 
 
 Removals = list[tuple[str, list[list[RemovablePart]]]]
-"""[(parent joint, alternatives)]. An alternative is a list of parts that are removed together. The
-alternatives are sorted from small to large parts."""
+"""Parts of a file that could be removed: [(parent joint, alternatives)]. An alternative is a list
+of parts that are removed together. The alternatives are sorted from small to large parts."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
@@ -162,7 +162,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link as a part that can be removed from a file.
+    """Return the subtree of a link as a part that can be removed, because the other file lacks it.
 
     None if the other file has a joint of the subtree. ``extra`` contains the joints that the other
     file lacks.
@@ -186,9 +186,9 @@ def remove_parts(
 ) -> list[Diagnostic]:
     """Remove the parts of each file that the other file lacks, in place, and report these parts.
 
-    The masses decide. For each body with such parts, all alternatives and no removal are compared.
-    The alternative is selected with which the masses of the body, with the remaining parts, differ
-    least between the files.
+    For each body that carries such parts, the alternatives (which parts to remove, or none) are
+    compared by mass. The alternative is applied with which the mass of the body, including its
+    remaining parts, differs least between the files.
 
     Args:
         trees: Trees of URDF and MJCF; modified.
@@ -410,7 +410,7 @@ def match_models(
 def _check_foot_frames(
     feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path
 ) -> None:
-    """Raise an UnknownNameError if a foot is not among the common frames of both files.
+    """Raise an UnknownNameError if a requested foot is not a frame of both files.
 
     The keys of ``frames`` are the names of the common frames.
     """
@@ -439,7 +439,7 @@ def _build_in_mjcf_convention(
 def _compare_conventions(
     robot: Robot, tolerances: Tolerances
 ) -> tuple[Conventions, list[Diagnostic]]:
-    """Find differences of base frame and joint zeros; report the pose of a fixed base.
+    """Find differences of base frame and joint zeros between URDF and MJCF of a robot.
 
     Returns:
         The differences; diagnostics of the pose of a fixed base, empty for a free base.
@@ -672,7 +672,7 @@ def delete_ball_joints(
 def drop_other_objects(
     spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None
 ) -> list[Diagnostic]:
-    """Delete the objects of a scene that do not belong to the robot, in place.
+    """Delete the scene objects, such as tables, that do not belong to the robot, in place.
 
     The robot is the child body of the world with the largest number of joints. These other child
     bodies of the world are deleted:
@@ -752,7 +752,7 @@ def _has_plane(body: mujoco.MjsBody) -> bool:
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
-    """Return the child bodies of the world that are limbs of the robot.
+    """Find the robot's limbs among the children of the world, if the base is fused with the world.
 
     MuJoCo's import of a URDF merges a fixed base with the world: the limbs of the robot are then
     children of the world. A limb has a joint with the name of a URDF joint, with or without
@@ -774,7 +774,7 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
-    """Return True if the MJCF has no base body.
+    """Return True if the base of the robot is fused with the world, so that no body is the base.
 
     A joint of the robot then moves a child body of the world. MuJoCo's import of a URDF, for
     example, fuses a fixed base with the world.
@@ -788,7 +788,7 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Return {joint or base of the robot: name of the MJCF body that moves with it}.
+    """Return the MJCF body that moves with each joint, {joint or base: name of the body}.
 
     The key of the base is the name of the base link.
     """

@@ -147,7 +147,7 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Return the unmatched names of a file, by their words without common prefix and suffix.
+    """Reduce unmatched names to the words that remain without common prefix and suffix.
 
     Args:
         names: Unmatched names.
@@ -175,7 +175,7 @@ def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str,
 
 
 def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return the sequence of words with which at least 60 % of the names start.
+    """Find the common prefix of names: the words with which at least 60 % of the names start.
 
     At least two names must start with the sequence. A name is counted only if a further word
     follows the sequence.
@@ -247,7 +247,7 @@ def common_frames(
 
 
 def _find_base_bodies(spec: mujoco.MjSpec) -> set[str]:
-    """Return the names of the bodies of a fixed base: static, with joints in their subtrees."""
+    """Find the bodies of a fixed base: static bodies, with joints in their subtrees."""
     names, pending = set(), list(spec.worldbody.bodies)
     while pending:
         body = pending.pop()
@@ -304,7 +304,7 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
     - Their parents match.
     - Their axes are parallel (`_MIN_AXIS_COSINE`).
     - Their distance is small (`_MAX_RELATIVE_DISTANCE`).
-    - Their distance is less than half of the distance between one of both and any other candidate.
+    - Each of both joints is more than twice as far from any other candidate.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)

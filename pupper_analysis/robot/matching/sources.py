@@ -217,11 +217,11 @@ class MjcfSources:
 
 
 Sources = UrdfSources | MjcfSources
-"""Locations of the values of a multibody tree in the model file."""
+"""Finder of the file and line of a compared value, for a URDF or for an MJCF."""
 
 
 def _find_heaviest(members: Sequence[tuple[str, float]]) -> str:
-    """Return the name with the largest mass of (name, mass [kg])."""
+    """Return the heaviest link or body: the name with the largest mass of (name, mass [kg])."""
     return max(members, key=lambda member: member[1])[0]
 
 

@@ -62,7 +62,7 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
 
 
 def with_null_efforts(tree: MultibodyTree, joints: Collection[str]) -> MultibodyTree:
-    """Return a multibody tree in which the effort limit of given joints is zero.
+    """Set the effort limit of given joints to zero in a multibody tree; return a copy.
 
     The MJCF states an empty force range for these joints, for example "0 0", which a compiled model
     does not contain as a limit (``models.efforts.null_efforts``).
@@ -126,7 +126,7 @@ class Reference:
     base: str
 
     def joints(self) -> list[int]:
-        """Return the MuJoCo ids of the robot's joints.
+        """Return the MuJoCo ids of the robot's joints, without the joints of other objects.
 
         The free joint of the base, if any, comes first.
         """
@@ -156,7 +156,7 @@ class Reference:
         )
 
     def bodies(self) -> set[int]:
-        """Return the ids of all bodies of the robot in the compiled MJCF.
+        """Return the ids of all bodies of the robot in the compiled MJCF, without other objects.
 
         The result contains each kinematic tree with the base or a joint of the robot.
         """
@@ -182,9 +182,9 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Return a URDF without massless root links that have a single fixed or floating joint.
 
-    If the MJCF has a fixed base, all such links are removed. If it has a free base, a link with a
-    floating joint is always removed. The number of other removed links minimises the sum of the
-    distances [m] between joints with equal names in both files.
+    If the MJCF has a fixed base, all such links are removed. If the MJCF has a free base, links are
+    removed up to a floating joint, if any. The number of further removed links minimises the sum of
+    the distances [m] between joints with equal names in both files.
 
     Args:
         root: Root element of the URDF; not modified.
@@ -280,7 +280,7 @@ def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[D
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Return {base or joint of the robot: link that moves with it in the URDF}.
+    """Return the URDF link that moves with each joint, {base or joint: name of the link}.
 
     Args:
         root: Root element of the URDF.
