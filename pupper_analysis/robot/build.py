@@ -255,11 +255,12 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 
 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report settings of the MJCF with effect at rest; make gravity compensation passive, in place.
+    """Report MJCF settings with effect at rest; turn gravity compensation into a passive force.
 
-    Reported settings are MuJoCo's sleep, passive forces at rest (such as springs), and gravity
-    compensation that MuJoCo would add to the motor torques. ``actuatorgravcomp`` is cleared:
-    gravity compensation then is a passive force, which reduces the motor torques.
+    The model is changed in place. Reported settings are MuJoCo's sleep, passive forces at rest
+    (such as springs), and gravity compensation that MuJoCo would add to the motor torques.
+    ``actuatorgravcomp`` is cleared: gravity compensation then is a passive force, which reduces the
+    motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -286,7 +287,8 @@ def _copy_armature(
     """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
     Returns notes about armature, and about effort limits (`report_efforts`). ``null`` is {joint:
-    empty force range in the MJCF}, for example ``forcerange="0 0"``. MuJoCo ignores such a range.
+    force range in the MJCF that permits no force}, for example ``forcerange="0 0"``. MuJoCo ignores
+    such a range.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)
@@ -309,7 +311,7 @@ def _hash_properties(
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Return a hash (16 hex digits) of the properties of a URDF that affect stances.
+    """Return a hash (16 hex digits) that changes with each URDF property that affects stances.
 
     The properties are kinematics and feet (rounded to 1 nm), inertias, position limits, names and
     contact radii.
@@ -346,7 +348,7 @@ def _compile_mujoco_model(
 
 
 def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """Return the joints in actuator order, followed by joints without actuators in tree order.
+    """List the joints of a MuJoCo model in actuator order; joints without actuators come last.
 
     Raises:
         ModelError: If the model has a ball joint, or no joint except free joints.
@@ -384,7 +386,7 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Return the name of the body that corresponds to the URDF's root link.
+    """Find the MJCF body that corresponds to the URDF's root link, and return its name.
 
     Candidates are the body ``base`` and its ancestors. The first of these that exists is returned:
 
@@ -405,9 +407,9 @@ def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
 
 
 def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
-    """Return the name of the IMU's site; None if there is no such site.
+    """Find the site of the IMU in an MJCF, and return its name; None if there is none.
 
-    The site has a gyro and an accelerometer. A link of the URDF has the name of the site.
+    The IMU is a site with a gyro and an accelerometer. A link of the URDF must have the same name.
     """
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [

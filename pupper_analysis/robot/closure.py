@@ -236,7 +236,7 @@ class Closure:
         return basis
 
     def independent_equations(self, qpos: Array) -> tuple[Array, Array]:
-        """Return r linearly independent combinations of the constraint equations.
+        """Select r independent combinations of the constraint equations, for Newton steps.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -293,7 +293,7 @@ class Closure:
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops with the arguments of `close_loops`, but accept any assembly mode.
+        """Close the loops by Newton's method as in `close_loops`, but accept any assembly mode.
 
         Returns:
             Configuration, shape (nq,). None if the iteration does not converge, or if, without
@@ -326,7 +326,7 @@ class Closure:
         return float(np.abs(self.residual(qpos)).max(initial=0.0))
 
     def violation_error(self, qpos: Array, give: Array | None = None) -> float:
-        """Return the largest deviation of the constraint violations from the required violations.
+        """Return the largest difference between actual and required constraint violations.
 
         Metres and radians are mixed. The deviations are independent combinations of the equations,
         because files with rounded numbers violate the redundant equation of a planar loop by
@@ -369,10 +369,10 @@ class Closure:
             )
 
     def step_weights(self, placing: IntArray) -> Array:
-        """Return the step weight of each joint for `close_loops`, shape (nu,), in actuator order.
+        """Return joint weights with which `close_loops` moves the feet only a little, shape (nu,).
 
-        Joints between base and feet have the low weight 0.01 (``_FOOT_JOINT_MOBILITY``): closing
-        the loops then moves the feet only a little. Other joints have the weight 1.
+        The weights are in actuator order. Joints between base and feet have the low weight 0.01
+        (``_FOOT_JOINT_MOBILITY``), other joints the weight 1.
 
         Args:
             placing: Indices of the joints between base and feet.
@@ -418,7 +418,7 @@ class Closure:
         return EqualityCompliance(self._model, self._evaluate_constraints(qpos))
 
     def _force_distribution(self, qpos: Array) -> Array:
-        """Return the constraint forces (m, k) per unit load on each of the k dependent joints.
+        """Return the constraint forces (m, k) that carry a unit load on each of k dependent joints.
 
         Of all forces that balance the load, the forces with minimum elastic energy are selected.
 
@@ -442,7 +442,7 @@ class Closure:
         return distribution
 
     def _find_closed_start(self) -> Array:
-        """Return a reference configuration (nq,), with closed loops if possible.
+        """Find the reference configuration (nq,) of the loops, with closed loops if possible.
 
         The result is the first of these:
 
@@ -460,9 +460,10 @@ class Closure:
         return starts[0] if closed is None else closed
 
     def _generic_jacobian(self) -> Array:
-        """Return the Jacobian (m, nu) at a random configuration near the reference configuration.
+        """Return the constraint Jacobian (m, nu) at a configuration without special symmetry.
 
-        A random configuration is generic: no straight leg makes it singular. The method also sets
+        Its rank is the usual rank of the constraints: the configuration is random and near the
+        reference configuration, so that no straight leg makes it singular. The method also sets
         ``is_world_coupled``.
         """
         qpos, size = self._reference_qpos.copy(), len(self._joint_names)
@@ -496,7 +497,7 @@ class Closure:
         return combinations
 
     def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
-        """Return groups of dependent joints that occur in common equations (connected loops).
+        """Group the dependent joints that share constraint equations: one group per connected loop.
 
         A group contains indices of elements of ``dependent_joints``.
 
@@ -546,7 +547,7 @@ class Closure:
 
 
 def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return types and names of the active equality constraints."""
+    """Return type and name of each active equality constraint, such as ``connect rod``."""
     names = []
     for index in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()

@@ -119,7 +119,7 @@ class GroundLaw:
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
-        """Return the impedance d and the derivative [1/m] at a penetration [m]."""
+        """Return MuJoCo's impedance d, and its derivative [1/m], at a penetration [m]."""
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
@@ -143,7 +143,7 @@ class GroundLaw:
 
     @cached_property
     def _initial_stiffness(self) -> float:
-        """Normal stiffness [N/m] of the ground at the start of the contact (depth -``margin``)."""
+        """Normal stiffness [N/m] at the start of the contact, at the penetration -``margin``."""
         return self.normal_stiffness(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:
@@ -205,7 +205,7 @@ class GroundLaw:
         return start + x
 
     def _force_and_stiffness(self, depth: float) -> tuple[float, float]:
-        """Return the normal force [N] and the derivative [N/m] at a penetration [m]."""
+        """Return the normal force [N] and the normal stiffness [N/m] at a penetration [m]."""
         d, impedance_slope = self._impedance_and_slope(depth)
         penetration = depth + self.margin
         slope_term = impedance_slope * (2 - d) * d / (1 - d) ** 2 * penetration

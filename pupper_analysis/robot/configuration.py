@@ -481,7 +481,7 @@ class Configuration(Pictured):
         return variation
 
     def _massless_centroidal_map(self) -> Array:
-        """Return ``centroidal_map`` if the moving links have no mass: Pinocchio's matrix is NaN.
+        """Compute ``centroidal_map`` if the moving links have no mass, where Pinocchio returns NaN.
 
         Each link then contributes its rotational inertia times its angular velocity.
         """
@@ -493,7 +493,7 @@ class Configuration(Pictured):
         return momentum
 
     def _massless_centroidal_map_variation(self) -> Array:
-        """Return ``centroidal_map_time_variation`` if the moving links have no mass.
+        """Compute ``centroidal_map_time_variation`` if the moving links have no mass.
 
         With inertia I and angular Jacobian J of a link, and S the cross-product matrix of its
         angular velocity: d(I J)/dt = (S I - I S) J + I dJ/dt.
@@ -737,7 +737,7 @@ class Configuration(Pictured):
         return np.array(parameters, dtype=float).reshape(-1)
 
     def _bodies(self) -> IntArray:
-        """Return Pinocchio's joint index of each moving body, shape (n,).
+        """Return Pinocchio's joint index of each moving body, in public order, shape (n,).
 
         Order: free base (if any), then the bodies of the joints in actuator order.
         """
@@ -785,7 +785,7 @@ class Configuration(Pictured):
         return (1 - self._structure.fixed) * moving
 
     def _compute_accelerations(self, qacc: ArrayLike) -> Workspace:
-        """Return Pinocchio data with velocities and accelerations for a qacc of shape (nv,)."""
+        """Compute link velocities and accelerations for a qacc (nv,), in new Pinocchio data."""
         acceleration = self._structure.to_model_order(check_vector("qacc", qacc, self.robot.nv))
         workspace = self._structure.acquire_workspace()
         pin.forwardKinematics(self._model, workspace.data, self._q, self._v, acceleration)

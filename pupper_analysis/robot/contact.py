@@ -45,7 +45,7 @@ class ContactParameters:
 
     @property
     def sliding_friction(self) -> float:
-        """Sliding coefficient of the friction cone; 0 for a frictionless contact (``condim`` 1)."""
+        """Friction coefficient of sliding [1]; 0 for a frictionless contact (``condim`` 1)."""
         return self.friction[0] if self.condim > 1 else 0.0
 
 
@@ -296,7 +296,7 @@ def bodies_on_ground(
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
-    """Find the frame of a foot in a MuJoCo model by name: a site, else a body, else a geom.
+    """Find the body and position of a foot's frame in a MuJoCo model: a site, body or geom.
 
     Args:
         model: MuJoCo model.
@@ -304,7 +304,8 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
         source: File of the model, for messages.
 
     Returns:
-        Id of the body, and position (3,) [m] of the frame in the body.
+        Id of the body, and position (3,) [m] of the frame in the body. A site has priority over a
+        body, and a body over a geom of the same name.
 
     Raises:
         UnknownNameError: If there is no such frame; the message lists the sites.
@@ -325,7 +326,7 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 def foot_geoms(
     description: Description, model: mujoco.MjModel, centres: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
-    """Find the collision geom of each contact point.
+    """Find the collision geom and the contact radius of each contact point in a MuJoCo model.
 
     The geom is the entry in ``description.foot_geoms``. Without an entry, the geom is a collision
     sphere of the contact point's body, with its centre at the contact point (`foot_geom`).
@@ -423,7 +424,7 @@ def stand_height(
 
 
 def limb_ends(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the limb ends: bodies with joints that have no moving descendants."""
+    """Return the body ids of the limb ends: bodies with joints, without moving descendants."""
     moving_bodies = [body for body in range(1, model.nbody) if int(model.body_weldid[body]) == body]
     parents = {int(model.body_weldid[model.body_parentid[body]]) for body in moving_bodies}
     return [body for body in moving_bodies if body not in parents and model.body_jntnum[body]]

@@ -300,7 +300,7 @@ class EngineModels:
 
 
 def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
-    """Return a finite matrix (n, count); a vector (count,) becomes a matrix of one row.
+    """Check a finite matrix (n, count), and return it; a vector (count,) becomes one row.
 
     Raises:
         ConfigurationError: If the values have another shape, or are not finite real numbers.

@@ -240,7 +240,7 @@ def simulate_keyframe(
 def _are_equal_states(
     model: mujoco.MjModel, first: tuple[Array, Array], second: tuple[Array, Array]
 ) -> bool:
-    """Return True if two states (qpos, qvel) are nearly equal.
+    """Return True if two runs are at nearly equal states (qpos, qvel), so that one may end.
 
     The coordinates must be equal within `_MAX_RUN_DISTANCE`, the velocities within `NUDGE_SPEED`.
     False for values that are not finite.
@@ -290,11 +290,10 @@ def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
 
 
 def count_resets(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return MuJoCo's counters of bad qpos, qvel and qacc, shape (3,), as a view into ``data``.
+    """Return MuJoCo's counters of state resets by bad qpos, qvel and qacc, shape (3,).
 
-    MuJoCo resets the state if it increases one of these counters.
-
-    The values change while MuJoCo simulates. See `was_reset_by_mujoco`.
+    The result is a view into ``data``: the values change while MuJoCo simulates. MuJoCo resets the
+    state if it increases one of these counters (`was_reset_by_mujoco`).
     """
     counters: NDArray[np.int32] = data.warning.number[_RESET_WARNINGS]
     return counters
@@ -403,7 +402,7 @@ def initial_height(
 def _distance_above_ground(
     model: mujoco.MjModel, data: mujoco.MjData, base: int
 ) -> tuple[float, float]:
-    """Return the vertical distance [m] of a robot from fixed geoms, and the ground height [m].
+    """Measure the vertical distance [m] between robot and ground, and the ground height z [m].
 
     The ground height is measured at the nearest ground point. The distance is at most
     ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground. Without a contact, the
@@ -427,7 +426,10 @@ def _distance_above_ground(
 
 
 def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask of the contacts that exert forces and involve a body fixed to the world."""
+    """Return a mask (ncon,) of the contacts with fixed bodies, such as the floor.
+
+    Contacts that exert no force, because they are in the gap beyond the margin, are excluded.
+    """
     bodies = model.body_weldid[list_contact_bodies(model, data)]
     return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 

@@ -133,9 +133,10 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
 
 
 def _is_level(plane: mujoco.MjsGeom) -> bool:
-    """Return True if a plane in the world body, outside of <frame>, is level at any height.
+    """Return True if a plane of the world body is horizontal, at any height.
 
-    A plane with another form of orientation than a quaternion counts as not level.
+    A plane in a ``<frame>``, or with another form of orientation than a quaternion, counts as not
+    level.
     """
     return bool(
         plane.parent.name == "world"
@@ -146,14 +147,14 @@ def _is_level(plane: mujoco.MjsGeom) -> bool:
 
 
 def _is_level_at_zero(plane: mujoco.MjsGeom) -> bool:
-    """Return True if a plane in the world body, outside of <frame>, is level at z = 0."""
+    """Return True if a plane of the world body, outside of ``<frame>``, is horizontal at z = 0."""
     return _is_level(plane) and abs(plane.pos[2]) < _LEVEL_ATOL
 
 
 def _level_floor(
     spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom]
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
-    """Return the floor; if no plane is level at z = 0, replace one plane by a level plane.
+    """Select the floor from planes; if none is level at z = 0, replace one by a level plane.
 
     The replaced plane is the first level plane at another height. If no plane is level, the first
     plane is replaced. The list ``floors`` is reordered, so that the result is its first element.
@@ -191,7 +192,7 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Return cosines of the tilts of planes, and heights of their origins above z = 0 [m].
+    """Measure the tilts of planes (as cosines), and the heights [m] of their origins above z = 0.
 
     Both lists are read from the compiled model.
     """

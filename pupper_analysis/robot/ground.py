@@ -174,7 +174,7 @@ class Ground:
 
     @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, Step]:
-        """Return the box or cylinder for each foot on a step, a separate plane or a bar.
+        """Compute the boxes and cylinders that represent steps, planes and bars in MuJoCo's model.
 
         - Step with height h > 0: the box stands on the ground.
         - Step with height h < 0 (pit): the top of the box is the bottom of the pit, at height h.
@@ -220,14 +220,14 @@ class Ground:
         return steps
 
     def foot_ground_point(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point under a foot with several contact spheres, and its radius.
+        """Return the ground point under a sole, and the largest distance of its contact spheres.
 
         Args:
             foot: Foot.
             centres: Sphere centres, shape (n, 3) [m], in the world frame.
 
         Returns:
-            Result of ``ground_point`` for the mean sphere centre, shape (3,) [m], in the world
+            Ground point (`ground_point`) of the mean sphere centre, shape (3,) [m], in the world
             frame; largest distance [m] of a sphere centre from the mean.
         """
         centre = centres.mean(axis=0)
@@ -266,7 +266,7 @@ def _align_z_with(direction: Array) -> Array:
 
 
 def _check_slope(name: str, value: float) -> float:
-    """Return a slope angle [rad] in [0, pi/2).
+    """Check a slope angle [rad] in [0, pi/2), and return it as a float.
 
     Raises:
         ConfigurationError: If the angle is out of range.

@@ -56,10 +56,11 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 
 
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
-    """Return the solref that MuJoCo uses: its default if exactly one of the two values is positive.
+    """Return the solref that MuJoCo applies, which may be the default instead of the stated one.
 
     Two positive values are time constant and damping ratio. Two values that are not positive are
-    the negative stiffness and the negative damping. MuJoCo warns about a mixture of both forms.
+    the negative stiffness and the negative damping. If exactly one value is positive, MuJoCo warns,
+    and applies its default.
 
     Source: getsolparam in MuJoCo's ``engine_core_constraint.c``.
 
@@ -130,10 +131,10 @@ class EqualityCompliance:
             row += num_rows
 
     def current_compliance(self) -> Array:
-        """Return the compliance of each of m scalar equations, shape (m,) [m/N, rad/(N m)].
+        """Return the present compliance of each of m scalar equations, shape (m,) [m/N, rad/(N m)].
 
-        The compliance is violation / constraint force, at the violations in the data of the
-        constructor.
+        The compliance is violation / constraint force. It belongs to the violations in the data
+        that the constructor was given.
         """
         return self._compliance.copy()
 
@@ -151,7 +152,7 @@ class EqualityCompliance:
         return compliance
 
     def solve_violations(self, forces: Array) -> Array:
-        """Return the violations of equality constraints at rest under forces, shape (m,) [m, rad].
+        """Solve the violations of equality constraints under forces at rest, shape (m,) [m, rad].
 
         Args:
             forces: Force of each of m scalar equations, shape (m,) [N, N m].

@@ -63,7 +63,10 @@ def is_slide(robot: Robot, joint: str) -> bool:
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
-    """Return the motion type of an axis (3,): ``oblique`` if no world axis is within 1 degree."""
+    """Name the motion about or along an axis (3,), such as ``pitch`` or ``along x``.
+
+    The motion is ``oblique`` if the axis is more than 1 degree from each world axis.
+    """
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
@@ -95,7 +98,7 @@ because users enter rounded positions. Chosen, not tuned."""
 
 
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
-    """Convert a requested posture to {joint: position [rad, m]}, and check its joints.
+    """Check a requested posture, and expand its patterns to {joint: position [rad, m]}.
 
     A posture may only contain joints that move no foot.
 
@@ -130,7 +133,7 @@ decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of loops and couplings whose positions a posture may determine.
+    """Return the joints of closed loops and couplings that a requested posture may determine.
 
     Joints that move a foot are omitted, because the stance determines their positions. The posture
     must contain all joints of loops and couplings, and violate no constraint by more than
@@ -242,16 +245,18 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Excess of a keyframe's joint position over the joint limit [rad, m] that is attributed to rounded
-numbers in files. If the excess is smaller, the limit replaces the position. A keyframe with a
-larger excess is the default posture only if the caller names the keyframe. Chosen, not tuned."""
+"""Excess of a keyframe's joint position over the joint limit [rad, m] below which the excess is
+attributed to rounded numbers in files. If the excess is smaller, the limit replaces the position. A
+keyframe with a larger excess is the default posture only if the caller names the keyframe. Chosen,
+not tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:
-    """Return the ranges of joint positions that both files permit, shape (nu, 2) [rad, m].
+    """Return the joint ranges that URDF and MJCF both permit, shape (nu, 2) [rad, m].
 
     Columns: lower limit, upper limit; infinite if neither file limits the joint. If the ranges of
-    the files do not overlap, both limits are the larger of the two lower limits.
+    the files do not overlap, the result is a range of zero width at the larger of the two lower
+    limits.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -347,7 +352,7 @@ def check_in_range(
 
 
 def get_joint_units(robot: Robot, joint: str) -> JointUnits:
-    """Return the units of the quantities of a joint, which differ between hinges and slides."""
+    """Return the units of position, velocity, effort etc. of a joint: of a hinge, or of a slide."""
     return select_joint_units(slides=is_slide(robot, joint))
 
 
@@ -370,9 +375,9 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
 
 
 def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:
-    """Return the units of the quantities of several joints.
+    """Return the common units of position, velocity, effort etc. of several joints.
 
-    If hinges and slides are mixed, each unit names both, such as "rad or m".
+    If hinges and slides are mixed, each unit names both units, such as "rad or m".
     """
     return combine_joint_units(get_joint_units(robot, joint) for joint in joints)
 

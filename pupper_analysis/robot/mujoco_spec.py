@@ -16,7 +16,7 @@ from pupper_analysis.robot.floor import disable_ground, find_floor
 def make_mujoco_spec(
     description: Description, *, fixed_base: bool
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
-    """Return a copy of the MJCF of a description as a spec, with its base fixed if requested.
+    """Copy the MJCF of a description, and prepare the copy for a free or a fixed base.
 
     - ``fixed_base`` true: free joints and keyframes are removed. If a free joint was removed, the
       ground no longer collides.

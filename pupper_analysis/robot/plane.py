@@ -63,7 +63,7 @@ class Plane:
 
     @property
     def _parameter_sign(self) -> float:
-        """Factor (1 or -1) between the offset n . p along the normal n and ``parameter``."""
+        """Sign (1 or -1) that converts the offset n . p along the normal n to ``parameter``."""
         return sum(self.normal) if self.kind else 1.0
 
     @property
@@ -147,7 +147,7 @@ class Slope:
 
     @property
     def parameter(self) -> float:
-        """Angle of this inclined plane to the horizontal [rad]."""
+        """Angle [rad] between this inclined plane and the horizontal, from 0 to pi."""
         return self.angle
 
     def with_parameter(self, number: float) -> Slope:
@@ -198,9 +198,9 @@ class Bar:
     def point_above(self, x: float, y: float) -> Position3:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        Start at the point of the bar's axis that is nearest to (x, y) in the horizontal plane. The
-        result is displaced from this point upward, perpendicular to the axis, by 1 m times the
-        cosine of the bar's inclination.
+        The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
+        perpendicular to the axis. The displacement is 1 m times the cosine of the bar's
+        inclination.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]
@@ -306,9 +306,10 @@ class Contact:
 
     @property
     def parameters(self) -> tuple[float, ...]:
-        """Numbers that position the plane or bar.
+        """Numbers that define the position or the angle of the plane or bar.
 
-        The search for the nearest reachable stand may change these numbers.
+        If a stand is out of reach, the search for the nearest reachable stand changes these
+        numbers.
 
         - Bar: x, y, z of its point [m].
         - Slope: its angle [rad].
@@ -376,7 +377,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Weld:
-    """Fixation of a part of the robot to the world by the task; it can bear any wrench.
+    """Rigid fixation of a robot part to the world in a stand task, which can bear any wrench.
 
     - Base: fixed at its pose in the task.
     - Foot: fixed at its position in the stand.
@@ -459,7 +460,7 @@ def _format_exact_angle(angle: float) -> str:
 
 
 def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Iterator[str]:
-    """Yield the texts of place and offset of a contact or weld, if specified.
+    """Yield the command-line words for place and offset of a contact or weld, if specified.
 
     ``write`` formats numbers with a unit, as from `_make_formatter`.
     """
@@ -528,7 +529,7 @@ def slope_normal(angle: float, uphill: float) -> Position3:
 
 
 def _check_slope_angle(value: float) -> float:
-    """Return an angle between the horizontal and a plane [rad], from 0 to pi.
+    """Check the angle between a sloped plane and the horizontal [rad], and return it as a float.
 
     Raises:
         ConfigurationError: If the angle is out of range, or no finite number.
@@ -548,7 +549,7 @@ def _check_slope_angle(value: float) -> float:
 
 
 def _check_friction(name: str, value: float | None) -> float | None:
-    """Return a friction coefficient from 0 to ``MAX_FRICTION``, or None.
+    """Check that a friction coefficient is from 0 to ``MAX_FRICTION``, or None; return it.
 
     Raises:
         ConfigurationError: If the coefficient is out of range, or no finite number.
@@ -578,7 +579,7 @@ def _check_direction(name: str, value: Any) -> Position3:
 
 
 def _check_position(name: str, value: Any) -> Position3:
-    """Return a position (x, y, z) [m] as floats.
+    """Check a position (x, y, z) [m], and return it as floats.
 
     Raises:
         ConfigurationError: If ``value`` is no vector of three finite numbers, or a coordinate

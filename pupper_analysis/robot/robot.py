@@ -50,7 +50,8 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
-"""Default of the argument ``null`` of `efforts_of`: the MJCF states no empty force range."""
+"""Default of the argument ``null`` of `efforts_of`: no force range of the MJCF is empty (permits no
+force)."""
 
 
 def efforts_of(
@@ -74,7 +75,8 @@ def efforts_of(
             belongs to a motor that was replaced by a servo. If both bounds equal the bounds from
             the models, up to rounding, the result contains this limit, because its source is more
             exact.
-        null: {joint: empty force range of the MJCF}. MuJoCo ignores such a range.
+        null: {joint: force range of the MJCF that permits no force}, such as "0 0". MuJoCo ignores
+            such a range.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     actuators_by_joint = group_actuators_by_joint(mj_model)
@@ -134,7 +136,7 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 
 def _are_equal_efforts(first: float, second: float) -> bool:
-    """Return True if two effort limits are equal up to `_EFFORT_RTOL`."""
+    """Return True if two effort limits are equal up to rounding (`_EFFORT_RTOL`)."""
     return first == second or math.isclose(first, second, rel_tol=_EFFORT_RTOL)
 
 
@@ -156,7 +158,9 @@ _CACHED_ATTRIBUTES = (
 
 @dataclass(frozen=True, eq=False)
 class PublishedFile:
-    """Published MJCF or URDF of a robot. A verdict simulates this file as well, without changes.
+    """Published MJCF or URDF of a robot, without the additions of this package.
+
+    A verdict judges a stand of the robot by simulation, and simulates this file as well.
 
     Attributes:
         file: Published MJCF. None if there is only a URDF, or if the robot was loaded without
@@ -181,7 +185,7 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the published file for a modified copy of a robot.
+        """Return the published file for a modified copy of a robot, with the original robot stored.
 
         The result stores the robot before its first modification as ``loaded``. If ``loaded`` is
         already set, this object is returned unchanged.
@@ -552,9 +556,9 @@ class Robot(EngineModels):
 
     @property
     def usual_weight(self) -> float:
-        """Weight [N] as the scale of relative errors.
+        """Weight [N] that scales relative errors: on Earth if gravity is zero.
 
-        The weight on Earth if gravity is zero, otherwise the weight in the gravity of the MJCF.
+        Otherwise the weight in the gravity of the MJCF.
         """
         return self.weight or self.total_mass * EARTH_GRAVITY
 
@@ -717,10 +721,10 @@ class Robot(EngineModels):
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Raise an error if the robot is no free kinematic tree.
+        """Raise an error if loops, couplings, welds or grips constrain the robot.
 
-        The robot may have no closed loops and no joint couplings. A task may not fix a part of the
-        robot to the world by a weld or a grip.
+        Without these constraints, the robot is a free kinematic tree. Closed loops and joint
+        couplings are constraints of the MJCF, welds and grips are constraints of a task.
 
         Args:
             what: Name of the requested analysis, for the message. The analysis requires a tree.
@@ -890,7 +894,8 @@ def defer_stages(
         robot: Robot before the remaining steps.
         complete: Function that runs the remaining steps, and returns the completed robot.
         pose: Function that returns the robot in its start pose, without the postponed steps, for
-            stands and statics (`Robot.before_servos`). If None, stands run all steps first.
+            stands and statics (`Robot.before_servos`). If None, stands and statics run all steps
+            first.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
@@ -903,7 +908,7 @@ def defer_stages(
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:
-    """Return True if the MuJoCo model may have passive forces at zero velocity.
+    """Return True if a MuJoCo model may exert passive forces, such as springs, at zero velocity.
 
     Possible sources are springs of joints and tendons, gravity compensation, wind in a fluid,
     flexible bodies, and plugins of bodies.

@@ -110,7 +110,7 @@ class Servos:
 
 
 def make_position_commands(robot: Robot, positions: Array) -> Array:
-    """Compute the ctrl with which the servos of the robot's own model hold joint positions.
+    """Compute MuJoCo's ctrl with which the servos of the MJCF hold given joint positions.
 
     Motors that are no position servos are commanded 0. Further position servos, for example on
     tendons, are commanded to exert no force. Joints without motor are permitted, unlike in
@@ -135,10 +135,10 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Compute the ctrl with which position servos that the caller does not command exert no force.
+    """Compute commands at which the position servos without another command exert no force.
 
-    These servos are, for example, on tendons and sites. The velocity is zero. The ctrl of all other
-    actuators is 0.
+    These servos are not in ``known``; for example, they are on tendons or sites. The commands hold
+    at the given configuration, with zero velocity. The ctrl of all other actuators is 0.
 
     Args:
         model: MuJoCo model.
@@ -158,7 +158,7 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
 
 
 def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the ids of actuators that are position servos and not in ``known``."""
+    """Return the ids of the position servos that are not in ``known``, for example on tendons."""
     servo = (
         (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value)
         & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE.value)
@@ -253,7 +253,7 @@ def write_position_servos(
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Checked servo gains of the joints of a robot.
+    """Servo gains of all joints of a robot, checked for shape and range.
 
     Dependent joints of loops and couplings have gains of 0, and need no motor.
 
@@ -382,7 +382,7 @@ def command_ranges(robot: Robot) -> Array:
 
 
 def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Return the gains of the joints that a position servo of the robot's MuJoCo model drives.
+    """Return the joints that a position servo of the robot's MuJoCo model drives, with gains.
 
     Returns:
         {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])}. Joints without position servo are
@@ -401,7 +401,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
-    """Summarise the servos that a result depends on: source, smallest and largest gains.
+    """Summarise the servos of a robot for a report: source, smallest and largest gains.
 
     Args:
         robot: Robot.
@@ -437,9 +437,10 @@ def find_servos_used(
 def _read_actuator_gains(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Read gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
+    """Read the servo gains and gears of actuators, and find the position servos among them.
 
-    Gain and damping are at the joint [N m/rad, N m s/rad; N/m, N s/m].
+    Returns gain and damping at the joint [N m/rad, N m s/rad; N/m, N s/m], the gear, and a mask of
+    position servos; shape (n,) each.
 
     An actuator is a position servo if, with a constant ctrl, ctrl / gear is the joint position
     without force. All conditions:
@@ -462,7 +463,7 @@ def _read_actuator_gains(
 
 
 def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
-    """Convert a gain to shape (size,).
+    """Check a requested servo gain, and convert it to one value per joint, shape (size,).
 
     Raises:
         ConfigurationError: If the shape differs, or a number is not in [0, ``MAX_GAIN``].
@@ -480,7 +481,7 @@ def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
-    """Return the value of MuJoCo's constant for the name of an option; check the name.
+    """Convert the name of an option's value, such as ``elliptic``, to MuJoCo's number.
 
     Raises:
         ConfigurationError: If the name is unknown; the message lists the known names.

@@ -125,7 +125,7 @@ def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
 
 
 class _LinkFinder:
-    """Assignment of MuJoCo bodies to links of the URDF, at zero angles.
+    """Finder of the URDF link that corresponds to each MuJoCo body of a robot.
 
     Args:
         model: MuJoCo model.
@@ -178,9 +178,9 @@ class _LinkFinder:
 
 
 def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
-    """Return True if MuJoCo checks two geoms for contact.
+    """Return True if contact bits, pairs and exclusions let MuJoCo check two geoms for contact.
 
-    This is the case if a ``<pair>`` contains both. Otherwise the contact bits (``contype``,
+    This is the case if a ``<pair>`` contains both geoms. Otherwise the contact bits (``contype``,
     ``conaffinity``) must match, and the MJCF must not exclude the two bodies. MuJoCo's filter of
     parent and child bodies is ignored.
 
@@ -202,7 +202,7 @@ def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
 
 
 def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
-    """Return the pairs of body ids between which the MJCF excludes contacts (``<exclude>``)."""
+    """Return the pairs of body ids whose contacts an ``<exclude>`` of the MJCF disables."""
     return {
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
         for signature in model.exclude_signature

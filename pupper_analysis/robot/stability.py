@@ -35,9 +35,9 @@ with dry friction have a spectral radius of 1.041 with ``DIFFERENCE_STEP``, and 
 step."""
 
 _RATE_TOLERANCE = 0.3
-"""Largest relative difference of two growths per time step, |eigenvalue| - 1, with which two modes
-count as the same mode [1]. The modes come from the spectra with the two finite-difference steps.
-Chosen, not tuned."""
+"""Largest relative difference between the growths per time step, |eigenvalue| - 1, of two modes
+that count as the same mode [1]. The modes come from the spectra with the two finite-difference
+steps. Chosen, not tuned."""
 
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
@@ -105,16 +105,16 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Compute the derivative of the next state by the present state, in ``matrix``, and return it.
+    """Linearise a MuJoCo step by central differences of complete steps; overwrite ``matrix``.
 
-    The derivative is computed from centred differences of complete MuJoCo steps. This function is
-    used for the integrator RK4, which ``mjd_transitionFD`` does not support.
+    ``matrix`` becomes the derivative of the next state with respect to the present state. This
+    function is used for the integrator RK4, which ``mjd_transitionFD`` does not support.
 
     Args:
         model: MuJoCo model.
         data: Present state. It is not changed.
-        matrix: Square matrix that is overwritten. Rows and columns are in the tangent space of
-            (qpos, qvel, act): size 2 nv + na.
+        matrix: Square matrix that is overwritten, and returned. Rows and columns are in the tangent
+            space of (qpos, qvel, act): size 2 nv + na.
         difference: Finite-difference step of each component [m, rad; m/s, rad/s; unit of act].
     """
     own, nv = copy_data(model, data), model.nv
@@ -471,20 +471,20 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Set ``repeated_at_second_step`` of the growing modes, by a second spectrum.
+    """Check by a second finite-difference step whether growing modes are numerical errors.
 
-    If a growing mode disappears with the finite-difference step ``SECOND_STEP``, it may be a
-    numerical error. If `Stability.modes_growing_within` returns no mode for ``found``, the second
-    spectrum is not computed, and ``found`` is returned.
+    The result has ``repeated_at_second_step`` set for each growing mode. A mode that disappears
+    with the step ``SECOND_STEP`` may be a numerical error. If `Stability.modes_growing_within`
+    returns no mode for ``found``, the second spectrum is not computed, and ``found`` is returned.
     """
     if not found.modes_growing_within():
         return found
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
     def repeats(mode: Mode) -> bool:
-        """Return True if the second spectrum has a mode with nearly the growth rate of ``mode``.
+        """Return True if the second spectrum has a mode with nearly the same growth per step.
 
-        Nearly means that the growth rates differ by at most ``_RATE_TOLERANCE`` (relative).
+        The growths may differ by at most ``_RATE_TOLERANCE``, relative to ``mode``.
         """
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
@@ -497,7 +497,7 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
 def _evaluate_at_limits(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Stability:
-    """Evaluate the spectrum of a state in which joints may be at their limits.
+    """Evaluate the eigenvalues of a MuJoCo step at a state in which joints may be at limits.
 
     Finite differences across a joint limit are invalid. A limit begins to act when the joint is
     ``margin`` away from the end of ``range``. If a joint is within `_LIMIT_DISTANCE` of this
@@ -531,7 +531,7 @@ def _evaluate_at_limits(
 
 
 class _Modes:
-    """Eigenvalues and eigenvectors of a step at a state.
+    """Eigenvalues and eigenvectors of a linearised MuJoCo step at a state.
 
     Args:
         model: MuJoCo model.
@@ -576,7 +576,7 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio of the mode with eigenvalue number ``mode``.
+        """Return the damping ratio of the mode with the eigenvalue index ``mode``.
 
         The ratio is ``-Re(s) / abs(s)`` with s = ln(eigenvalue): 1 for monotonic decay, 0 for an
         undamped oscillation, negative for growth.
@@ -600,7 +600,7 @@ class _Modes:
         )
 
     def _mode_direction(self, mode: int) -> Array:
-        """Return the real part of a mode's eigenvector, shape (2 nv + na,).
+        """Return the direction of a mode: real part of the scaled eigenvector, shape (2 nv + na,).
 
         The eigenvector is divided by its largest position component (one of the first nv).
         """

@@ -24,7 +24,7 @@ tuned."""
 
 
 class Workspace:
-    """Pinocchio data with a single owner, from a pool.
+    """Pinocchio data for a single owner, which go back to a pool when the owner is deleted.
 
     When the workspace is deleted, the data return to the pool for reuse. If the pool already
     contains 32 data (`_MAX_SPARE_DATA`), the data are dropped.
@@ -70,12 +70,12 @@ class Structure:
         feet: {contact point: frame index in ``model``}.
         parents: {contact point: index of the joint that moves the point}.
         rest: Zero velocity (nv,), read-only.
-        carried: Mask (nv, nv): True if coordinate i (row) is not before coordinate j (column) in
-            ``model``, or if both are rotations of the base. For coordinates on the same chain, this
-            means that j moves the axis of i.
+        carried: Mask (nv, nv): for coordinates on the same chain, True if coordinate j (column)
+            moves the axis of coordinate i (row). Computed as: i is not before j in ``model``, or
+            both are rotations of the base.
         total_mass: Mass [kg] of all links, including a fixed base and the links fixed to it.
-        fixed: Mass of a fixed base and of the links fixed to it, relative to the total mass [1]. 0
-            for a free base.
+        fixed: Fraction of the total mass that does not move [1]: a fixed base and the links fixed
+            to it. 0 for a free base.
         lever: CoM (3,) [m] of this fixed mass, in the world frame.
     """
 
@@ -138,7 +138,7 @@ class Structure:
         return Workspace(data, self._spare_data)
 
     def update_armature(self) -> pin.Model:
-        """Copy the armature from the robot's Pinocchio model to ``model``, and return ``model``.
+        """Update the armature of ``model`` from the robot's Pinocchio model, and return ``model``.
 
         Reason: the armature of the robot's model may have changed since construction.
         """

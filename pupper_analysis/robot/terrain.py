@@ -90,14 +90,14 @@ def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
 
 
 def weld_name(name: str) -> str:
-    """Return the name of the equality constraint that fixes a part to the world in MuJoCo."""
+    """Return the name of the MuJoCo equality constraint that fixes a robot part to the world."""
     return f"weld_{name}"
 
 
 def close_welds(
     robot: Robot, model: mujoco.MjModel, qpos: Array, pushes: Mapping[str, Array]
 ) -> None:
-    """Activate the welds and grips of a model at a configuration, in place.
+    """Activate the welds and grips of a task in a MuJoCo model at a configuration, in place.
 
     MuJoCo's constraints are soft, and deflect under load by nanometres. The target pose of each
     weld or grip is offset by this deflection, so that the configuration is an equilibrium.
@@ -181,7 +181,7 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Return the kind of a surface of a task: step, bar, wall, table or ceiling.
+    """Name the kind of a surface that a task has added: step, bar, wall, table or ceiling.
 
     A cylinder is a "bar". A plane with the normal of the ground, or without a ground, is a "step".
     The kind of another plane follows from its normal (``PLANE_NORMALS``); "" if no kind has this
@@ -217,13 +217,13 @@ and the name of the foot follow."""
 
 
 def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
-    """Return the indices of the constraint rows of an equality; translations before rotations."""
+    """Return the rows of an equality in MuJoCo's ``efc_`` arrays; translations before rotations."""
     is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
     return np.flatnonzero(is_equality & (data.efc_id == equality))
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violation: Array) -> None:
-    """Set the target of a weld so that the present pose violates it by ``violation``.
+    """Set the target pose of a weld, so that the weld has a given violation at the present pose.
 
     Args:
         model: Model to modify.

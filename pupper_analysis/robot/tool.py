@@ -262,9 +262,10 @@ def _express_in_link(
 
 
 def _find_carrying_link(robot: Robot, body: int) -> str:
-    """Return the first link of the URDF that moves with a body of the MJCF.
+    """Find the URDF link that moves with an MJCF body, and return its name.
 
-    The result is the base if the body is fixed to the world or to a free base.
+    Of several links on the same joint, the first is returned. The result is the base if the body is
+    fixed to the world or to a free base.
     """
     model = robot.mj_model
     while body and not model.body_jntnum[body]:
@@ -292,7 +293,7 @@ def _list_link_frames(robot: Robot) -> list[tuple[int, pin.Frame]]:
 
 
 def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
-    """Return the joints that move a link, from the base to the link."""
+    """Return the names of the joints that move a link, from the base to the link."""
     model = robot.structure.model
     joint = model.frames[robot.structure.links[link]].parentJoint
     names = (model.names[support] for support in model.supports[joint])
@@ -300,7 +301,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Return the last link of the longest chain of joints, or the link with its fingers.
+    """Find the default tool link: the end of the longest joint chain, or a hand with fingers.
 
     Two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the chain count
     as fingers. At least `_MIN_ARM_JOINTS` joints must move this link.
@@ -384,7 +385,7 @@ def with_payload(
 
 @dataclass(eq=False)
 class _LoadedModel:
-    """Compiled model of a robot with a payload, which is reused for other masses at the same place.
+    """Cached model of a robot with a payload, which is reused for other masses at the same place.
 
     Attributes:
         place: Link, bytes of the offset, and name of the payload's body; None without a payload.

@@ -103,7 +103,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
-    """Convert a contact or weld to the properties that the robot must have.
+    """Convert a contact or weld of a task to the contact settings of the robot part.
 
     Args:
         name: Name of the part, for messages.
@@ -124,7 +124,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
-    """Raise a ConfigurationError unless the part is a hand: ``arguments`` require a hand.
+    """Raise a ConfigurationError if arguments that require a hand are given for another part.
 
     Args:
         name: Name of the part, for the message.
@@ -187,7 +187,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 
 
 def _find_frame(robot: Robot, name: str) -> Tool:
-    """Return the frame with a name; the name ``base`` means the base, if no frame has this name.
+    """Find a frame of the robot by name; ``base`` is the base if no frame has this name.
 
     Raises:
         UnknownNameError: If the robot has no such frame.
@@ -202,7 +202,7 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 
 
 def _make_base_free(robot: Robot) -> Robot:
-    """Return a copy of a robot with a fixed base, whose base is free.
+    """Replace the fixed base of a robot by a free base, which a weld can hold; return a copy.
 
     If the robot has no feet, ``home`` is the default posture of the fixed robot
     (`default_positions`), with loops closed if possible. If the file has no floor, a floor without
@@ -315,10 +315,10 @@ used if the centre of the sphere is not inside a collision shape of the hand. Ch
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
-    """Return the radius [m] of the largest sphere around the tool that fits into a collision shape.
+    """Return the radius [m] of the largest sphere around a point that fits into a collision shape.
 
-    Shapes of the links that move with the tool are examined. If the tool is not inside such a
-    shape, the result is ``_DEFAULT_BALL_RADIUS``.
+    ``tool`` is the point. Shapes of the links that move with the point are examined. If the point
+    is not inside such a shape, the result is ``_DEFAULT_BALL_RADIUS``.
     """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.update(robot.neutral())
