@@ -157,7 +157,7 @@ class StartKeyframe(Addition):
 
 
 def apply_additions(additions: Iterable[Addition], model: object) -> None:
-    """Apply additions, such as a floor or servos, to a model in the given order.
+    """Add elements, such as a floor or servos, to a model for simulation, in the given order.
 
     The model is a `SpecTree` or a new MJCF file.
     """

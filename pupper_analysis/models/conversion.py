@@ -58,7 +58,7 @@ class MujocoTree:
     """
 
     def __init__(self, parameters: MultibodyTree) -> None:
-        """Compile the model, and set the parameters."""
+        """Compile a model with the structure of a multibody tree, and copy its parameters."""
         self.base = "__world__" if parameters.base == "world" else parameters.base
         self.model = _compile_structure(parameters, self.base)
         self._structure = _structure_key(parameters)
@@ -116,7 +116,7 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 
 
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
-    """Compile a MuJoCo model with the structure of a tree and arbitrary parameters.
+    """Compile a MuJoCo model with the structure of a multibody tree and placeholder parameters.
 
     Masses, inertial frames, joint axes and positions of frames are nonzero placeholders, which the
     caller overwrites.
@@ -147,7 +147,7 @@ def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
 
 
 def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
-    """Write masses, CoMs and inertias to a model. The inertia may be unphysical, as in a file."""
+    """Write masses, CoMs and inertias of bodies to a MuJoCo model; inertias may be unphysical."""
     moments, axes = np.linalg.eigh(np.array([body.inertia for body in bodies]))
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
     model.body_mass[ids] = [body.mass for body in bodies]
@@ -161,9 +161,10 @@ def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Tree
 
 
 def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
-    """Write poses, axes, limits and passive parameters of joints to a model.
+    """Write poses, axes, limits, damping, friction and armature of joints to a MuJoCo model.
 
-    Position limits are enabled only if both are finite.
+    ``ids`` are the joint ids of the model, in the order of ``joints``. Position limits are enabled
+    only if both limits are finite.
     """
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
@@ -421,7 +422,7 @@ class UrdfImport:
     assets: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def spec(self) -> mujoco.MjSpec:
-        """Import the URDF into a MuJoCo spec.
+        """Import this URDF with MuJoCo's own importer, and return the spec.
 
         The compiled model has a body for each link; a root link ``world`` is the world body.
 

@@ -201,7 +201,7 @@ class _SpecWriter:
             self._names["joint", joint] = str(model.joint(joint).name)  # may have none
 
     def build_spec(self) -> mujoco.MjSpec:
-        """Copy all supported elements and the options of the model to the spec, and return it."""
+        """Copy options and supported elements of a compiled model to a new spec; return it."""
         self._set_options()
         self._add_assets()
         self._add_bodies()
@@ -220,7 +220,7 @@ class _SpecWriter:
         return self.spec
 
     def _set_options(self) -> None:
-        """Copy name and options of the model; disable automatic changes by the compiler."""
+        """Copy name and options to the spec; disable automatic changes by MuJoCo's compiler."""
         spec, model = self.spec, self.model
         names = bytes(model.names)
         spec.modelname = names[: names.index(b"\0")].decode() or "model"
@@ -235,7 +235,7 @@ class _SpecWriter:
                 setattr(spec.option, name, value)
 
     def _add_assets(self) -> None:
-        """Add the meshes, with vertices and faces, and the height fields."""
+        """Add meshes (vertices and faces) and height fields of the compiled model to the spec."""
         model = self.model
         for index in range(model.nmesh):
             mesh = self.spec.add_mesh(name=self._names["mesh", index])
@@ -252,7 +252,7 @@ class _SpecWriter:
             field.userdata = model.hfield_data[start : start + rows * columns]
 
     def _add_bodies(self) -> None:
-        """Add the bodies with joints, geoms and sites."""
+        """Add the bodies of the compiled model, with joints, geoms and sites, to the spec."""
         model = self.model
         bodies = [self.spec.worldbody]
         for index in range(1, model.nbody):
@@ -279,7 +279,7 @@ class _SpecWriter:
             _copy_fields(site, model, "site", index, {name: name for name in _SITE_FIELDS})
 
     def _add_joint(self, body: mujoco.MjsBody, index: int) -> None:
-        """Add a joint to its body, with the fields of the model."""
+        """Add a joint of the compiled model (id ``index``) to a body of the spec."""
         model = self.model
         joint = body.add_joint(name=self._names["joint", index])
         _copy_fields(joint, model, "jnt", index, _SPEC_JOINT_FIELDS)
@@ -291,7 +291,7 @@ class _SpecWriter:
             joint.ref, joint.springref = model.qpos0[address], model.qpos_spring[address]
 
     def _add_tendons(self) -> None:
-        """Add the tendons, with joints, sites, pulleys and geoms of their paths."""
+        """Add tendons, with the joints, sites, pulleys and geoms of each path, to the spec."""
         model = self.model
         for index in range(model.ntendon):
             tendon = self.spec.add_tendon(name=self._names["tendon", index])
@@ -315,7 +315,7 @@ class _SpecWriter:
                     tendon.wrap_geom(self._names["geom", target], side)
 
     def _add_actuators(self) -> None:
-        """Add the actuators with their transmissions."""
+        """Add the actuators of the compiled model, with transmissions, to the spec."""
         model, kinds = self.model, mujoco.mjtTrn
         targets = {
             kinds.mjTRN_JOINT.value: "joint",
@@ -345,7 +345,7 @@ class _SpecWriter:
             actuator.actdim = int(model.actuator_actnum[index])
 
     def _add_constraints(self) -> None:
-        """Add equality constraints, contact pairs and contact exclusions."""
+        """Add equality constraints, contact pairs and contact exclusions to the spec."""
         model = self.model
         object_kinds = {
             mujoco.mjtObj.mjOBJ_BODY.value: "body",
@@ -402,9 +402,10 @@ def _copy_fields(
 
 
 def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
-    """Return the coefficients (1 + n,) of a spring or damper, the linear coefficient first.
+    """Combine linear and further coefficients of a spring or damper, shape (1 + n,).
 
-    ``linear`` (m,) and ``polynomial`` (m, n) are MuJoCo's arrays, and ``index`` is the row.
+    The linear coefficient comes first. ``linear`` (m,) and ``polynomial`` (m, n) are arrays of
+    ``mjModel``, and ``index`` is the row of the element.
     """
     return np.concatenate([[linear[index]], polynomial[index]])
 

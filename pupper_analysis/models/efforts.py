@@ -99,7 +99,7 @@ class EffortStatement(Result):
         stated: Sequence[float],
         factor: float = 1.0,
     ) -> EffortStatement:
-        """Create a statement; the torque range at the joint is ``factor`` x ``stated``.
+        """Create the torque limit that one attribute of a file states, converted to the joint.
 
         Args:
             file: ``URDF`` or ``MJCF``; ``""`` for a requested limit.
@@ -117,7 +117,7 @@ class EffortStatement(Result):
     def empty(
         file: str, element: str, name: str, attribute: str, stated: Sequence[float]
     ) -> EffortStatement:
-        """Create the statement of an empty range, which permits no torque at the joint.
+        """Create the torque limit that a file states by an empty range: no torque at the joint.
 
         A range is empty if its ends are equal, or the lower end is above the upper end.
 
@@ -132,7 +132,7 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
     def scaled(self, factor: float) -> EffortStatement:
-        """Convert the range by a gear or lever arm to a torque at the joint; return a copy.
+        """Convert this force limit by a gear or lever arm to a joint torque limit; return a copy.
 
         Args:
             factor: Torque at the joint per unit of the present torque or force; may be negative.
@@ -251,8 +251,9 @@ def resolve_effort_limit(
             if the URDF states no effort.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
-        empty_range: Empty force range of the joint in the MJCF, found by ``null_efforts``. The
-            compiled model does not contain such a range. None if there is no empty range.
+        empty_range: Force range of the joint in the MJCF that permits no force, found by
+            ``null_efforts``. The compiled model does not contain such a range. None if there is no
+            empty range.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives
@@ -384,7 +385,10 @@ def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatemen
 def _is_empty(
     file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], limited: int
 ) -> bool:
-    """Return True if a range is inverted, or specified in the file with both ends equal.
+    """Return True if a force or control range of an MJCF is empty, and so permits no force.
+
+    A range is empty if the lower end is above the upper end. It is also empty if the file states
+    the range with equal ends.
 
     Args:
         file: The MJCF.
@@ -448,7 +452,7 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the limits of an actuator's force before its gear [N or N m].
+    """Return the stated limits of an actuator's force, before the gear is applied [N or N m].
 
     The result contains up to two limits:
 
@@ -514,7 +518,7 @@ class JointEffort:
 def placeholder_efforts(
     motors: Sequence[JointEffort], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yield the torque limits (efforts) that no motor can have: they are placeholders.
+    """Yield the torque limits that no motor can have, and that are probably placeholders.
 
     An effort is a placeholder in three cases:
 

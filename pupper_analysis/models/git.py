@@ -83,7 +83,7 @@ def git_entries(output: bytes | None) -> list[GitEntry] | None:
 
 
 def run_git(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[bytes]:
-    """Run git safely, without standard input, and capture the output.
+    """Run git without network access, prompts and standard input, and capture the output.
 
     The environment disables network access and prompts (``SAFE_ENVIRONMENT``).
 

@@ -146,7 +146,7 @@ def _import_package() -> Any:
 
 
 def _find_clone() -> Path | None:
-    """Return the folder of MuJoCo Menagerie; None if it is not found.
+    """Find the folder of a local clone of MuJoCo Menagerie; None if there is none.
 
     The environment variable ``MENAGERIE_ROOT`` contains the folder, which is not checked. Without
     the variable, the folder is ``mujoco_menagerie`` in the working directory or above.

@@ -319,7 +319,7 @@ def silence_mujoco() -> Iterator[None]:
 
 
 def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
-    """Give names to the bodies and joints without a name, except free joints, in place.
+    """Give generated names to unnamed bodies and joints, except free joints, in place.
 
     Args:
         spec: The spec.
@@ -341,7 +341,7 @@ def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
-    """Return the XML of a spec before compilation, with all digits and default classes.
+    """Return the XML of an uncompiled spec, with all digits and default classes.
 
     The XML of a compiled spec would have six digits.
     """

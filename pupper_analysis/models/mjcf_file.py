@@ -192,7 +192,7 @@ _FLAT_MESH_ERROR: Final = re.compile(
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Return the mesh without volume that an error of MuJoCo names; None for other errors."""
+    """Return the mesh that MuJoCo rejects for lack of volume; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
 
@@ -368,7 +368,7 @@ class IncludeTree:
         depth: int,
         childclass: str | None = None,
     ) -> XmlNode:
-        """Return the node of an element, with all descendants and expanded includes.
+        """Convert a parsed MJCF element and its descendants to nodes; expand the includes.
 
         Args:
             element: Element as parsed.
@@ -465,7 +465,7 @@ class IncludeTree:
         raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
-        """Return the number of elements in a node's subtree, with replicas and attached models."""
+        """Count the elements in a node's subtree, including replicas and attached models."""
         total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
             total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
@@ -512,7 +512,7 @@ def _check_formats(path: Path, element: etree._Element) -> None:
 
 
 def _multiply_numbers(text: str) -> int:
-    """Return the product of the absolute numbers in a text, as an integer of at most 1e18.
+    """Return the product of the numbers in a text such as ``3 -4``, without signs, at most 1e18.
 
     Numbers below 1 count as 1, and other words are ignored.
     """
@@ -615,7 +615,7 @@ _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
-    """Return a default class and the enclosing classes, outermost first.
+    """Return the default class with a name and the enclosing default classes, outermost first.
 
     If the name is unknown or None, the result contains only the first top-level class, if any.
     """
@@ -675,7 +675,7 @@ class MjcfFile:
     deferred_visuals: Callable[[mujoco.MjSpec], list[Diagnostic]] | None = None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location (file and line) of an element.
+        """Return the location (file and line) of an element of this MJCF, by tag and name.
 
         The line is missing if there is no such element.
 
@@ -834,7 +834,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
 
 
 def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile:
-    """Return the `MjcfFile` of an XML text that was generated in memory.
+    """Compile an MJCF text that was generated in memory, and return the `MjcfFile`.
 
     Args:
         path: Source file, for error messages and locations.
@@ -861,7 +861,7 @@ _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryErr
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
-    """Return the `MjcfFile` of a parsed root element, compiled.
+    """Compile an MJCF from its parsed root element, and return the `MjcfFile`.
 
     If MuJoCo does not compile the file, ``refusal`` of the result contains the error.
 
@@ -892,7 +892,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
 
 
 def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] = ()) -> MjcfFile:
-    """Return the `MjcfFile` of a spec in memory, with its assets; the spec is not modified.
+    """Compile a copy of a spec in memory, with its assets, and return the `MjcfFile`.
 
     Elements have no line numbers. Attributes are read from the XML that MuJoCo writes.
 
@@ -1009,10 +1009,11 @@ def _compile_file(
 def _parse_spec(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Parse an MJCF, and remove meshes and textures without files; also return diagnostics.
+    """Parse an MJCF, and remove the meshes and textures whose files are missing.
 
-    ``index`` finds the elements of the file by tag and name (`index_of`). A ModelError is raised if
-    MuJoCo cannot parse the file, or if the mass of a body depends on a missing mesh.
+    Returns the spec, and diagnostics of the removed elements. ``index`` finds the elements of the
+    file by tag and name (`index_of`). A ModelError is raised if MuJoCo cannot parse the file, or if
+    the mass of a body depends on a missing mesh.
     """
     try:
         with silence_mujoco():
@@ -1026,7 +1027,7 @@ def _parse_spec(
 def _make_refusal(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[Diagnostic, Place]:
-    """Return the diagnostic of an error of MuJoCo's compiler, and its location in the file."""
+    """Convert an error of MuJoCo's compiler to a diagnostic, and locate the element at fault."""
     message, place = _locate_message(tree, index, error)
     return diagnose("mjcf-not-compiled", message=message), place
 
@@ -1068,6 +1069,6 @@ def _locate_message(
 
 
 def _find_child(node: XmlNode, tag: str) -> XmlNode | None:
-    """Return the first child with a tag, None without; for ``joint``, also a ``freejoint``."""
+    """Return the first child with a tag; None without. A ``freejoint`` counts as ``joint``."""
     tags = ("joint", "freejoint") if tag == "joint" else (tag,)
     return next((child for child in node.children if child.tag in tags), None)

@@ -54,7 +54,7 @@ class TreeBody:
         return make_inertia(self.mass, self.com, self.inertia)
 
     def transform(self, pose: pin.SE3) -> TreeBody:
-        """Return the body, expressed in another frame.
+        """Express CoM and inertia of this body in another frame; return a copy.
 
         Args:
             pose: Pose of the body's current frame in the new frame.
@@ -210,7 +210,8 @@ def from_pinocchio(
     Args:
         model: Model with joints of one degree of freedom; with a free flyer if the base is free.
         base: Name that the base gets in the tree.
-        joint_names: Names of the joints with one degree of freedom.
+        joint_names: Names of all joints with one degree of freedom. If the model has more degrees
+            of freedom, the base is free.
         frames: {name in the tree: BODY frame of the model}.
 
     Raises:

@@ -161,7 +161,7 @@ class _UrdfWriter:
             set_origin(joint, frame.placement)
 
     def _add_joint(self, index: int) -> None:
-        """Add the joint with an index; raise ModelError for a slide without two limits.
+        """Add a Pinocchio joint to the URDF; raise ModelError for a slide without two limits.
 
         A hinge without limits becomes continuous. If a hinge has a single limit, the other limit is
         written as `UNSTATED`, since a URDF has no infinite numbers.

@@ -75,7 +75,7 @@ class UrdfFile:
         return UrdfTree(self.root)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location (file and line) of an element.
+        """Return the location (file and line) of an element of this URDF, by tag and name.
 
         The line is missing if there is no such element.
 
@@ -149,7 +149,7 @@ class UrdfFile:
             yield from (folder / suffix for folder in self.path.absolute().parents)
 
     def _package_folders(self, package: str) -> Iterator[Path]:
-        """Yield the folders that may be a ROS package, by descending priority."""
+        """Yield the folders that may contain a ROS package for a mesh, by descending priority."""
         if package in self.packages:
             yield Path(self.packages[package])
         for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
@@ -325,7 +325,7 @@ _KNOWN_TAGS: Final = frozenset(
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
-    """Return {name: child of the root} for the children with a tag; the names must be unique.
+    """Index the root's children with a tag by name, and check that the names are unique.
 
     Raises:
         ModelError: If a child has no name, or two children have the same name.

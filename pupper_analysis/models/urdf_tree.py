@@ -78,7 +78,7 @@ class UrdfElement:
         return str(self.element.get("name"))
 
     def remove(self, *tags: str) -> None:
-        """Remove all child elements with one of the given tags, in place."""
+        """Remove the child elements with given tags from this link or joint, in place."""
         for tag in tags:
             for child in self.element.findall(tag):
                 self.element.remove(child)
@@ -89,12 +89,12 @@ class UrdfLink(UrdfElement):
 
     @property
     def inertial(self) -> etree._Element | None:
-        """``<inertial>`` element; None if missing."""
+        """``<inertial>`` element of this URDF link; None if missing."""
         return self.element.find("inertial")
 
     @property
     def inertia(self) -> pin.Inertia | None:
-        """Specified spatial inertia, expressed in the link frame; None without ``<inertial>``."""
+        """Spatial inertia that the URDF states, in the link frame; None without ``<inertial>``."""
         inertial = self.inertial
         if inertial is None:
             return None
@@ -111,7 +111,7 @@ class UrdfLink(UrdfElement):
         return np.eye(3) if inertial is None else np.array(origin_of(inertial).rotation)
 
     def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
-        """Replace the ``<inertial>`` element.
+        """Replace the ``<inertial>`` element of this URDF link by a new one.
 
         Args:
             inertia: Spatial inertia in the link frame.
@@ -127,7 +127,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
-        """Visual shapes, then collision shapes: (tag, element, element inside ``<geometry>``)."""
+        """Shapes of this link, visual before collision: (tag, element, child of ``<geometry>``)."""
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
                 geometry = shape.find("geometry")
@@ -174,7 +174,7 @@ class UrdfJoint(UrdfElement):
         return self._link_name("child")
 
     def _link_name(self, tag: str) -> str:
-        """Return the link in the child element with a tag; "" without the element."""
+        """Return the link that the child element ``tag`` (parent or child) names; "" without it."""
         element = self.element.find(tag)
         return "" if element is None else str(element.get("link"))
 
@@ -273,7 +273,7 @@ class UrdfTree:
 
     @staticmethod
     def of(text: str) -> UrdfTree:
-        """Parse the text of a valid URDF."""
+        """Parse the text of a valid URDF to a tree of links and joints."""
         return UrdfTree(parse_text(text))
 
     def copy(self) -> UrdfTree:

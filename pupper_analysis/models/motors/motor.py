@@ -188,7 +188,7 @@ class Motor:
             raise ModelError(self.name, problem)
 
     def get(self, number: str) -> float:
-        """Return a number of the motor; raise an error if the number is unknown.
+        """Return a value of this motor, such as the resistance; raise an error if it is unknown.
 
         Args:
             number: Name of the field.

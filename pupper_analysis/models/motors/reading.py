@@ -35,7 +35,7 @@ quadratic terms, are not read."""
 
 
 def list_motors() -> tuple[str, ...]:
-    """Return the names of the motors that this package contains as data files, sorted."""
+    """Return the sorted names of the motors for which this package contains a data file."""
     return tuple(
         sorted(
             path.name.removesuffix(".toml")
@@ -140,7 +140,7 @@ def read_bam_parameters(path: Path) -> Motor:
 def _make_motor(
     path: Path, name: str, source: str, stated: dict[str, Any], sources: dict[str, str]
 ) -> Motor:
-    """Create a motor from numbers with units.
+    """Create a `Motor` from texts with numbers and units, such as ``80 mN m/A``.
 
     Args:
         path: File with the numbers, for messages.

@@ -61,7 +61,7 @@ class Inertial:
 
     @staticmethod
     def of(inertia: pin.Inertia, *, stated: bool, rounding: float = 0.0) -> Inertial:
-        """Create an inertial from a spatial inertia [kg, m, kg m^2], expressed in the same frame.
+        """Convert a spatial inertia [kg, m, kg m^2] to an `Inertial`, expressed in the same frame.
 
         Args:
             inertia: Spatial inertia.
@@ -125,7 +125,7 @@ class Joint:
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joint."""
+        """Units of position, velocity, effort etc. of the joint."""
         return select_joint_units(slides=self.kind == SLIDE_JOINT)
 
     @property
