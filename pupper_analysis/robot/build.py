@@ -65,7 +65,7 @@ from pupper_analysis.robot.tendons import report_ignored_equalities, report_igno
 def build_robot(
     description: Description, *, fixed_base: bool = False, foot_depth: float | None = None
 ) -> Robot:
-    """Build a robot from the contents of its URDF and MJCF.
+    """Build a `Robot` with Pinocchio's and MuJoCo's models from its URDF and MJCF.
 
     Args:
         description: Contents of the URDF and the MJCF, contact points and other data.
@@ -170,7 +170,7 @@ def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
 
 
 def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
-    """Build a robot with a changed description, and keep the metadata of the original.
+    """Build a robot again from a changed description, and keep the metadata of the original.
 
     `copy_metadata` lists the kept data.
 
@@ -372,7 +372,7 @@ def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 
 
 def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Return the name of the base body.
+    """Find the base body of the robot in a MuJoCo model, and return its name.
 
     A free base is the body of the free joint. A fixed base is the nearest ancestor of the first
     joint's body that is fixed to the world.

@@ -611,7 +611,7 @@ class Configuration(Pictured):
         return result
 
     def static_load_derivative(self, wrenches: Mapping[str, Array]) -> Array:
-        """Return the derivative of the robot's static load under constant wrenches on its feet.
+        """Return the derivative of the static load minus constant wrenches on the feet.
 
         The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
         forces), w a wrench, and J the Jacobian (6, nv) of the sphere centre of a contact point.
@@ -634,7 +634,7 @@ class Configuration(Pictured):
         return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
 
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative of the robot's static load under constant wrenches on points.
+        """Return the derivative of the static load minus constant wrenches on points of links.
 
         The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
         forces), w a wrench, and J the Jacobian of its point.
@@ -794,7 +794,7 @@ class Configuration(Pictured):
 
     @property
     def _v(self) -> Array:
-        """Velocity in the order of the Pinocchio model, shape (nv,)."""
+        """Velocity of this state in the order of the Pinocchio model, shape (nv,)."""
         return self._structure.to_model_order(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
@@ -863,7 +863,7 @@ class AtRest:
         self._data = mujoco.MjData(self._model)
 
     def forces(self, qpos: Array) -> Array:
-        """Return the passive generalised forces (nv,) [N, N m] at a configuration (nq,)."""
+        """Return the passive generalised forces at rest (nv,) [N, N m] at a configuration (nq,)."""
         self._convention.set_state(self._data, qpos)
         return self._passive_forces()
 

@@ -50,7 +50,7 @@ class ContactParameters:
 
 
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
-    """Combine the contact parameters of two geoms without a ``<pair>``, by MuJoCo's rule.
+    """Compute MuJoCo's contact parameters for two geoms without a ``<pair>``.
 
     - Different priorities: the geom with the higher priority determines all parameters except the
       margin.
@@ -105,7 +105,7 @@ if no second geom is given."""
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
-    """Return the vector from the centre of a foot's sphere to its contact with the ground.
+    """Compute the vector from the centre of a foot's sphere to MuJoCo's contact point.
 
     MuJoCo places the contact in the middle between the two penetrating surfaces: the offset is
     -(radius - depth / 2) normal.

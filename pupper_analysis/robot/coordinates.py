@@ -75,7 +75,7 @@ class PinocchioConvention:
 
     @staticmethod
     def from_model(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
-        """Derive the coordinate maps of a Pinocchio model.
+        """Derive the maps between public coordinates and the q and v of a Pinocchio model.
 
         Args:
             model: Pinocchio model.
@@ -108,7 +108,7 @@ class PinocchioConvention:
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Convert a qpos with a unit quaternion to Pinocchio's q, without normalising it.
+        """Convert a qpos whose quaternion is already normalised to Pinocchio's q.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
@@ -229,7 +229,7 @@ class MujocoConvention:
 
     @staticmethod
     def from_model(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
-        """Derive the coordinate maps of a MuJoCo model.
+        """Derive the index maps from public coordinates to qpos and qvel of a MuJoCo model.
 
         Args:
             model: MuJoCo model. The first free joint, if any, belongs to the base.

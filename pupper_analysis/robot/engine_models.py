@@ -292,7 +292,7 @@ class EngineModels:
         return columns @ self.velocity_map(qpos)
 
     def _check_qpos(self, qpos: ArrayLike) -> Array:
-        """Return a checked copy of a qpos (nq,) with normalised quaternion."""
+        """Check a qpos (nq,), and return a copy with normalised quaternion."""
         result = check_vector("qpos", qpos, self.nq)
         if self.floating:
             normalise_quaternion(result)

@@ -109,7 +109,7 @@ class Ground:
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
-        """Return a copy of the ground in which some feet touch separate planes.
+        """Return a copy of the ground in which some feet touch their own planes, such as walls.
 
         Args:
             planes: {foot: plane that the foot touches instead of the ground}. All earlier planes

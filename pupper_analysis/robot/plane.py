@@ -94,7 +94,7 @@ class Plane:
         return nearest
 
     def contact_plane(self, _point: Position3) -> Plane:
-        """Return this plane unchanged.
+        """Return the plane of a contact: this plane itself, at any contact point.
 
         The method exists because `Slope.contact_plane` and `Bar.contact_plane` depend on a point.
 

@@ -609,7 +609,7 @@ class _Modes:
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)
 
     def _joint_motions(self, mode: int) -> dict[str, float]:
-        """Return the relative amplitude of each joint in a mode [rad, m], without free joints.
+        """Return how much each joint moves in a mode: relative amplitudes, without free joints.
 
         Only the ratios of the amplitudes have a meaning: an eigenvector has no scale.
         """

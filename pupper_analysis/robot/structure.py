@@ -127,7 +127,7 @@ class Structure:
         self._spare_data: list[pin.Data] = []
 
     def acquire_workspace(self) -> Workspace:
-        """Return Pinocchio data, new or from the pool, for exclusive use by the caller.
+        """Acquire Pinocchio data, new or from the pool, for exclusive use by the caller.
 
         The data return to the pool when the `Workspace` is deleted, unless the pool is full.
         """
@@ -146,7 +146,7 @@ class Structure:
         return self.model
 
     def normalise_qpos(self, qpos: ArrayLike) -> Array:
-        """Return a checked copy of a qpos (nq,) with normalised quaternion.
+        """Check a qpos (nq,), and return a copy with normalised quaternion.
 
         Raises:
             ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is
@@ -251,7 +251,7 @@ def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.M
 
 
 def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Iterator[int]:
-    """Yield the joints in depth-first order; siblings in the preferred order.
+    """Yield joint indices in depth-first order, as Pinocchio requires; siblings as preferred.
 
     Args:
         model: Pinocchio model.

@@ -31,7 +31,7 @@ from pupper_analysis.robot.robot import Robot, Touching
 
 
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
-    """Return a robot whose MuJoCo model contains the ground and the welds of a task.
+    """Add the ground and the welds of a stand task to a robot's MuJoCo model; return a copy.
 
     The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
     the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
@@ -70,7 +70,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add an inactive weld to the world for each welded part, and a ``connect`` for each grip.
+    """Add inactive MuJoCo welds for welded parts, and ``connect`` constraints for grips, in place.
 
     Contacts of the part with the world, and with bodies fixed to the world, are excluded.
     """
@@ -326,7 +326,7 @@ def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: 
 
 
 def _copy_floor_contact(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
-    """Copy the contact parameters of the floor to a geom, except contact bits and group."""
+    """Copy friction, solref, margin etc. of the floor to a geom, but no contact bits and group."""
     for word in GEOM_CONTACT_WORDS:
         if word not in ("contype", "conaffinity", "group"):
             setattr(geom, word, getattr(floor, word))
@@ -339,7 +339,7 @@ def _separate_from_floor(
     feet: Container[str],
     alone: Sequence[str],
 ) -> dict[str, int]:
-    """Disable the contacts between the floor and some feet, by new contact bits, in place.
+    """Disable contacts between the floor and given feet, by new contact bits, in place.
 
     Args:
         robot: Robot.

@@ -48,7 +48,7 @@ environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, 
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
-    """Return a robot with the contact points, friction and welds for the contacts of a task.
+    """Prepare a robot for the contacts of a stand task: contact points, friction and welds.
 
     - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
       with its plane. The spheres of welded or gripping hands do not collide.
@@ -253,7 +253,7 @@ def _make_base_free(robot: Robot) -> Robot:
 
 
 def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
-    """Return a robot with a contact point for each hand, in the URDF and in the MJCF.
+    """Add a contact point for each hand to URDF and MJCF of a robot; return a copy.
 
     A hand is a part of the robot that touches a surface of the task and is not a foot.
 

@@ -168,7 +168,7 @@ class Stated:
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
-        """Return the `Difference` of the two stated values.
+        """Convert this pair of values to a `Difference` with its effects on the dynamics.
 
         Args:
             effects: {quantity: effect of the difference}.

@@ -65,7 +65,7 @@ class Conventions:
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def convert_to_mjcf(self, values: MultibodyTree) -> MultibodyTree:
-        """Convert a tree from the URDF's base frame and joint zeros to those of the MJCF."""
+        """Convert a tree from the URDF's base frame and joint zeros to the MJCF's."""
         if self.base is not None:
             values = with_base(values, self.base)
         for name, offset in self.zeros.items():

@@ -213,7 +213,7 @@ distance of a joint from the base [1]. Chosen, not tuned."""
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Find the frames that both files contain.
+    """Find the frames, such as feet, that both URDF and MJCF contain.
 
     A frame is a link on a fixed joint in the URDF, and a site, or a body without joints, in the
     MJCF. The bodies of a fixed base are excluded, because each file may choose the frame of the

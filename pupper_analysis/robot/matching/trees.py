@@ -316,7 +316,7 @@ offset."""
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Return the mimic couplings of a parsed URDF, without mimic tags of fixed joints.
+    """Read the mimic couplings of a URDF; mimic tags of fixed joints are ignored.
 
     Args:
         root: Root element of the URDF.
