@@ -320,8 +320,8 @@ ELEMENT_ATTRIBUTES: Final = (
     *(ElementAttribute("key", word, f"key_{word}") for word in _KEY_WORDS),
     *(ElementAttribute(kind, *both) for kind, rows in _CONSTRAINT_WORDS.items() for both in rows),
 )
-"""Attributes of an MJCF for contacts, integration, solver, keyframes, limits, loops and actuator
-dynamics, in comparisons of two models.
+"""MJCF attributes that a comparison of two models evaluates: for contacts, integration, solver,
+keyframes, limits, loops and actuator dynamics.
 
 Not included are attributes that are compared elsewhere: gravity and medium (with the external
 forces), shapes and flags (`robot.compare.mjcf_only`).

@@ -44,8 +44,8 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics that do not overshoot: the force does not exceed the force of the largest
-command, if the initial activation is within the range of the commands."""
+"""Actuator dynamics (``dyntype``) that do not overshoot. The force does not exceed the force of the
+largest control, if the initial activation is within the range of the controls."""
 
 
 MIN_EFFORT = 1e-9

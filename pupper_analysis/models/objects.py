@@ -97,7 +97,7 @@ def require_path(argument: str, model: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ObjectFiles:
-    """Model files that were made of robots in memory.
+    """`UrdfFile` and `MjcfFile` objects that were made of robots in memory.
 
     Attributes:
         files: Model files.
@@ -146,7 +146,7 @@ class ObjectFiles:
 def read_objects(
     models: Sequence[ModelObject | str], packages: Mapping[str, Path] | None = None
 ) -> Iterator[ObjectFiles]:
-    """Context manager: make model files of robots in memory.
+    """Context manager: convert robots in memory to `UrdfFile` and `MjcfFile` objects.
 
     Meshes of a geometry model are in a private temporary folder, which is removed at the end of the
     context.
@@ -202,7 +202,7 @@ def _read_object(
     packages: Mapping[str, Path] | None,
     folder: Path,
 ) -> UrdfFile | MjcfFile:
-    """Return the model file of a robot in memory (object or XML text).
+    """Convert a robot in memory (object or XML text) to a `UrdfFile` or `MjcfFile`.
 
     Args:
         model: Robot in memory, but no ``pin.GeometryModel``.
@@ -286,10 +286,10 @@ def _make_memory_note(name: str) -> Diagnostic:
 def _make_text_file(
     text: str, name: str, packages: Mapping[str, Path] | None
 ) -> UrdfFile | MjcfFile:
-    """Return the model file of an XML text. Relative paths start at the current folder.
+    """Convert an XML text in memory to a `UrdfFile` or `MjcfFile`.
 
     Args:
-        text: URDF or MJCF.
+        text: URDF or MJCF; relative paths in the text start at the current folder.
         name: Kind of the robot in memory, for messages, such as ``XML text``.
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
 

@@ -41,7 +41,7 @@ from pupper_analysis.models.xml import (
 
 
 def existing_file(path: Path) -> Path | None:
-    """Return the path if it is an existing file, and register the file as an input of the run.
+    """Return the path of an existing file, and register the file as input of the running command.
 
     Returns:
         The path. None if there is no regular file, if the file is a Git LFS pointer without

@@ -102,10 +102,9 @@ def _refuse_expressions(path: Path, root: etree._Element) -> None:
 def parse_file_text(path: Path, text: str) -> etree._Element:
     """Parse the text of an XML file, and return the root element without comments.
 
-    The default namespace is removed from the tags.
-
-    White space in front of an XML declaration is accepted. Xacro elements of a ``<robot>`` stay in
-    the tree; ``xacro_declarations`` removes or refuses them.
+    The default namespace is removed from the tags. White space in front of an XML declaration is
+    accepted. Xacro elements of a ``<robot>`` stay in the tree; ``xacro_declarations`` removes or
+    refuses these elements.
 
     Args:
         path: The file, for messages.
@@ -262,10 +261,7 @@ def is_zero(text: str) -> bool:
 
 
 def write_halves(text: str) -> str:
-    """Divide the numbers in a text by 2: full lengths of a URDF become half lengths of an MJCF.
-
-    A URDF contains full lengths of shapes, an MJCF half lengths.
-    """
+    """Divide the numbers in a text by 2: full lengths of a URDF become half lengths of an MJCF."""
     return join_numbers([float(word) / 2 for word in text.split()])
 
 

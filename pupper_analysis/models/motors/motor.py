@@ -336,4 +336,4 @@ class Motor:
 
 
 NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
-"""{name of a number of a motor, a field of `Motor`: kind of quantity, a key of ``UNIT_KINDS``}."""
+"""{field of `Motor` that contains a number: kind of quantity, a key of ``UNIT_KINDS``}."""

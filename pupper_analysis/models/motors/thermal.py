@@ -97,7 +97,10 @@ class ThermalNetwork:
         return self.current**2 * ohms
 
     def _matrices(self) -> tuple[Array, Array]:
-        """Return A (n, n) [1/s] and b (n,) [K/s] of dx/dt = A x + b; x is T - T_ambient [K]."""
+        """Return the matrices A (n, n) [1/s] and b (n,) [K/s] of the equations dx/dt = A x + b.
+
+        x contains T - T_ambient [K] of the n nodes.
+        """
         size = len(self.resistances)
         flows = np.zeros((size, size))  # heat flow into each node per temperature [W/K]
         for node, resistance in enumerate(self.resistances.tolist()):

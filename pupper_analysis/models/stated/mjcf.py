@@ -163,7 +163,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
 
 
 def _find_heaviest_root(model: mujoco.MjModel) -> int:
-    """Return the root body of the heaviest tree; 0 if there is no body.
+    """Return the id of the root body of the heaviest kinematic tree; 0 if there is no body.
 
     Articulated trees with a free joint (other bodies of the tree also have joints) have priority.
     """
@@ -237,12 +237,13 @@ def _stated_values(
     spec_joint: mujoco.MjsJoint | None,
     limits: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return {kind: value} of the joint parameters that the file specifies, including defaults.
+    """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
-    ``joint`` is the id of the joint in the compiled model, and ``body`` the name of its body.
-    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are
-    returned. Infinite limits are omitted. Another parameter is omitted if its value is 0, and
-    neither the joint nor a default class contains the attribute.
+    Values of default classes are included. ``joint`` is the id of the joint in the compiled model,
+    and ``body`` the name of its body. ``limits`` is {field of `TreeJoint`: limit}. If
+    ``spec_joint`` is None, only the limits are returned. Infinite limits are omitted. Another
+    parameter is omitted if its value is 0, and neither the joint nor a default class contains the
+    attribute.
     """
     values = {
         attribute.kind: limits[attribute.field]

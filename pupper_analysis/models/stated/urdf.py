@@ -103,7 +103,7 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
 
 
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
-    """Return {kind: value} of the joint parameters that the file specifies.
+    """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
     An effort or velocity limit of `UNSTATED` or more is omitted.
     """
