@@ -212,10 +212,10 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Copy to a rebuilt robot the data of the original that a description does not contain.
+    """Copy notes, stand height and published file from the original to a rebuilt robot.
 
-    The data are ``stand_height``, the notes, and the published file. If the original has contacts
-    of a task (``touching``), the contacts and the fingerprint are copied as well.
+    A description does not contain these data. If the original has contacts of a task
+    (``touching``), the contacts and the fingerprint are copied as well.
 
     Args:
         built: Rebuilt robot; not changed.

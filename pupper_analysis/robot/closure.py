@@ -236,7 +236,7 @@ class Closure:
         return basis
 
     def independent_equations(self, qpos: Array) -> tuple[Array, Array]:
-        """Select r independent combinations of the constraint equations, for Newton steps.
+        """Select r independent combinations of the equations of all loops and couplings.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -414,7 +414,7 @@ class Closure:
         return rows
 
     def _evaluate_compliance(self, qpos: Array) -> EqualityCompliance:
-        """Return the compliance of the soft constraints as evaluated at a qpos of shape (nq,)."""
+        """Evaluate the compliance of the soft constraints at a configuration qpos, shape (nq,)."""
         return EqualityCompliance(self._model, self._evaluate_constraints(qpos))
 
     def _force_distribution(self, qpos: Array) -> Array:

@@ -436,7 +436,7 @@ def _make_formatter(spec: str) -> Callable[..., str]:
     """
 
     def write(values: Sequence[float], unit: str, by: str = "/") -> str:
-        """Return a text of ``values`` in the SI unit ``unit``, joined by ``by``."""
+        """Format numbers, given in the SI unit ``unit``, as a text, joined by ``by``."""
         factor, shown_unit = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
         if unit == "rad" and not spec:
             return by.join(map(_format_exact_angle, values))

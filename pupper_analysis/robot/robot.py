@@ -696,7 +696,7 @@ class Robot(EngineModels):
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Select the entries of the joints (nu,) from a vector in the order of Pinocchio's q.
+        """Select the joints' position limits (nu,) from a vector in the order of Pinocchio's q.
 
         Args:
             values: Limits, shape (pin_model.nq,) [rad, m].

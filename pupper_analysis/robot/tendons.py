@@ -24,7 +24,7 @@ free base to the world, stances ignore all equality constraints (`find_closure`)
 _LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
 )
-"""MuJoCo's disable flags that switch off the ranges of tendons, each alone (bit mask)."""
+"""MuJoCo's two disable flags (bit mask), each of which switches off the ranges of tendons."""
 
 
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:

@@ -38,9 +38,10 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Minimum decrease of the total deviation [bits, see `measure_deviation_bits`] by a displaced base
-frame. A frame in which the robots agree is accepted if the decrease is larger. A decrease to less
-than 60 % is always sufficient. Chosen, not tuned."""
+"""Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] by an
+assumed displacement of the base frame. A displacement that explains the whole deviation is accepted
+if the decrease is larger. A displacement that leaves less than 60 % of the deviation is accepted in
+any case. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the
@@ -299,7 +300,7 @@ def _find_pose_of_joints(
 def _do_joints_coincide(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> bool:
-    """Return True if the joints on the base have equal positions and axes, with any names."""
+    """Return True if the joints on the base have equal positions and axes, whatever their names."""
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
     other_anchors, other_axes = _list_anchors_and_axes(second, names)

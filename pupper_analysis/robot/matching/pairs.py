@@ -46,7 +46,7 @@ def match_joints(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Match the joints of a URDF to the joints of an MJCF: by request, name, affixes and structure.
+    """Match the joints of a URDF and an MJCF: by request, by name, without affixes, by structure.
 
     Args:
         root: Root element of the URDF.

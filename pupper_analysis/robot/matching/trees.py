@@ -215,7 +215,10 @@ def strip_roots(
     other_joints = list_joint_axes_at_zero(other)
 
     def distance(tree: etree._Element) -> float:
-        """Return the sum of distances [m] between joints with equal names, rounded to 1 um."""
+        """Return the sum of the distances [m] of joints with equal names in both files.
+
+        The sum is rounded to 1 um, so that equal candidates compare as equal.
+        """
         joints = list_joint_axes_at_zero(urdf_tree(tree, source))
         common = [name for name in joints if name in other_joints]
         total = sum(
