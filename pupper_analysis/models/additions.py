@@ -143,7 +143,7 @@ class Servo(Addition):
 
 @dataclass(frozen=True)
 class StartKeyframe(Addition):
-    """Keyframe of the initial pose, at rest.
+    """Keyframe ``home`` with the start pose at rest; it replaces all other keyframes of the model.
 
     Attributes:
         qpos: Configuration (nq,) of MuJoCo's model [m, rad].

@@ -271,8 +271,8 @@ def from_pinocchio(
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     """Return the world placement of each joint of a Pinocchio model, without ``pin.Data``.
 
-    The result equals the result of ``pin.forwardKinematics``. Reason: the size of ``pin.Data``
-    grows at least with the square of the number of joints.
+    The result equals the result of ``pin.forwardKinematics``. ``pin.Data`` is avoided because its
+    size grows at least with the square of the number of joints.
 
     Args:
         model: Pinocchio model.

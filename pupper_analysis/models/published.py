@@ -111,7 +111,7 @@ _DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
 
 
 class _NotCachedError(Exception):
-    """Repository that is not in the local cache of ``robot_descriptions``."""
+    """Error: a repository is not in the local cache of ``robot_descriptions``."""
 
 
 _BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")

@@ -46,7 +46,10 @@ def match_joints(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Match the joints of a URDF and an MJCF: by request, by name, without affixes, by structure.
+    """Match the joints of a URDF and an MJCF by request, by name, and by structure.
+
+    The order is: requested pairs, equal names, names that are equal without prefixes and suffixes,
+    structure.
 
     Args:
         root: Root element of the URDF.
