@@ -37,7 +37,12 @@ from pupper_analysis.prepare.self_check import (
     name_remaining_cause,
 )
 from pupper_analysis.robot.alike import report_limbs_without_feet
-from pupper_analysis.robot.as_published import ServoSource
+from pupper_analysis.robot.as_published import (
+    MIN_POSTURE_DEVIATION,
+    OwnCommands,
+    OwnRun,
+    ServoSource,
+)
 from pupper_analysis.robot.build import report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
@@ -131,6 +136,7 @@ def judge_simulation(
     )
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
+        *_report_distant_command(keyframe_run),
         *_list_model_remarks(robot, stand, statics, given_gains=given),
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
@@ -211,6 +217,33 @@ def _list_model_remarks(
         *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),
         *_report_buried_foot(robot, stand, statics),
+    )
+
+
+def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
+    """Report that the ctrl of a keyframe moves a joint far from the qpos of the same keyframe.
+
+    The robot may stand nevertheless, if the joint belongs to an arm, or to one of several legs. The
+    verdict is about the computed stand, which the servos hold with other commands.
+
+    Args:
+        run: Simulation of the published file from the keyframe; None if there is none.
+
+    Returns:
+        Message about the joint with the largest displacement, if this exceeds
+        ``MIN_POSTURE_DEVIATION`` and the command explains it. Empty otherwise, if the keyframe has
+        no ctrl, or if the run fails.
+    """
+    if run is None or run.fails or run.commands is not OwnCommands.STATED or run.worst is None:
+        return ()
+    joint = run.worst
+    if not joint.commanded_away or abs(joint.off) <= MIN_POSTURE_DEVIATION:
+        return ()
+    moved = Quantity(abs(joint.off), joint.unit)
+    return (
+        diagnose(
+            "keyframe-commands-elsewhere", keyframe=run.keyframe, joint=joint.joint, off=moved
+        ),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
@@ -23,7 +24,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import arm, features, random_legged, slips
-from tests.support.legged import edited_by, quadruped, rewrite_file
+from tests.support.legged import edited_by, quadruped, rewrite_file, with_arm
 from tests.support.repository import ROOT
 
 Slip = Callable[[str], str]
@@ -309,3 +310,25 @@ def test_files_that_differ_are_named_before_the_foot_that_carries_nothing(tmp_pa
         mujoco.mj_step(model, data, round(10 / model.opt.timestep))
         assert data.subtree_com[1][2] > 0.95 * height
         assert np.abs(data.qvel).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_ctrl_of_a_keyframe_that_moves_an_arm_is_reported(tmp_path: Path) -> None:
+    """The ctrl of an elbow has the wrong sign; the robot stands. Reference: bare MuJoCo."""
+    pair = with_arm(slips.standing(tmp_path))
+    ctrl = " ".join(["0 0.6 -1.2"] * 4)
+    rewrite_file(pair.mjcf, (f'ctrl="{ctrl}"', f'ctrl="{ctrl} 0 -0.9 -1.3"'))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(5 / model.opt.timestep))
+    turned = abs(float(data.joint("arm_elbow").qpos[0]) - 1.3)
+    assert turned > 2
+    robot = pa.load_robot(*pair)
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
+    assert verdict.passed
+    (remark,) = [one for one in verdict.remarks if one.code == "keyframe-commands-elsewhere"]
+    assert remark.values["joint"] == "arm_elbow"
+    moved = remark.values["off"]
+    assert isinstance(moved, Quantity)
+    assert moved.value == pytest.approx(turned, rel=1e-3)
