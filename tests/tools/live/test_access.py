@@ -130,6 +130,8 @@ def test_remote_page_requires_its_token() -> None:
         (token,) = parse_qs(urlsplit(page.address).query)["token"]
         bare = page.address.partition("?")[0]
         assert send_request(bare)[0] == 403
+        assert send_request(f"{bare}assets/index.js")[0] != 403
+        assert send_request(f"{bare}assets/index.js", Upgrade="websocket")[0] == 403
         status, cookie = send_request(page.address)
         assert status == 200
         assert token in cookie

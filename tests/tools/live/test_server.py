@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,6 +19,7 @@ from pupper_analysis.tools.live import server
 from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve
 from pupper_analysis.tools.live.server import Page
 from pupper_analysis.tools.live.state import State
+from tests.support.patience import PATIENCE
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 websockets = pytest.importorskip("websockets.asyncio.client")
@@ -122,6 +126,75 @@ def test_browsers_have_separate_sessions(page: Page) -> None:
             assert all(thread.is_alive() for thread in first.threads)
 
     asyncio.run(use_two_browsers())
+
+
+@pytest.mark.slow
+def test_a_page_retains_no_objects_of_earlier_actions(page: Page) -> None:
+    """An answer has some hundred objects, each with arrays; actions retained 60 kB in the past.
+
+    The objects of Python's garbage collector are counted after 12 and after 24 actions.
+    """
+    pack = pytest.importorskip("msgspec").msgpack.encode
+
+    async def count_objects() -> list[int]:
+        async with websockets.connect(
+            page.address.replace("http", "ws"),
+            origin=f"http://{urlsplit(page.address).netloc}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        ) as socket:
+            await socket.send(pack(CAMERA))
+            while not page.sessions:
+                await asyncio.sleep(0.02)
+            (session,) = page.sessions.values()
+            slider, counts = session._panels.controls.sliders["pitch"]._impl.uuid, []
+            for action in range(1, 25):
+                pitch = 1.0 + action % 7
+                update = {"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": pitch}}
+                await socket.send(pack(update))
+                answer, sag = None, None
+                while answer is None or answer.state.pitch != pitch or sag is None:
+                    await asyncio.sleep(0.01)
+                    answer, sag = session.get_shown_stance()
+                if action % 12 == 0:
+                    gc.collect()
+                    counts.append(len(gc.get_objects()))
+            return counts
+
+    first, second = asyncio.run(asyncio.wait_for(count_objects(), PATIENCE))
+    assert second - first < 12 * 20  # fewer than 20 objects per action
+
+
+@pytest.mark.slow
+def test_a_termination_signal_ends_a_page_that_computes_for_a_browser() -> None:
+    """The first stance is analysed when the signal arrives."""
+    pack = pytest.importorskip("msgspec").msgpack.encode
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pupper_analysis", "live", "v3", "--no-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    address = process.stdout.readline().split()[0]
+
+    async def terminate() -> None:
+        async with websockets.connect(
+            address.replace("http", "ws"),
+            origin=f"http://{urlsplit(address).netloc}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        ) as socket:
+            await socket.send(pack(CAMERA))
+            await socket.recv()
+            process.send_signal(signal.SIGTERM)
+            while process.poll() is None:
+                await asyncio.sleep(0.02)
+
+    asyncio.run(asyncio.wait_for(terminate(), PATIENCE))
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert err == "terminated\n"
 
 
 @pytest.mark.slow

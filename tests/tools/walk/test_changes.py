@@ -69,6 +69,11 @@ def test_changed_cases_have_the_changed_parameters(still: Policy) -> None:
     loaded = make_changed_case(stage, "payload", 0.5, np.zeros(3), 0).model
     assert loaded.body_mass.sum() == pytest.approx(1.5 * stage.model.body_mass.sum())
     assert make_changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
+    late = prepare_stage(load("v3"), still.with_contract(latency=0.01))
+    delays = [
+        make_changed_case(late, name, 0.02, np.zeros(3), 0).delay for name in ("delay", "com")
+    ]
+    assert delays == pytest.approx([0.03, 0.01])  # the policy's own latency remains
 
 
 def test_mass_change_scales_the_inertia_of_the_base(still: Policy) -> None:
