@@ -76,9 +76,9 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     rows: list[tuple[doc.Cell, ...]] = []
     ranges = list[doc.Text]()
     # Lengths come first, since the answer begins with the height.
-    for direction, interval in sorted(
-        workspace.intervals.items(), key=lambda item: item[0] in _ANGLE_DIRECTIONS
-    ):
+    directions = sorted(workspace.intervals, key=lambda name: name in _ANGLE_DIRECTIONS)
+    for number, direction in enumerate(directions):
+        interval = workspace.intervals[direction]
         angle = direction in _ANGLE_DIRECTIONS
         scale, unit = (math.degrees(1.0), "deg") if angle else (1e3, "mm")
         form = ".1f" if direction == "height" else "+.1f"
@@ -87,7 +87,9 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         )
         limits = map(doc.diagnostic_text, workspace.limits[direction])
         rows.append((text(direction), low, high, doc.Name(unit), *limits))
-        ends = {"low": low.text, "high": high.text, "unit": unit}
+        following = directions[number + 1 : number + 2]
+        is_last = not following or (following[0] in _ANGLE_DIRECTIONS) != angle
+        ends = {"low": low.text, "high": high.text, "unit": unit, "last": is_last}
         mirrored = high.text.startswith("+") and low.text == high.text.replace("+", "-")
         key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
         if mirrored:

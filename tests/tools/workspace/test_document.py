@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from types import SimpleNamespace
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import get_english
+from pupper_analysis.present.terminal import SafeConsole, print_head
 from pupper_analysis.tools.workspace.document import workspace_document
 from tests.support.stubs import workspace
 
@@ -35,3 +37,16 @@ def test_limits_of_each_direction_are_listed_with_their_links() -> None:
         "clearance between links (foot, belly) in roll"
     )
     assert limits in get_english(workspace_document(result).findings[1])
+
+
+def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
+    """The line of all directions with a unit each had 150 characters."""
+    result = workspace()
+    result.intervals["yaw"] = SimpleNamespace(low=-0.5, high=0.5)
+    result.limits["yaw"] = result.limits["roll"]
+    head = io.StringIO()
+    print_head(SafeConsole(file=head, width=200), workspace_document(result))
+    answer = head.getvalue().splitlines()[0]
+    assert answer.startswith("RANGE stub: height 91.1 to 192.2, x ")
+    assert answer.count(" mm") == answer.count(" deg") == 1
+    assert answer.endswith("yaw ±28.6 deg")
