@@ -40,6 +40,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         facts=len(contract.facts),
         sources=len(contract.sources),
     )
+    evidence = text(f"contract-evidence-{contract.evidence}")
     has_findings = bool(contract.findings)
     agree = text("contract-agree-but" if has_findings or contract.unread else "contract-agree")
     is_incomplete = all(finding.severity is Severity.NOTE for finding in contract.findings)
@@ -55,8 +56,9 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             message,
             *map(doc.diagnostic_text, contract.unread),
             *_describe_worst_disagreement(contract),
+            *(() if has_findings or contract.unread else (evidence,)),
         ),
-        details=(text(f"contract-evidence-{contract.evidence}"),),
+        details=(evidence,) if has_findings or contract.unread else (),
         next_step=_select_next_step(contract),
         notes=tuple(map(doc.diagnostic_text, contract.notes)),
     )
