@@ -25,7 +25,7 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         found[option] = word, json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "CARRIES (permanently)"
-    assert found["--effort"][0] == "CARRIES (short-term)"
+    assert found["--effort"][0] == "CARRIES (short-term, peak torque)"
 
 
 @pytest.mark.slow
