@@ -98,9 +98,13 @@ class SafeConsole(Console):
         return Text("\n".join(map(_escape_line, text.split("\n"))))
 
 
-def make_console() -> Console:
-    """Create a console of rich on standard output that escapes control characters of strings."""
-    return SafeConsole(highlight=False, emoji=False, markup=False)
+def make_console(*, stderr: bool = False) -> Console:
+    """Create a console of rich that escapes control characters of strings.
+
+    Args:
+        stderr: Whether to write to standard error instead of standard output.
+    """
+    return SafeConsole(stderr=stderr, highlight=False, emoji=False, markup=False)
 
 
 def print_report(

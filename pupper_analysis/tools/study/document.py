@@ -82,7 +82,11 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         _make_design_table(outcome),
     )
     return doc.Document(
-        text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(findings)
+        text("study-of-designs"),
+        doc.Name(outcome.robot),
+        blocks,
+        verdict=text("designs-measured"),
+        findings=tuple(findings),
     )
 
 
@@ -459,10 +463,12 @@ def written_document(written: WrittenDesign, robot: Robot) -> doc.Document:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
-    """Yield a function that displays progress: designs, rate, remaining time, failures by kind."""
-    with Progress(
-        "designs", BarColumn(), MofNCompleteColumn(), "{task.description}", console=make_console()
-    ) as bar:
+    """Yield a function that displays progress: designs, rate, remaining time, failures by kind.
+
+    The bar is on standard error, so that standard output contains the result only.
+    """
+    columns = "designs", BarColumn(), MofNCompleteColumn(), "{task.description}"
+    with Progress(*columns, console=make_console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
 
         def show(progress: StudyProgress) -> None:
