@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -232,3 +233,19 @@ def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
         handle.get_marker() for handle in legend.legend_handles if hasattr(handle, "get_marker")
     ]
     assert markers.count("o") == 1  # the series without a line
+
+
+def test_long_caption_of_a_pose_does_not_cover_the_panels() -> None:
+    """The third row covered the title of a panel, and the second was cut at the right edge."""
+    robot, stand = load("v3"), stand_of("v3")
+    moved = dict.fromkeys(robot.feet, (0.0481, -0.0123))
+    task = pa.StandTask(foot_offsets=moved, offset=(-0.0435, 0.0), pitch=math.radians(14.44))
+    statics = pa.stance.stand_statics(robot, stand)
+    figure = make_pose_figure(robot, replace(stand, task=task), statics)
+    figure.draw_without_rendering()
+    caption = figure.texts[-1].get_window_extent()
+    assert figure.texts[-1].get_text().count("\n") >= 2
+    assert caption.x1 < figure.bbox.x1
+    for axes in figure.axes:
+        title = axes._left_title  # type: ignore[attr-defined]
+        assert title.get_window_extent().y1 < caption.y0

@@ -7,6 +7,7 @@ above.
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -242,6 +243,9 @@ _PROJECTIONS = (
 )
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
+_CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
+"""Number of letters in a row of the caption, and number of rows. Chosen: 120 letters may be wider
+than the figure, and six rows leave two thirds of the height to the panels."""
 _MAX_ARROW_RATIO = 0.35
 """Length of the arrow of the largest force, relative to the length of the support polygon. Chosen,
 not tuned."""
@@ -307,10 +311,12 @@ def make_pose_figure(
     title, height = f"{robot.name}: stance", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    figure.text(0.012, 0.94, text, size=drawing.FONT_SIZE, va="top", wrap=True,
-                parse_math=False)  # fmt: skip
+    rows = textwrap.wrap(text, _CAPTION_LETTERS, max_lines=_MAX_CAPTION_ROWS, placeholder=" ...")
+    caption = figure.text(0.012, 0.925, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
+                          parse_math=False)  # fmt: skip
+    bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
-        axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, 0.67))
+        axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, bottom - 0.18))
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
         largest = f", forces up to {_find_largest_force(seen):.3g} N" if place < 0.5 else ""
