@@ -169,12 +169,14 @@ class PlotBar:
         value: Length, in the unit of the axis.
         marker: Value marked by a tick, in the unit of the axis; None if absent.
         limit: Largest allowed magnitude, in the unit of the axis; None if absent.
+        unit: Unit that is printed after the value; "" for the unit of the axis.
     """
 
     name: Words
     value: float
     marker: float | None = None
     limit: float | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import shapely
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
@@ -229,6 +230,10 @@ def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
     assert page.x0 <= inside.x0 < inside.x1 <= page.x1
     assert page.y0 <= inside.y0
     assert axes.get_window_extent().width > 0.9 * page.width
+    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    assert circles
+    lines = max(line.get_zorder() for line in axes.lines)
+    assert all(circle.get_zorder() > lines for circle in circles)  # a grid line crossed a point
     markers = [
         handle.get_marker() for handle in legend.legend_handles if hasattr(handle, "get_marker")
     ]

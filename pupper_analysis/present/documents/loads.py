@@ -238,12 +238,12 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 def torque_plot(
     statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
 ) -> doc.BarPlot:
-    """Create the bar plot of motor torques [N m]: predicted, simulated and limits.
+    """Create the bar plot of motor torques [N m, N]: predicted, simulated and limits.
 
     Args:
         statics: Static equilibrium with the predicted torques.
-        simulated: Torques of a simulation, shape (nu,) [N m].
-        limits: Effort limits, shape (nu,) [N m].
+        simulated: Torques of a simulation, shape (nu,) [N m, N].
+        limits: Effort limits, shape (nu,) [N m, N].
     """
     bars = [
         doc.PlotBar(
@@ -251,12 +251,14 @@ def torque_plot(
             float(statics.joint_torques[index]),
             float(simulated[index]),
             float(limits[index]),
+            statics.torque_units[index],
         )
         for index, name in enumerate(statics.joint_names)
     ]
+    units = ", ".join(dict.fromkeys(statics.torque_units))
     return doc.BarPlot(
         text("motor-torques-against-their-limits"),
-        doc.Axis(text("torque"), "N m", "+.3f"),
+        doc.Axis(text("torque"), units, "+.3f"),
         bars,
         (
             text("predicted-by-pinocchio"),

@@ -76,6 +76,8 @@ _CLASS_COLOURS = {
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
+_DOT_ZORDER = 3.0
+"""Order in which Matplotlib draws a point: after lines, which have 2, such as those of the grid."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
 """{class of the HTML report's style sheet: line width of a mark [pt]}. Other classes have the
 default width.
@@ -192,7 +194,9 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
             case "circle":
                 fill = kind != "grid"
                 place, radius = (mark["cx"], mark["cy"]), mark["r"]
-                axes.add_patch(Circle(place, radius, color=_CLASS_COLOURS[kind], fill=fill, lw=0.7))
+                dot = Circle(place, radius, color=_CLASS_COLOURS[kind], fill=fill, lw=0.7)
+                dot.set_zorder(_DOT_ZORDER if fill else dot.get_zorder())
+                axes.add_patch(dot)
             case "text":
                 _write_words(mark, axes, size)
     # All of it is inside the drawing's own frame: laying out need not measure each word.

@@ -173,7 +173,9 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
-    names, values, step = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown)), 84.0, 22.0
+    numbers = [f"{number_cell(bar.value, axis.form).text} {bar.unit or axis.unit}" for bar in bars]
+    names = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown))
+    values, step = 24.0 + LETTER_WIDTH * max(map(len, numbers)), 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
@@ -188,7 +190,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     for value in round_ticks(low, reach):
         marks.append(draw_line(at(value), TOP_MARGIN, at(value), TOP_MARGIN + tall, "grid"))
         marks.append(draw_words(at(value), TOP_MARGIN + tall + 16, Name(f"{value:g}"), "middle"))
-    for index, (bar, name) in enumerate(zip(bars, shown, strict=True)):
+    for index, (bar, name, number) in enumerate(zip(bars, shown, numbers, strict=True)):
         middle = TOP_MARGIN + step * (index + 0.5)
         start, end = sorted((at(0.0), at(bar.value)))
         bounds = {"x": start, "y": middle - 6, "width": max(end - start, 0.5), "height": 12.0}
@@ -201,9 +203,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
             edge = at(bar.marker)
             marks.append(draw_line(edge, middle - 8, edge, middle + 8, "other"))
         marks.append(draw_words(names - 8, middle + 4, name, "end"))
-        marks.append(
-            draw_words(PLOT_WIDTH - 4, middle + 4, Name(format_axis_value(axis, bar.value)), "end")
-        )
+        marks.append(draw_words(PLOT_WIDTH - 4, middle + 4, Name(number), "end"))
     marks.append(draw_line(at(0.0), TOP_MARGIN, at(0.0), TOP_MARGIN + tall, "axis"))
     marks.append(
         draw_words(names + wide / 2, TOP_MARGIN + tall + 36, axis.name, "middle", axis.unit)

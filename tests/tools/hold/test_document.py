@@ -9,7 +9,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import NextStep, Table
+from pupper_analysis.present.document import BarPlot, Name, NextStep, Table
+from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
 from tests.support.arm import arm
 
@@ -29,6 +30,12 @@ def test_torques_positions_and_sags_are_each_in_their_column() -> None:
     ):
         shown = [float(row[columns[name]].text) for row in table.rows]
         assert shown == pytest.approx(values.tolist(), abs=5e-5 if name == "torque" else 5e-3)
+    (plot,) = (block for block in hold_document(held).blocks if isinstance(block, BarPlot))
+    labels = {str(mark["words"].text) for mark in draw_svg(plot).marks if mark["tag"] == "text"
+              if isinstance(mark["words"], Name)}  # fmt: skip
+    for name, torque in zip(held.posture.joint_names, held.statics.joint_torques, strict=True):
+        assert f"{torque:+.3f} {'N' if name.endswith('slide') else 'N m'}" in labels
+    assert plot.axis.unit == "N m, N"
 
 
 def test_payload_that_fails_in_mujoco_is_a_finding() -> None:
