@@ -126,9 +126,13 @@ _PACKAGE_START: Final = re.compile(r"package:(//?|$)")
 slash at the end."""
 
 
-def is_package_path(word: str) -> bool:
-    """Return True if a word begins like the path of a file of a ROS package (`PACKAGE_PREFIX`)."""
-    return _PACKAGE_START.match(word) is not None
+_WEB_ADDRESS: Final = re.compile(r"(https?|ftp|ssh|git)://?")
+"""Pattern of the start of a web address; ``Path`` merges the slashes."""
+
+
+def is_uri(word: str) -> bool:
+    """Return True if a word begins like ``package://NAME/FILE`` or a web address."""
+    return any(pattern.match(word) for pattern in (_PACKAGE_START, _WEB_ADDRESS))
 
 
 def is_published_name(word: str) -> bool:
@@ -224,6 +228,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
         ModelError: In these cases (see also `find_menagerie_file`):
 
             - A ROS package or its file is not named, or is not found.
+            - The name is a web address.
             - ``robot_descriptions`` is not installed or cannot be imported, has no such
               description, or has not cached its files.
             - The description contains no model file.
@@ -232,6 +237,8 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     word = str(model)
     if found := _PACKAGE_START.match(word):
         return _find_in_package(word[found.end() :], packages or {})
+    if _WEB_ADDRESS.match(word):
+        raise ModelError(_WEB_ADDRESS.sub(r"\1://", word), diagnose("file-of-the-web"))
     if is_menagerie_name(word):
         return find_menagerie_file(word)
     if not _is_description(word):

@@ -34,7 +34,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.menagerie import is_menagerie_name
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import make_input_error, one_line
-from pupper_analysis.models.published import is_package_path, is_published_name
+from pupper_analysis.models.published import is_published_name, is_uri
 from pupper_analysis.pupper.named_robots import make_unknown_robot_error
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
@@ -334,7 +334,7 @@ def _names_file(word: str) -> bool:
     path = Path(word)
     return (
         is_published_name(word)
-        or is_package_path(word)
+        or is_uri(word)
         or path == STANDARD_INPUT
         or path.suffix.lower() in _MODEL_SUFFIXES
         or len(path.parts) > 1

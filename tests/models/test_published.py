@@ -155,6 +155,12 @@ def test_file_of_ros_package_is_found(
     assert parse_robot_word(word) == (word,)
 
 
+@pytest.mark.parametrize("model", ["https://x.org/a.urdf", Path("http://x.org/a.xml")])
+def test_web_address_is_refused(model: str | Path) -> None:
+    with pytest.raises(ModelError, match=r"https?://x\.org/a.*: nothing is downloaded"):
+        load_robot(model)
+
+
 def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"no ROS package rex .*--package rex=FOLDER"):
         find_file("package://rex/rex.urdf")

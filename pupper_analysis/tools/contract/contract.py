@@ -17,7 +17,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result, shorten_paths
-from pupper_analysis.models.published import find_file, is_package_path, is_published_name
+from pupper_analysis.models.published import find_file, is_published_name, is_uri
 from pupper_analysis.pupper.named_robots import find_files, is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.tools.contract.facts import Fact, JointSource, Role
@@ -237,7 +237,7 @@ def _find_model_files(
             variants |= {str(file): name for file in files}
         else:
             refuse_unknown_variant(str(source), is_robot=False)
-            named = is_published_name(str(source)) or is_package_path(str(source))
+            named = is_published_name(str(source)) or is_uri(str(source))
             found.append(find_file(str(source)) if named else cast(str | Path, source))
     return found, variants
 

@@ -37,7 +37,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.places import Place, one_line
-from pupper_analysis.models.published import is_package_path, is_published_name
+from pupper_analysis.models.published import is_published_name, is_uri
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear, list_actuator_targets
@@ -313,7 +313,7 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     if (
         Path(text).exists()
         or is_published_name(text)
-        or is_package_path(text)
+        or is_uri(text)
         or not separator
         or not inside
         or (len(revision) < 2 and revision != "@")
