@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lxml import etree
 
@@ -66,7 +66,7 @@ def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
         for shape in scene.geometry.values():
             shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
         mesh = scene.to_mesh()
-        unit = _read_collada_unit(data) if ending == ".dae" else 1.0
+        unit = read_collada_asset(data).unit if ending == ".dae" else 1.0
         return mesh if unit == 1 else mesh.apply_scale(unit)
     except UnreadableError:
         raise
@@ -80,8 +80,20 @@ def _check_count(vertices: int, maximum: int) -> None:
         raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))
 
 
-def _read_collada_unit(data: bytes) -> float:
-    """Return the length of the unit of a COLLADA file [m]; 1 if the file does not state it.
+class ColladaAsset(NamedTuple):
+    """Conventions that a COLLADA file states.
+
+    Attributes:
+        unit: Length of the unit [m].
+        up_axis: Axis that points up, for example ``"Z_UP"``.
+    """
+
+    unit: float
+    up_axis: str
+
+
+def read_collada_asset(data: bytes) -> ColladaAsset:
+    """Return the conventions of a COLLADA file; without a statement 1 m and Y_UP (COLLADA 1.4.1).
 
     Only the first <asset> counts, which precedes all meshes: the rest of the file is not parsed.
     """
@@ -89,5 +101,6 @@ def _read_collada_unit(data: bytes) -> float:
         io.BytesIO(data), tag="{*}asset", resolve_entities=False, no_network=True, huge_tree=True
     ):
         unit = asset.find("{*}unit")
-        return 1.0 if unit is None else float(unit.get("meter", "1"))
-    return 1.0
+        meter = 1.0 if unit is None else float(unit.get("meter", "1"))
+        return ColladaAsset(meter, str(asset.findtext("{*}up_axis") or "Y_UP").strip())
+    return ColladaAsset(1.0, "Y_UP")

@@ -23,7 +23,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.inputs import read_change_time, read_input
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_limit
 from pupper_analysis.models.mesh_limits import MAX_MESH_BYTES
-from pupper_analysis.models.mesh_scenes import read_merged_mesh
+from pupper_analysis.models.mesh_scenes import read_collada_asset, read_merged_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
 from pupper_analysis.models.stated.model import (
@@ -216,7 +216,8 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 """Suffixes of the mesh files that are read, in lower case. A COLLADA file contains several parts
-with poses, and states the unit of length. Other formats, such as glTF, are not supported."""
+with poses, and states the unit of length and the axis that points up, which must be z. Other
+formats, such as glTF, are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
@@ -292,11 +293,17 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     Raises:
         UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
         InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
+        ValueError: If the z axis of a COLLADA file does not point up. Some programs turn such a
+            mesh, others do not: the published iCub needs the turn; Tiago, Borinot and HexTilt are
+            right without the turn.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 
     if path.suffix.lower() == ".dae":
-        mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
+        data = read_input(path, MAX_MESH_BYTES)
+        if read_collada_asset(data).up_axis != "Z_UP":
+            raise ValueError(path)
+        mesh = read_merged_mesh(data, ".dae")
         if merge:
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
         return mesh

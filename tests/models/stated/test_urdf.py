@@ -87,8 +87,11 @@ def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
     parts = [trimesh.Trimesh(box.vertices, half, process=False) for half in halves]
     text = trimesh.exchange.dae.export_collada(parts).decode()
     text = re.sub(r"(<node [^>]*>)", r"\1<translate>50 0 0</translate>", text)
-    text = text.replace("<up_axis>", '<unit name="centimeter" meter="0.01"/><up_axis>')
-    (tmp_path / "a.dae").write_text(text)
+    asset = '<unit name="centimeter" meter="0.01"/><up_axis>Z_UP'
+    (tmp_path / "a.dae").write_text(text.replace("<up_axis>Y_UP", asset))
+    (tmp_path / "b.dae").write_text(text)  # y points up: some programs turn the mesh
+    assert mesh_hull(tmp_path / "b.dae") is None
+    assert find_mesh_problem(tmp_path / "b.dae") is None
     path = tmp_path / "robot.urdf"
     path.write_text(URDF.replace("a.obj", "a.dae"))
     shape = read_urdf_model(read_urdf(path)).links["base"].shapes[0]
