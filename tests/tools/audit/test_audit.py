@@ -1377,3 +1377,21 @@ def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
         "its axis is (0, -1, 0) in its frame, opposite to those of the 4 other joints of the chain"
     )
     assert messages == [[], [("joint 'j4'", "note", said)], [], []]
+
+
+@pytest.mark.parametrize(("legs", "is_found"), [(LEGS, False), (("FL",), True)])
+def test_shape_that_the_next_link_draws_is_accepted_if_all_legs_are_alike(
+    legs: tuple[str, ...], is_found: bool, tmp_path: Path
+) -> None:
+    """As the hips of Go1, whose collision shapes are at the shoulders that the thighs draw.
+
+    The ball of each hip moves 60 mm down, into the drawn thigh, which is 80 mm long.
+    """
+    edits = tuple(
+        Edit(f'<link name="{leg}_hip">', r'(?s)(<collision>\s*)<origin xyz="0 0 0"/>',
+             r'\g<1><origin xyz="0 0 -0.06"/>')
+        for leg in legs
+    )  # fmt: skip
+    audit = audit_model(write_model(tmp_path, "urdf", edits))
+    names = {finding.element for finding in find_findings(audit, "collision-off-visual")}
+    assert names == ({f"link '{leg}_hip'" for leg in legs} if is_found else set())

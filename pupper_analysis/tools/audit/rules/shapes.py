@@ -6,6 +6,7 @@ which the points are expressed.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import PurePath
@@ -23,6 +24,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.qhull import ConvexHull, QhullError
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Mesh, Shape
+from pupper_analysis.models.sides import strip_sides
 from pupper_analysis.models.stated.model import HINGE_JOINT, Link, RobotModel, UrdfModel
 from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.tools.audit.registry import (
@@ -466,26 +468,65 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     If a size is unknown, for example of a mesh that was not read, the gap is the distance between
     the origins of the same mesh in both (`_measure_equal_mesh_gap`). The extent is then the extent
     of the origins of link, frames and children.
+
+    Nothing is reported if the corresponding links of all limbs are alike, and the visual shapes of
+    the next link are where the collision shapes are. For example, the hips of Go1 collide where
+    the thighs draw the shoulder.
     """
-    for body in robot.links.values():
-        sides = [
-            replace(body, shapes=tuple(s for s in body.shapes if s.collides == collides))
-            for collides in (False, True)
-        ]
-        if not all(side.shapes for side in sides):
-            continue
-        visual, solid = (list_extent_points([side], body) for side in sides)
-        if visual is None or solid is None:
-            gap = _measure_equal_mesh_gap(robot, body.name)
-            size = 0.0 if gap is None else _compute_reach_of_children(robot, body)
-        else:
-            gaps = np.maximum(
-                solid.min(axis=0) - visual.max(axis=0), visual.min(axis=0) - solid.max(axis=0)
-            )
-            gap, size = float(gaps.max()), _compute_extent(visual)
-        if gap is not None and gap > max(MIN_GAP_FRACTION * size, POSITION_TOLERANCE):
+    gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
+    gaps = {name: gap for name, gap in gaps.items() if gap > 0}
+    kinds = Counter(map(strip_sides, robot.links))
+    found = Counter(map(strip_sides, gaps))
+    for name, gap in gaps.items():
+        kind = strip_sides(name)
+        is_alike = 1 < found[kind] == kinds[kind]
+        if not (is_alike and _is_drawn_by_next_link(robot, robot.links[name])):
             message = diagnose("collision-off-visual", gap=Quantity(gap, "m"))
-            yield CheckFinding("link", body.name, message, "collision")
+            yield CheckFinding("link", name, message, "collision")
+
+
+def _measure_collision_gap(robot: UrdfModel, body: Link) -> float:
+    """Return the gap between collision and visual shapes of a link [m]; 0 below the bounds."""
+    sides = [_select_shapes(body, collides=collides) for collides in (False, True)]
+    if not all(side.shapes for side in sides):
+        return 0.0
+    visual, solid = (list_extent_points([side], body) for side in sides)
+    if visual is None or solid is None:
+        gap = _measure_equal_mesh_gap(robot, body.name)
+        size = 0.0 if gap is None else _compute_reach_of_children(robot, body)
+    else:
+        gap, size = _measure_box_gap(visual, solid), _compute_extent(visual)
+    is_apart = gap is not None and gap > max(MIN_GAP_FRACTION * size, POSITION_TOLERANCE)
+    return gap if is_apart and gap is not None else 0.0
+
+
+def _select_shapes(body: Link, *, collides: bool) -> Link:
+    """Return a link with only the collision shapes, or only the visual shapes."""
+    return replace(body, shapes=tuple(s for s in body.shapes if s.collides == collides))
+
+
+def _measure_box_gap(first: Array, second: Array) -> float:
+    """Return the gap between the bounding boxes of points, shape (n, 3) [m]; negative if none."""
+    gaps = np.maximum(
+        second.min(axis=0) - first.max(axis=0), first.min(axis=0) - second.max(axis=0)
+    )
+    return float(gaps.max())
+
+
+def _is_drawn_by_next_link(robot: UrdfModel, body: Link) -> bool:
+    """Return True if a moving child has visual shapes where a link has collision shapes.
+
+    The bounding boxes, along the axes of the link, are compared at zero angles.
+    """
+    solid = list_extent_points([_select_shapes(body, collides=True)], body)
+    drawn = [
+        list_extent_points([_select_shapes(child, collides=False)], body)
+        for child in robot.children(body.name)
+        if child.moving
+    ]
+    return solid is not None and any(
+        visual is not None and _measure_box_gap(visual, solid) < 0 for visual in drawn
+    )
 
 
 @rule
