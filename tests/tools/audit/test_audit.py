@@ -1395,3 +1395,27 @@ def test_shape_that_the_next_link_draws_is_accepted_if_all_legs_are_alike(
     audit = audit_model(write_model(tmp_path, "urdf", edits))
     names = {finding.element for finding in find_findings(audit, "collision-off-visual")}
     assert names == ({f"link '{leg}_hip'" for leg in legs} if is_found else set())
+
+
+@pytest.mark.parametrize(("moved", "is_found"), [(("link", "joint"), False), ((), True)])
+def test_frame_of_a_hinge_along_its_axis_is_no_difference_of_the_sides(
+    moved: tuple[str, ...], is_found: bool, tmp_path: Path
+) -> None:
+    """The position along the axis is free if CoM, shapes and next joint stay where they are.
+
+    The frame of a hip moves by 20 mm along y, and all that it contains by -20 mm.
+    """
+    tree = etree.fromstring(OWN["urdf"].read_bytes())
+    places = [(tree.find("joint[@name='FR_HFE']/origin"), 0.02)]
+    if "link" in moved:
+        places += [(place, -0.02) for place in tree.iterfind("link[@name='FR_thigh']/*/origin")]
+    if "joint" in moved:
+        places += [(tree.find("joint[@name='FR_KFE']/origin"), -0.02)]
+    for place, step in places:
+        assert place is not None
+        x, y, z = map(float, place.get("xyz", "0 0 0").split())
+        place.set("xyz", f"{x} {y + step} {z}")
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(etree.tostring(tree))
+    found = [f.element for f in audit_model(path).findings if f.rule.startswith("mirror")]
+    assert found == (["joint 'FR_HFE'"] if is_found else [])

@@ -157,21 +157,63 @@ def _find_displaced_bodies(
     """Return the names of links at positions that are no mirror images, and the first pairs.
 
     A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
-    skipped if the first link neither moves nor has mass, and has no "foot" in the name.
+    skipped if the first link neither moves nor has mass, and has no "foot" in the name. A choice of
+    frames (`_is_choice_of_frame`) is no displacement.
     """
     displaced: set[str] = set()
     first_pairs = []
     for first, second in _list_body_pairs(robot):
         if not (first.moving or first.mass or "foot" in first.name.lower()):
             continue  # a marker, not a part
-        if (
-            float(np.linalg.norm(mirror.reflect_point(_get_anchor(first)) - _get_anchor(second)))
-            > POSITION_TOLERANCE
-        ):
+        if _measure_asymmetry(
+            mirror, _get_anchor(first), _get_anchor(second)
+        ) > POSITION_TOLERANCE and not _is_choice_of_frame(robot, mirror, first, second):
             if not displaced & {*robot.ancestors(first.name), *robot.ancestors(second.name)}:
                 first_pairs.append((first, second))
             displaced |= {first.name, second.name}
     return displaced, first_pairs
+
+
+def _measure_asymmetry(mirror: MirrorPlane, first: Array, second: Array) -> float:
+    """Return the distance between the mirror image of a point and another point [m]."""
+    return float(np.linalg.norm(mirror.reflect_point(first) - second))
+
+
+def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, second: Link) -> bool:
+    """Return True if only the frames of two hinges are displaced along the axis, not the links.
+
+    The position of a hinge's frame along the axis has no effect on the motion. The CoMs of both
+    links, and the joints of all moving children that are left-right pairs, must be mirror images.
+    """
+    if not all(
+        len(link.joints) == 1 and link.joints[0].kind == HINGE_JOINT for link in (first, second)
+    ):
+        return False
+    if first.inertial is None or second.inertial is None:
+        return False
+    gap = mirror.reflect_point(_get_anchor(first)) - _get_anchor(second)
+    if np.linalg.norm(np.cross(gap, second.joints[0].axis)) > POSITION_TOLERANCE:
+        return False
+    first_com, second_com = (
+        link.pose.point(inertial.com)
+        for link, inertial in ((first, first.inertial), (second, second.inertial))
+    )
+    if _measure_asymmetry(mirror, first_com, second_com) > _get_com_tolerance(second_com):
+        return False
+    names = [{child.name for child in robot.children(link.name)} for link in (first, second)]
+    return all(
+        _measure_asymmetry(mirror, _get_anchor(one), _get_anchor(other)) <= POSITION_TOLERANCE
+        for one, other in _list_body_pairs(robot)
+        if one.moving and one.name in names[0] and other.name in names[1]
+    )
+
+
+def _get_com_tolerance(com: Array) -> float:
+    """Return the largest accepted distance [m] between a CoM and the partner's mirror image.
+
+    1 mm plus 1 % of the distance between the CoM and the origin of the base.
+    """
+    return COM_TOLERANCE + 0.01 * float(np.linalg.norm(com))
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
@@ -265,14 +307,13 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    Pairs at displaced positions are left out. The tolerance is 1 mm plus 1 % of the distance
-    between the CoM and the origin of the base.
+    Pairs at displaced positions are left out. The tolerance is that of `_get_com_tolerance`.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
         com = second.pose.point(second_inertial.com)
         gap = float(np.linalg.norm(image - com))
-        if gap > COM_TOLERANCE + 0.01 * float(np.linalg.norm(com)):
+        if gap > _get_com_tolerance(com):
             message = diagnose(
                 "mirror-com",
                 com=Vector(tuple(com), "m"),
