@@ -567,8 +567,9 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
         if max(offsets[link], gap) <= max(MAX_HINGE_OFFSET, MAX_HINGE_FRACTION * size):
             continue
         if gap > offsets[link]:
-            ends = {"parent": names[0], "child": names[1]}
-            message = diagnose("links-of-hinge-apart", gap=Quantity(gap, "m"), **ends)
+            message = diagnose(
+                "links-of-hinge-apart", gap=Quantity(gap, "m"), parent=names[0], child=names[1]
+            )
         else:
             message = diagnose("axis-off-link", offset=Quantity(offsets[link], "m"), link=link)
         found.append(CheckFinding("joint", joint.name, message, "origin"))
