@@ -578,6 +578,37 @@ def test_exchange_that_shows_in_an_excluded_stand_alone_is_named(
     assert named == {robot.joint_names[0], robot.joint_names[6]}
 
 
+@pytest.mark.parametrize(
+    ("pairs", "negated"), [([(2, 5)], [8]), ([(1, 4), (8, 11)], []), ([], [2, 10])]
+)
+def test_two_errors_of_the_wiring_are_found(
+    robot: Robot, stands: MeasuredStands, pairs: list[tuple[int, int]], negated: list[int]
+) -> None:
+    """Reference: the applied errors. The evidence is lower by 50 for each wrong column."""
+    order, signs = np.arange(robot.nu), np.ones(robot.nu)
+    for one, other in pairs:
+        order[[one, other]] = order[[other, one]]
+    signs[negated] = -1.0
+    wrong = replace(
+        stands,
+        command=signs * stands.command[:, order],
+        position=signs * stands.position[:, order],
+    )
+
+    def is_right(given: MeasuredStands) -> np.ndarray:
+        return (given.position == stands.position).all(axis=0)
+
+    def fit(given: MeasuredStands) -> Fit:
+        return cast("Fit", SimpleNamespace(explained=bool(is_right(given).all())))
+
+    wiring = find_wiring(robot, wrong, lambda given: 50.0 * is_right(given).sum(), fit)
+    assert wiring is not None
+    assert is_right(wiring.apply(wrong)).all()
+    assert wiring.found.code == "two-wiring-errors"
+    joints = {robot.joint_names[joint] for joint in (*sum(pairs, ()), *negated)}
+    assert all(joint in str(wiring.found) for joint in joints)
+
+
 @pytest.mark.filterwarnings("error")
 def test_trial_masses_that_overflow_are_rejected_without_a_warning(
     robot: Robot, stands: MeasuredStands, monkeypatch: pytest.MonkeyPatch

@@ -35,6 +35,19 @@ offset is large as well.
 """
 
 
+_MAX_EXTENDED_WIRINGS = 1
+"""Upper bound of the number of wirings with one error to which a second error is added, if no
+wiring with one error explains the stands. Each takes an evaluation of the evidence per wiring with
+one error. Chosen, not tuned.
+"""
+
+
+_MIN_EVIDENCE_GAIN = 10.0
+"""Required increase of the log evidence by each of two errors of the wiring. Chosen, not tuned:
+above log(84), the number of candidates, and below the hundreds of an exchange of v3.
+"""
+
+
 @dataclass(frozen=True)
 class Wiring:
     """Assignment of measured columns to joints, with signs, for robots with exchanged plugs.
@@ -61,6 +74,26 @@ class Wiring:
             position=signs * stands.position[:, order],
         )
 
+    def combine(self, second: Wiring) -> Wiring:
+        """Return the wiring with the errors of this wiring, then those of ``second``."""
+        return Wiring(
+            tuple(self.order[column] for column in second.order),
+            tuple(
+                sign * self.signs[column]
+                for sign, column in zip(second.signs, second.order, strict=True)
+            ),
+            diagnose(
+                "two-wiring-errors",
+                first=_shorten_message(self.found),
+                second=_shorten_message(second.found),
+            ),
+        )
+
+
+def _shorten_message(found: Diagnostic) -> Diagnostic:
+    """Return the message about an error of the wiring, without the claim about all stands."""
+    return replace(found, values={**found.values, "alone": None})
+
 
 def generate_wirings(robot: Robot) -> Iterator[Wiring]:
     """Yield wirings with one error, as candidates for the search of wrong wiring.
@@ -71,9 +104,11 @@ def generate_wirings(robot: Robot) -> Iterator[Wiring]:
     names, identity, positive = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
         signs = tuple(-1.0 if column == joint else 1.0 for column in identity)
-        yield Wiring(identity, signs, diagnose("joint-turns-the-other-way", joint=name))
+        yield Wiring(identity, signs, diagnose("joint-turns-the-other-way", joint=name, alone=1))
     for joint, partner in itertools.combinations(identity, 2):
-        message = diagnose("joints-exchanged", joints=[names[joint]], others=[names[partner]])
+        message = diagnose(
+            "joints-exchanged", joints=[names[joint]], others=[names[partner]], alone=1
+        )
         yield Wiring(_exchange_entries(identity, [joint], [partner]), positive, message)
     legs = [[names.index(name) for name in leg_joints(robot, p)] for p in robot.contact_points]
     legs = [leg for number, leg in enumerate(legs) if leg not in legs[:number]]
@@ -83,6 +118,7 @@ def generate_wirings(robot: Robot) -> Iterator[Wiring]:
                 "joints-exchanged",
                 joints=[names[joint] for joint in first],
                 others=[names[joint] for joint in second],
+                alone=1,
             )
             yield Wiring(_exchange_entries(identity, first, second), positive, message)
 
@@ -116,6 +152,9 @@ def find_wiring(
     stated values.
     3. The three most probable candidates are fitted, if they are more probable than the present
     wiring.
+    4. If none explains the stands, a second error is added to the most probable candidate, and
+    steps 2 and 3 are repeated. Each error must increase the log evidence by `_MIN_EVIDENCE_GAIN`.
+    This step is left out if ``doubted`` is given.
 
     Args:
         robot: Robot.
@@ -138,23 +177,36 @@ def find_wiring(
         except (PupperAnalysisError, np.linalg.LinAlgError):  # unreachable or not balanced
             return -math.inf
 
-    def rank(wirings: Iterable[Wiring], weighed: MeasuredStands) -> list[Wiring]:
-        """Return the wirings that are more probable than the present one, most probable first."""
-        present = evaluate(weighed)
+    def rank(
+        wirings: Iterable[Wiring], weighed: MeasuredStands, least: float
+    ) -> list[tuple[float, Wiring]]:
+        """Return evidence and wiring, if the evidence is above ``least``, most probable first."""
         ranked = [(evaluate(wiring.apply(weighed)), wiring) for wiring in wirings]
-        better = [item for item in ranked if item[0] > present]
-        return [wiring for _, wiring in sorted(better, key=lambda item: -item[0])]
+        return sorted((item for item in ranked if item[0] > least), key=lambda item: -item[0])
 
     wirings: Iterable[Wiring] = generate_wirings(robot)
     if doubted:
         others = [row for row in range(len(stands)) if row not in doubted]
         num_others = max(0, MIN_STANDS - len(doubted))
         few = stands.select_rows([*doubted, *others[:num_others]])
-        wirings = rank(wirings, few)[:_MAX_WEIGHED_WIRINGS]
-    for wiring in rank(wirings, stands)[:_MAX_FITTED_WIRINGS]:
-        try:
-            if fit(wiring.apply(stands)).explained:
-                return wiring
-        except (PupperAnalysisError, np.linalg.LinAlgError):
-            continue
-    return None
+        ranked = rank(wirings, few, evaluate(few))
+        wirings = [wiring for _, wiring in ranked[:_MAX_WEIGHED_WIRINGS]]
+
+    def find_explanation(ranked: Sequence[tuple[float, Wiring]]) -> Wiring | None:
+        """Return the first of the most probable wirings whose fit has no failures."""
+        for _, wiring in ranked[:_MAX_FITTED_WIRINGS]:
+            try:
+                if fit(wiring.apply(stands)).explained:
+                    return wiring
+            except (PupperAnalysisError, np.linalg.LinAlgError):
+                continue
+        return None
+
+    present = evaluate(stands)
+    ranked = rank(wirings, stands, present)
+    found = find_explanation(ranked)
+    for likely, first in () if found or doubted else ranked[:_MAX_EXTENDED_WIRINGS]:
+        if likely > present + _MIN_EVIDENCE_GAIN:
+            pairs = [first.combine(second) for second in generate_wirings(robot)]
+            found = find_explanation(rank(pairs, stands, likely + _MIN_EVIDENCE_GAIN))
+    return found
