@@ -121,7 +121,7 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         (("stand", "package://"), "name a package and a file in it: package://NAME/FILE"),
         (("stand", "package:///x"), "name a package and a file in it: package://NAME/FILE"),
         (("convert", "package:", "-o", "x.xml"), "name a package and a file in it: package://NAME"),
-        (("audit", "rex.xacro"), "rex.xacro:2: it is a xacro file; expand it with --xacro"),
+        (("audit", "rex.xacro"), "rex.xacro:2: it is a xacro file; give the expanded URDF"),
         (("stand", "go2.srdf"), "go2.srdf: this is an SRDF, which only adds groups"),
         (("stand", "folder"), "it is a folder; give the path of a file"),
         (("stand", "deploy.yaml"), "the file does not begin with <"),

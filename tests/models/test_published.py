@@ -384,7 +384,7 @@ def test_expressions_of_xacro_are_evaluated_only_on_request(
         lambda path: compare_models(path, "v3"),
         lambda path: diff_models(path, path),
     ):
-        with pytest.raises(ModelError, match=r"--xacro \(in Python: xacro=True\)"):
+        with pytest.raises(ModelError, match=r"\(in Python: xacro=True\)"):
             read(file)
     with pytest.raises(ConfigurationError, match="--xacro only"):
         load_robot(file, xacro_args={"load": "3"})
