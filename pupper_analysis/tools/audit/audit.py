@@ -112,7 +112,7 @@ def _run_rules(
     unwanted: tuple[str, ...],
     theirs: Mapping[str, Check],
 ) -> Audit:
-    """Run the rules that apply to the format of a model.
+    """Run the checks of all rules for the format of a model, and collect the findings.
 
     Args:
         path: Path that the result states.
@@ -179,7 +179,7 @@ def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
 def _make_finding(
     file: ModelFile, rule: Rule, found: CheckFinding, repairs: tuple[ValueRepair, ...]
 ) -> Finding:
-    """Return the finding of a rule: the result of a check, with place, severity and texts."""
+    """Create the reported finding from the result of a check: add place, severity and texts."""
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)

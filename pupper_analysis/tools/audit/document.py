@@ -56,7 +56,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 
 
 def describe_counts(audit: Audit) -> doc.Words:
-    """Return the number of findings of each severity, as ``1 error, 2 warnings, 0 notes``."""
+    """Return a text with the number of findings by severity: ``1 error, 2 warnings, 0 notes``."""
     return join_words(
         text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
         for severity, count in audit.counts.items()

@@ -55,7 +55,11 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Return True if all elements of a repair are unique, and have the values to be replaced."""
+    """Return True if a repair can be applied: the file has the old values that the repair expects.
+
+    Each changed element must be unique. An element may be missing if the repair expects no old
+    value and the named element (link or joint) is unique.
+    """
     for change in repair.list_changes():
         element = _find_repaired_element(document, change)
         if element is None:
@@ -67,9 +71,10 @@ def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the unique repairs of values that the file on disk does not contain.
+    """Return the repairs that cannot be written, because the file does not contain the old value.
 
-    A xacro macro, for example, computes such values. The repairs are not written.
+    A xacro macro, for example, computes such values. Only the repairs of `list_unique_repairs` are
+    tested.
     """
     repairs = list_unique_repairs(audits)
     documents = {file: read_xml_bytes(Path(file)) for file in {repair.file for repair in repairs}}
@@ -77,20 +82,23 @@ def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 
 
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the repairs of the findings that have exactly one repair, without repetitions.
+    """Return the repairs that `audit --fix` may write: of findings with exactly one repair.
 
-    Estimates are left out (`list_estimates`).
+    Estimates (`ValueRepair.is_estimate`) are left out. Equal repairs are returned once.
     """
     return [repair for repair in _list_single_repairs(audits) if not repair.is_estimate]
 
 
 def list_estimates(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the single repairs of findings that estimate a value; these are not written."""
+    """Return the repairs that only estimate a value, of findings with exactly one repair.
+
+    Estimates are not written to the file. Equal repairs are returned once.
+    """
     return [repair for repair in _list_single_repairs(audits) if repair.is_estimate]
 
 
 def _list_single_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the repairs of the findings that have exactly one repair, without repetitions."""
+    """Return the repairs of all findings with exactly one repair; equal repairs once."""
     found = [
         finding.repairs[0]
         for audit in audits
@@ -108,7 +116,7 @@ def _find_repaired_element(document: XmlDocument, repair: ValueRepair) -> XmlEle
 
 
 def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]:
-    """Return the elements with the tag and the name of a repair."""
+    """Return the elements of a file with the tag and the ``name`` that a repair states."""
     return [
         element
         for element in document.elements
@@ -117,7 +125,7 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]
 
 
 def _find_owner(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
-    """Return the child of the root with the tag and name of a repair; None unless it is unique."""
+    """Return the child of the XML root with the tag and name of a repair; None if not unique."""
     found = [one for one in _list_owners(document, repair) if one.parent is document.root]
     return found[0] if len(found) == 1 else None
 

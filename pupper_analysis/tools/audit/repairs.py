@@ -82,7 +82,10 @@ def _make_urdf_repair(
 def _make_change(
     robot: UrdfModel, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> ValueRepair | None:
-    """Return the change of an element below a link, which may be new; None without a difference."""
+    """Return the change of an element below a link of a URDF; None if all values are already equal.
+
+    The element may be missing in the file; the repair then adds the element.
+    """
     element = _find_unique_child(robot, "link", name, child)
     old = {word: "" if element is None else str(element.get(word) or "") for word in new}
     if old == dict(new):
@@ -511,7 +514,7 @@ def _find_common_attributes(
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
-    """Return the other link of the left-right pair with a link; None for a link without pair."""
+    """Return the corresponding link on the other side of a robot; None for a link without pair."""
     for first, second in find_mirror_pairs(robot.links):
         if name in (first, second):
             return robot.links[second if name == first else first]
@@ -690,10 +693,10 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _fits_shapes(robot: RobotModel, link: Link) -> bool:
-    """Return True if the largest principal moment of a link is positive, and at most 2 m R^2.
+    """Return True if a link's inertia tensor probably fits the stated mass m.
 
-    R is the largest distance [m] of the link's shapes, joints and frames from the CoM. The tensor
-    then probably fits the stated mass m.
+    The largest principal moment must be positive and at most 2 m R^2. R is the largest distance
+    [m] of the link's shapes, joints and frames from the CoM.
     """
     assert link.inertial is not None
     points, _ = list_known_points(robot.fixed_group(link.name), link)

@@ -335,10 +335,10 @@ def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFinding:
-    """Make the finding of a joint with a limit of zero.
+    """Create the finding of a joint with an effort or velocity limit of zero.
 
-    ``what`` names the limits that are zero (in an MJCF the attribute). Unless this is the velocity
-    alone, the message states the effort of the mirrored joint, if known.
+    ``what`` names the limits that are zero (in an MJCF the attribute). If the effort is zero, the
+    message also states the effort of the mirrored joint, if known.
     """
     other = None if what == [Term("velocity")] else _find_mirrored_effort(robot, name)
     message = diagnose(

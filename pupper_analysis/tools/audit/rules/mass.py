@@ -76,7 +76,7 @@ def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find moving links without mass, or lighter than a thousandth of the attached mass.
+    """Find moving links without mass, or with less than 0.1 % of the mass that each link moves.
 
     Links fixed to the moving link are included. WARNING instead of ERROR if moving links with mass
     are attached. In 1500 published links with mass, the smallest ratio is five thousandths.
@@ -167,7 +167,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _compute_reach(robot: RobotModel, name: str) -> float:
-    """Return the sum of the distances between frame origins from the root to a link [m].
+    """Compute the length of the chain from the root to a link: distances between frame origins [m].
 
     The path contains the link and all ancestors, at zero angles.
     """

@@ -154,7 +154,7 @@ def _get_anchor(body: Link) -> Array:
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Return the names of links at positions that are no mirror images, and the first pairs.
+    """Find links whose position is not the mirror image of the partner: all names, and first pairs.
 
     A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
     skipped if the first link neither moves nor has mass, and has no "foot" in the name. A choice of
@@ -371,11 +371,11 @@ _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 
 
 def _has_wrong_sign(image: Array, entries: Array) -> bool:
-    """Return True if an odd number of products of inertia have the opposite sign.
+    """Return True if two inertias differ only in the sign of one or three products of inertia.
 
-    All other entries must be equal. With two opposite signs the result is False: such a part is not
-    mirrored, but turned by 180 degrees. The result is also False if a product of ``image`` is at
-    most ``MIN_PRODUCT_FRACTION`` of the largest entry, because the sign is then unknown.
+    With two opposite signs the result is False: such a part is not mirrored, but turned by 180
+    degrees. The result is also False if a product of ``image`` is at most ``MIN_PRODUCT_FRACTION``
+    of the largest entry, because the sign is then unknown.
 
     Args:
         image: Entries of the mirrored inertia, shape (6,) [kg m^2], in the order of
@@ -444,7 +444,7 @@ exception; iCub has two in 34 pairs."""
 
 
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Yield a finding if the axes of a single left-right pair have another sense than the rest.
+    """Yield a finding if the axes of exactly one left-right pair have an unusual relative sense.
 
     In most published robots, the axes of all pairs are parallel, or the axes of all pairs are
     mirror images. The finding names the joint of the pair whose axis is probably reversed: the

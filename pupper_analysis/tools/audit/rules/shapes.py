@@ -405,9 +405,9 @@ DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
 is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
 
 MIN_OTHER_LINKS = 3
-"""Smallest number of other links with known density for which a median density is computed, of
-other drawn links with which a single link without collision shapes is reported, and of other hinges
-with which a single hinge beside its links is reported. Chosen, not tuned."""
+"""Smallest number of comparable links or hinges of a robot in three checks. Other links with known
+density, for a median density. Other drawn moving links, to report the only link without collision
+shapes. Other hinges, to report the only hinge beside its links. Chosen, not tuned."""
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
@@ -620,9 +620,9 @@ not tuned.
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
-    """Return the longest side of the box of the origins of a link, frames and children [m].
+    """Compute the extent of the origins of a link, its frames and its child links [m].
 
-    The box is aligned with the axes of the link.
+    The extent is the longest side of the bounding box along the axes of the link.
     """
     return _compute_extent(list_link_points(robot, body))
 

@@ -182,7 +182,7 @@ def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
 
 
 def _read_impedance(solimp: Sequence[float]) -> tuple[bool, float]:
-    """Return whether a contact's impedance rises with the penetration, and over which width [m]."""
+    """Return (rises, width [m]): whether the impedance grows with depth, and until which depth."""
     return bool(solimp[0] < solimp[1]), float(solimp[2])
 
 

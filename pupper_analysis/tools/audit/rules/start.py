@@ -62,7 +62,7 @@ class StartPose:
 
     Attributes:
         element: Tag and name for findings.
-        message: Name of the configuration, as a message.
+        message: Name of the configuration for texts: ``qpos0``, or name and index of the keyframe.
         qpos: Configuration, shape (nq,).
         severity: NOTE for qpos0 if keyframes exist, since simulations then start at a keyframe;
             otherwise WARNING.
@@ -282,10 +282,11 @@ def _find_opposite_signs(
     others: Sequence[int],
     heights: Callable[[Array, Sequence[int]], Array],
 ) -> tuple[tuple[str, ...], float] | None:
-    """Find the joints whose angles must change sign, so that all feet are the lowest shapes.
+    """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
-    The joints have the same place in the chains of all legs. The smallest set of joints counts.
-    With the changed signs, all hinges of the legs must be inside the limits.
+    The angles of these joints are negated in all legs alike: for example, of each second joint of
+    a leg. The smallest such set is returned that puts all hinges inside the limits and the feet
+    lowest.
 
     Args:
         robot: Model of the MJCF, which MuJoCo compiles.
