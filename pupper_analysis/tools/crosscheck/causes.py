@@ -175,7 +175,7 @@ def body_from_moments(values: Array) -> TreeBody:
 
 @dataclass(frozen=True, eq=False)
 class PatternCase:
-    """Two different trees and the differences between both.
+    """Trees of a URDF and an MJCF that differ, and the differences for which causes are searched.
 
     Attributes:
         robot: Robot.
@@ -250,7 +250,7 @@ class PatternCase:
 
 @dataclass(frozen=True, eq=False)
 class PatternFinding:
-    """Mistake that explains differences.
+    """Mistake in a file that explains one or more differences between the URDF and the MJCF.
 
     Attributes:
         kind: Kind of the cause.
@@ -437,7 +437,9 @@ _INERTIA_UNITS = {
     1e7: ("g cm^2", "kg m^2"),
     1e9: ("g mm^2", "kg m^2"),
 }
-"""{factor: (unit used, unit required)} of moments of inertia."""
+"""{factor on a moment of inertia: (unit used, unit required)}. The factor is the number in the unit
+used, divided by the number in the required unit.
+"""
 
 
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
@@ -652,7 +654,10 @@ def _is_diagonal(inertia: Array) -> bool:
 
 
 def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
-    """Find products of inertia that the URDF or the MJCF lacks."""
+    """Find products of inertia that one file lacks, first in the URDF and then in the MJCF.
+
+    `find_dropped_products` tests each file.
+    """
     for file in ("URDF", "MJCF"):
         yield from find_dropped_products(case, file)
 
@@ -720,12 +725,12 @@ def _compute_origin_shift(link: ComparedLink) -> Array:
 
 
 def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
-    """Return True if the tensors of a pair have inverse principal axes.
+    """Return True if one file has the inverse rotation of the principal axes of inertia.
 
-    Inverse means: for a rotation E and a diagonal matrix D, the tensors are E D E^T and E^T D E in
-    the axes of the link whose file has the mistake. Both files are tested, since their links may
-    have different axes. All orders and signs of the principal axes that form a right-handed frame
-    are tested.
+    For a rotation E and a diagonal matrix D, the tensors are then E D E^T and E^T D E in the axes
+    of the link whose file has the mistake. Both files are tested, since their links may have
+    different axes. All orders and signs of the principal axes that form a right-handed frame are
+    tested.
     """
     urdf, mjcf = pair.urdf, pair.mjcf
     for link, other in ((mjcf, urdf), (urdf, mjcf)):
@@ -986,7 +991,7 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
 
 
 def _list_subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
-    """Yield sets of links with a total mass near ``mass`` [kg], small sets first.
+    """Yield sets of links with a total mass within 3 % of ``mass`` [kg], small sets first.
 
     Of more than `_MAX_SUBSET_LINKS` links only the heaviest are used.
     """
@@ -1036,7 +1041,7 @@ def _explains_difference(
 
 
 def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
-    """Compute scales with which the moments of two bodies are compared, shape (10,).
+    """Compute divisors that make mass, first moments and inertia comparable, shape (10,).
 
     The scale is 1 for the mass, L for the first moments, and L^2 for the inertia.
     L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, and at
@@ -1172,7 +1177,7 @@ as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Find joints whose axis differs between the files, although no body is elsewhere.
+    """Find joints whose axis differs between the files, although all bodies have the same poses.
 
     At zero angles all bodies have the same poses in both files. Nevertheless CoM, children and
     frames differ, since they are expressed in the frame of the joint. Only joints with different

@@ -293,7 +293,7 @@ the body instead of the largest magnitude in all rows."""
 
 
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
-    """Return the labels of the rows in which a compared quantity is evaluated.
+    """Return the labels of the rows of a compared quantity, in an evaluation by any engine.
 
     The labels are bodies, joints, degrees of freedom or contact points, depending on the quantity.
     The label of a body is the joint that moves the body, or the name of the base. All other
@@ -317,7 +317,7 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
 def collect_evaluation(
     robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
-    """Combine the values of an evaluation to arrays with a row per label (`list_row_labels`).
+    """Convert the values of an evaluation to arrays with a row per label (`list_row_labels`).
 
     Args:
         robot: Robot.
@@ -487,7 +487,8 @@ def _evaluate_at_rest(
         model: Model.
         data: Kinematics of the model at zero angles.
         base: Name of the base body.
-        dofs: Indices of the joints' degrees of freedom, in the same order.
+        dofs: Indices of the joints' degrees of freedom in ``model``, in the joint order of the
+            robot.
     """
     joints = [model.joint(name).id for name in robot.joint_names]
     moving_bodies = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
@@ -587,7 +588,7 @@ def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
 
 
 def _normalise_axes(text: str) -> bytes:
-    """Return a URDF with unit axes and without shapes.
+    """Return a URDF for yourdfpy, with unit joint axes and without shapes.
 
     The engines use the direction of an axis only; yourdfpy moves a slide by q times the length of
     the axis, and does not read capsules.
@@ -948,7 +949,7 @@ def _compare_evaluations(
     Args:
         name: Quantity.
         evaluations: {evaluation name: values}.
-        first: Evaluation from which the lower bound of the scale is computed.
+        first: Evaluation from which the lower bound of the divisor of deviations is computed.
         labels: Labels of the quantity's rows.
         tolerance: Largest accepted relative deviation.
         units: Units of the quantities of all joints together.

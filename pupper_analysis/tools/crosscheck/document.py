@@ -218,7 +218,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """Return a text with the number of differences and the largest caused deviation.
+    """Return a text with the number of differences and the largest deviation that they cause.
 
     For files that agree, the text states the largest deviation of the evaluations instead.
     """
@@ -369,9 +369,9 @@ def _shorten_place(place: str | None) -> str:
 
 
 def _make_value_cell(value: object, other: object) -> doc.Cell:
-    """Create a cell with a value of a difference; a dash for None.
+    """Create a cell with a differing value of one file; a dash if the file has no value.
 
-    ``other`` is the value of the other file.
+    ``other`` is the value of the other file; numbers get as many digits as show the difference.
     """
     if isinstance(value, float | int):
         compared = float(other) if isinstance(other, float | int) else float(value)
@@ -380,7 +380,10 @@ def _make_value_cell(value: object, other: object) -> doc.Cell:
 
 
 def _describe_explained(comparison: Comparison) -> Iterable[doc.Words]:
-    """Yield the percentage of the deviation that the differences explain; nothing without any."""
+    """Yield the percentage of the deviation between both files that the listed differences explain.
+
+    Nothing is yielded without differences.
+    """
     if not comparison.differences:
         return
     explained = text(
