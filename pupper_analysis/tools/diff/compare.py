@@ -424,7 +424,7 @@ def _to_lists(value: Any) -> Any:
 
 
 def _describe_changed_value(value: Any, other: Any) -> Diagnostic | Term | str:
-    """Describe ``value``, which differs from ``other``; of a table, only entries that differ."""
+    """Describe a value of one version for a message; of a table, only entries that differ."""
     value, other = _to_lists(value), _to_lists(other)
     if value is None:
         return Term("none")

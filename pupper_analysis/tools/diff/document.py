@@ -51,10 +51,10 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
-    """Yield the old and new total mass [kg], or the first change if the mass is the same.
+    """Yield the headline of a diff: old and new total mass [kg], or else the first change.
 
-    The first change is yielded also if the old mass is 0. If the versions are the same, or no
-    change is listed, the mass is yielded.
+    The first change is yielded if the total mass is unchanged or the old mass is 0. If no change
+    is listed, the mass is yielded in these cases, too.
     """
     old, new = diff.mass
     if diff.same:

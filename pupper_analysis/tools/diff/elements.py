@@ -170,7 +170,7 @@ def join_names(ends: Iterable[str]) -> str:
 
 
 def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
-    """Return the place of the element ``number`` in the file, from the places of all elements.
+    """Return file and line of the element with the index ``number`` from 0, given all places.
 
     The place has no line if the file has not exactly ``count`` such elements, as the model has.
     """
@@ -588,7 +588,7 @@ of the values outside the tree, and not by the comparison of elements."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
-    """Return a key of the change of a shape, which is equal for equal changes.
+    """Return a key that groups equal changes of different shapes.
 
     The key is kind and size of both shapes if the poses are equal, otherwise both descriptions.
     """
