@@ -264,7 +264,7 @@ class PatternFinding:
 
 
 PatternFindings = Iterator[PatternFinding]
-"""Result of a search."""
+"""Result of a search for one kind of mistake: each mistake with the differences it explains."""
 
 
 _EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")

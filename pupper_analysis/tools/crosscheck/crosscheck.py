@@ -603,7 +603,7 @@ def _normalise_axes(text: str) -> bytes:
 
 
 def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
-    """Return the pose of the base frame in the world, without forward kinematics."""
+    """Return the pose of the base frame in the world, from ``qpos`` without forward kinematics."""
     model = robot.pin_model
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     if not robot.floating:
@@ -885,7 +885,7 @@ def _evaluate_all(
 
 
 _ROOT_JOINT = "__root__"
-"""Name of the free joint that is added to an imported URDF."""
+"""Name of the free joint that is added to an imported URDF, as the MJCF has a free joint."""
 
 
 def import_urdf_to_mujoco(

@@ -628,7 +628,7 @@ def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
 
 
 def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
-    """Return the distance between the origins of a collision mesh and the same visual mesh [m].
+    """Return the distance [m] between the origins of a link's collision mesh and equal visual mesh.
 
     Meshes with the same stem of the file are the same. None unless the link has a single collision
     shape, and a single visual shape is the same mesh.
