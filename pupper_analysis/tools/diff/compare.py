@@ -244,10 +244,11 @@ class _Comparison:
     def _unify_joints(
         self, one: MultibodyTree, two: MultibodyTree
     ) -> tuple[MultibodyTree, MultibodyTree]:
-        """Fix joints that exist in a single version, and rename new joints to the old names.
+        """Give both trees the same joints: fix joints of a single version, and rename new joints.
 
-        Each fixed or renamed joint becomes a difference, as does another type of the base. Frames
-        that exist in a single version are dropped.
+        Joints of the new version get the old names. Each fixed or renamed joint becomes a
+        difference, as does another type of the base. Frames that exist in a single version are
+        dropped.
 
         Raises:
             ModelError: If both versions have joints, but no joint in common.
@@ -352,7 +353,7 @@ class _Comparison:
         )
 
     def _compare_extra_values(self) -> Iterator[Difference]:
-        """Yield changes of values outside the trees, such as motors, springs and mimic joints."""
+        """Yield changes of values that a tree lacks, such as motors, springs and mimic joints."""
         old_values = self.one.extra_values
         new_values = {
             (kind, self.old_name.get(element, element)): _rename_targets(value, self.old_name)

@@ -849,7 +849,7 @@ class SimulatedPair:
     def _compare_pair(
         self, before: _SimulatedRun, after: _SimulatedRun
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Return the differences between two simulations as effects and messages.
+        """Compare the simulations of both versions; return effects and messages (`_compare_runs`).
 
         The messages state the duration, the initial keyframe and whether a ground was added.
         """
@@ -946,7 +946,7 @@ def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | No
 def _compare_runs(
     before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-    """Compare the recorded motions of two simulations.
+    """Compare the recorded motions of two simulations; return the difference and the messages.
 
     Args:
         before: Simulation of the old model.

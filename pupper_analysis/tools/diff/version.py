@@ -435,10 +435,10 @@ def _is_outside(path: str) -> bool:
 
 
 def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
-    """Return the content of a file; for a pointer of Git LFS, the object named by the pointer.
+    """Replace a pointer of Git LFS by the content of the real file; return other content as it is.
 
-    ``kept`` is the folder that contains ``lfs/objects``. Without the object, ``content`` is
-    returned.
+    ``kept`` is the folder that contains ``lfs/objects``. If the folder lacks the real file, the
+    pointer is returned.
     """
     found = pointed_file(content)
     if found is None or not found.isalnum():
