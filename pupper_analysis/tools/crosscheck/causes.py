@@ -420,7 +420,9 @@ _MASS_UNITS = {
     2.20462: ("pounds", "kg"),
     0.453592: ("kg", "pounds"),
 }
-"""{factor: (unit used, unit required)} of masses."""
+"""{factor on a mass: (unit used, unit required)}: number in the unit used / number in the required
+unit.
+"""
 
 _ANGLE_UNITS = {math.degrees(1.0): ("degrees", "radians")}
 """{factor on an angle: (unit used, unit required)}. The factor is the number in the unit used,

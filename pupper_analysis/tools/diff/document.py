@@ -70,7 +70,7 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
 
 
 def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield changes with lines of the files, combined effects, table of torques, and residual."""
+    """Yield the blocks of a diff: changes with lines, combined effects, torques, and residual."""
     for change in diff.changes:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),
