@@ -70,7 +70,7 @@ matrix is diagonal, the largest damping shortens the step to a hundredth. Chosen
 
 @dataclass(frozen=True, eq=False)
 class LinearisedResiduals:
-    """Sums over the whitened residuals r + A dx of measurements.
+    """Sums over whitened residuals r + A dx of measurements, for Gauss-Newton steps.
 
     The residuals are linearised about a parameter vector. Whitened residuals have unit covariance
     at the true parameters, if the noise model is right.
@@ -393,7 +393,7 @@ class _QuadraticCost:
 def _find_decrease(
     cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Find an acceptable step (`_MIN_DECREASE_RATIO`): increase the damping from ``damping`` on.
+    """Find a step that decreases the cost enough (`_MIN_DECREASE_RATIO`), with growing damping.
 
     ``linearise`` has two arguments: the parameters at which the residuals are linearised, and the
     parameters at which the noise is evaluated.

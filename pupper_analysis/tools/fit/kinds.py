@@ -8,7 +8,10 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_trace(file: BinaryIO) -> bool:
-    """Return True if a file is a zip archive with ``observations.npy`` in its first bytes."""
+    """Return True if a file is a policy trace: a zip archive that begins with ``observations.npy``.
+
+    The name must occur in the first `NUM_HEAD_BYTES` bytes.
+    """
     head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"PK") and b"observations.npy" in head
 

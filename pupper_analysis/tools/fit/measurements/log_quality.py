@@ -271,7 +271,7 @@ def find_degrees(
 
 
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
-    """Return the median over the joints of std(first) / std(second), dimensionless.
+    """Compare the units of two column groups: median over joints of std(first) / std(second) [1].
 
     Both arrays have the shape (n, joints); NaN is ignored. Joints are left out if ``first`` is
     constant, or if std(second) is at most `_MIN_JOINT_RANGE`. None if no joint remains.

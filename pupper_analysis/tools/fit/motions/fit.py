@@ -335,12 +335,12 @@ A held-out log of this kind is refused, and a held-out part of a log is reported
 
 
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
-    """Return the shift at which a pattern agrees best with part of a series, and the correlation.
+    """Find where one motion repeats in another: shift of best agreement, and the correlation there.
 
-    Both arrays are commands, shape (samples, nu) [rad, m]. The shift is in samples. All joints are
-    correlated jointly. A parabola through the maximum refines the shift, unless the maximum is at
-    an end. The result is (0, 0) if the series is shorter than the pattern, or the pattern is
-    constant.
+    ``pattern`` is searched in ``series``. Both are commands, shape (samples, nu) [rad, m]. The
+    shift is in samples. All joints are correlated jointly. A parabola through the maximum refines
+    the shift, unless the maximum is at an end. The result is (0, 0) if the series is shorter than
+    the pattern, or the pattern is constant.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
     is_constant = np.abs(centred_pattern).max(initial=0.0) <= _MIN_NOISE_STD

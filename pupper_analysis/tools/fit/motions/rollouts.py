@@ -211,10 +211,9 @@ class Simulator:
         self.groups = self.bodies.find_independent_groups(table)
 
     def _compute_joint_inertia(self) -> Array:
-        """Return 1 / (M^-1)_jj of each joint in the home posture, shape (nu,) [kg m^2].
+        """Return the inertia that a torque of one joint alone accelerates, shape (nu,) [kg m^2].
 
-        M is the mass matrix. The result is the inertia that a torque of this joint alone
-        accelerates.
+        The result is 1 / (M^-1)_jj, with the mass matrix M in the posture `Robot.home`.
         """
         model, data = self.bodies.model, mujoco.MjData(self.bodies.model)
         self.robot.mj_convention.set_state(data, self.robot.home)
@@ -372,9 +371,9 @@ class Simulator:
 
 
 def _average_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Return the mean command in each interval between k times, shape (k - 1, nu) [rad, m].
+    """Return the mean command in each simulation step, shape (k - 1, nu) [rad, m].
 
-    Before the first time, the first command holds.
+    A step is the interval between two of k times. Before the first time, the first command holds.
 
     Args:
         time: Times from which the commands hold, shape (n,) [s].

@@ -300,10 +300,14 @@ class _RecordingSession:
         self._half_differences: list[Array] = []
 
     def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
-        """Return {joint: median of |half the difference of both readings of a stand| [rad, m]}.
+        """Measure the dry friction of each joint as an angle, from the two readings of each stand.
 
-        The median is over the first ``num_stands`` recorded stands. The result is empty if no stand
-        was read twice.
+        Args:
+            num_stands: Number of recorded stands, from the first, over which the median is taken.
+
+        Returns:
+            {joint: median of |half the difference of both readings| [rad, m]}. The product with kp
+            is the friction torque. Empty if no stand was read twice.
         """
         differences = self._half_differences[:num_stands]
         if not differences:
@@ -312,7 +316,10 @@ class _RecordingSession:
         return FrozenDict(zip(self._robot.joint_names, medians, strict=True))
 
     def hold_position(self) -> None:
-        """Send the last command of a ramp again; without such a command, do nothing."""
+        """Let the robot hold its position: send the last commanded joint positions again.
+
+        Nothing is sent if no ramp has begun.
+        """
         if self._command is not None:
             self._bridge.send(self._command)
 

@@ -508,12 +508,13 @@ class StandRows:
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
     ) -> None:
-        """Multiply rows of commanded joints by (noise kp) / kp, base rows by (noise mass) / mass.
+        """Scale the balance equations, so that small estimates of kp and mass are not preferred.
 
-        The noise is computed with a constant kp and a constant mass (``StandValues.noise_kp``,
-        ``noise_mass``). Without the factors, small estimates of kp and masses would decrease the
-        residuals, but not the noise. The derivatives of the factors by kp and masses are added to
-        ``by_x``. All arrays have a row per balance equation and are changed in place.
+        Rows of commanded joints are multiplied by (noise kp) / kp, rows of the base by (noise
+        mass) / mass. The noise is computed with these constant values (``StandValues.noise_kp``,
+        ``noise_mass``). Without the factors, small estimates would decrease the residuals, but not
+        the noise. The derivatives of the factors by kp and masses are added to ``by_x``. All
+        arrays have a row per balance equation and are changed in place.
         """
         values = self._values
         driven = self._commanded & (values.kp > 0)

@@ -232,7 +232,10 @@ def _draw_candidates(
 
 
 def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]:
-    """Return the stands of candidates in the order of measurement, named s01, s02 etc."""
+    """Sort chosen candidates into the order of measurement, and name the stands s01, s02 ...
+
+    `_Candidate.sort_key` defines the order.
+    """
     ordered = sorted(candidates, key=lambda candidate: candidate.sort_key)
     return tuple(
         replace(candidate.planned, name=f"s{number:02d}")
@@ -662,10 +665,10 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 
 
 def _compute_clearance(robot: Robot) -> float | None:
-    """Return the clearance [m] between links that planned stands must keep.
+    """Return the clearance [m] between links that all stands of a plan must keep.
 
-    The result is `_CLEARANCE_FRACTION` of the clearance in the nominal stand, and at most
-    `_MIN_CLEARANCE`. The result is None in two cases:
+    The result is `_CLEARANCE_FRACTION` of the clearance in the nominal stand (the default stand
+    task), and at most `_MIN_CLEARANCE`. The result is None in two cases:
 
     - The nominal stand cannot be solved, for example because links overlap.
     - The nominal stand has no link pairs.
