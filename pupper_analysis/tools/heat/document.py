@@ -216,7 +216,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
 
 
 def _drop_nonfinite(value: float | None) -> float | None:
-    """Return ``value`` if finite; None for an infinite value, NaN or None."""
+    """Return ``value`` for a table cell; None (an empty cell) if infinite, NaN or None."""
     return None if value is None or not math.isfinite(value) else value
 
 

@@ -169,7 +169,7 @@ class HeatStudy(Result):
         """
 
         def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
-            """Return a key that is smallest for the motor that is stated first."""
+            """Return a sort key of a motor: smallest for the motor that limits the stance."""
             if motor.too_weak:
                 return -abs(motor.torque) / (motor.largest_torque or 1.0), 0.0, 0.0, 0.0
             group = 0.0 if motor.overheats else 1.0
