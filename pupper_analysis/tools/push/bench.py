@@ -237,7 +237,7 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate n pushes interval by interval until each outcome is decided.
 
-        Returns the failure of each push, or None.
+        Return the failure of each push; None if the robot recovers.
 
         Args:
             directions: Indices of the push directions in ``axes``, shape (n,).
@@ -525,7 +525,7 @@ class PushBench:
 
 
 def _is_only_motion(failures: list[Diagnostic]) -> bool:
-    """Return True if the base motion at the end is the only failure."""
+    """Return True if a pushed robot has no failure except that the base still moves at the end."""
     return [failure.code for failure in failures] == ["not-at-rest"]
 
 
