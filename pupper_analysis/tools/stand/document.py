@@ -236,9 +236,9 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
     """Return the command ``stand`` with gains with which a failing stand stays upright.
 
-    `SoftServos` provides the gains, per class of joints with equal gains. None without such gains.
-    None also if the name of a class, read as a pattern, matches other joints than the class
-    contains.
+    `Stance.soft_servos` contains the factor on the gains of each class (joints with equal gains).
+    None without such gains. None also if the name of a class, read as a pattern, matches other
+    joints than the class contains.
     """
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
