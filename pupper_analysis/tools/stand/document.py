@@ -214,7 +214,7 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 
 def _has_soft_drives(stance: Stance) -> bool:
-    """Return True if the unmodified file does not stand because its own servos are too soft."""
+    """Return True if the simulated unmodified file falls because the file's servos are too soft."""
     own = stance.verdict.keyframe_run
     soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
     return stance.verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft

@@ -227,7 +227,7 @@ class SimulatedStance:
         return self.verdict.passed
 
     def complete(self, *, stiffness: bool = False) -> Stance:
-        """Compute the bounds of the gains, the presses and the smallest motor utilisation.
+        """Create the complete result: add bounds of servo gains, forces of hands and peak torques.
 
         Args:
             stiffness: Also compute the minimum stiffness of the servos (a second or two).

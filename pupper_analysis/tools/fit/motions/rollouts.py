@@ -297,9 +297,10 @@ class Simulator:
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:
-        """Return the delay in a parameter vector [s], or the lag of a ``part`` [s].
+        """Return the delay of commands [s]; with ``part``, the time constant of the part's lag [s].
 
-        Parts are the components of `DELAY_PARAMETERS`: ``command`` and ``position``.
+        The value is taken from a parameter vector; 0 if not estimated. Parts are the components of
+        `DELAY_PARAMETERS`: ``command`` and ``position``.
         """
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 

@@ -652,10 +652,11 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the height [m] that the base loses in the nominal stand without feed-forward.
+    """Return the height [m] that the base loses on its servos, in the default stand task.
 
-    The result is at least 0. It is 0 if the stand cannot be solved or has no equilibrium on the
-    servos. ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None.
+    The servos have no feed-forward. The result is at least 0. It is 0 if the stand cannot be
+    solved or has no equilibrium on the servos. ``kp`` is the servo stiffness [N m/rad, N/m]; the
+    model's if None.
     """
     try:
         stand = solve_stand(robot, explain=False)
