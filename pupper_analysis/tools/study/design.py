@@ -221,7 +221,9 @@ class Variants(ScalableVariant):
 
 
 RobotSource = FileSource | Variants
-"""Source of robots. Instances can be pickled, so that worker processes can build robots."""
+"""Object that builds the robots of a study from scale factors. Instances can be pickled, so that
+worker processes can build robots.
+"""
 
 
 def make_robot_source(robot: Any) -> RobotSource:
@@ -449,7 +451,7 @@ def is_stance_pattern(name: str) -> bool:
 
 
 def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
-    """Return a copy of a stand task with the stance variables of a design.
+    """Return a copy of a stand task in which the stance variables of a design have their values.
 
     Args:
         task: Stand task.
@@ -639,7 +641,11 @@ def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, fl
 
 
 def _make_columns(name: str, measured: Any) -> DesignRow:
-    """Return the columns of a metric, {``NAME``, or ``NAME.KEY`` per key of a mapping: number}."""
+    """Return the table columns with the result of a metric: {column: number}.
+
+    The column is ``NAME``. If the metric returns a mapping, there is a column ``NAME.KEY`` per
+    key.
+    """
     if isinstance(measured, Mapping):
         return {f"{name}.{key}": _to_float(name, value) for key, value in measured.items()}
     return {name: _to_float(name, measured)}

@@ -388,7 +388,7 @@ class WorkerPool:
 
     @property
     def needs_renewal(self) -> bool:
-        """Whether the worker processes have evaluated enough designs to be replaced."""
+        """Whether the worker processes must be replaced, to free memory (`DESIGNS_PER_PROCESS`)."""
         return self.owns_processes and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:

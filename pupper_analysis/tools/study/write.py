@@ -157,9 +157,10 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
 
 def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tuple[Design, Robot]:
-    """Build the design of a row, and the robot without payload, with visual meshes.
+    """Build the design of a table row again, with visual meshes, to write the design as files.
 
-    ``codes`` contains the value of each variable.
+    The second result is the robot of the design without payload. ``codes`` contains the value of
+    each variable.
 
     Raises:
         ConfigurationError: If the robot of the design cannot be built, or the stance cannot be
@@ -252,7 +253,7 @@ def _is_finite_number(value: Any) -> bool:
 
 
 def _has_content(path: Path, content: bytes) -> bool:
-    """Return True if the file exists with this content."""
+    """Return True if a file exists with the given content, so that the file need not be written."""
     return path.is_file() and path.read_bytes() == content
 
 
