@@ -322,7 +322,7 @@ class ParameterTable:
     def find_columns(
         self, kind: str, subjects: Sequence[str], components: Sequence[str] = ("",)
     ) -> tuple[list[int], list[int]]:
-        """Find which pairs of a subject and a component are estimated parameters of a kind.
+        """Find the parameter-vector columns of all estimated parameters of a kind, by subject.
 
         Args:
             kind: Key of ``PARAMETER_KINDS``.

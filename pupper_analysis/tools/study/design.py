@@ -282,7 +282,7 @@ def hash_description(description: Description) -> str:
 
 
 def _to_json_value(value: Any) -> Any:
-    """Convert a value to JSON data without rounding: ``repr`` of scalars, bytes of arrays.
+    """Convert a value to JSON data for a hash, without rounding: ``repr`` of scalars, array bytes.
 
     Entries named ``folder`` are left out.
     """
@@ -548,7 +548,7 @@ unknown.
 
 
 def classify_failure(error: BaseException) -> str:
-    """Return the kind of failure of an error, a text for the column ``failure`` of the table.
+    """Return the kind of failure of an error: the text in the column ``failure`` of a table.
 
     For example "unreachable", "not settling" or "invalid"; "error" for all unlisted errors.
     """

@@ -109,7 +109,7 @@ class ChunkOutcome:
 
 
 class _ThreadCache(threading.local):
-    """Builder and metrics of the last study, per thread.
+    """Cache per thread: builder of the designs, and metrics, of the study that is evaluated.
 
     Threads must not share PlaCo's robots.
     """
@@ -690,7 +690,7 @@ class StudyRun:
         self._store_rows(({"design": name, **values, **columns},))
 
     def _store_rows(self, rows: Iterable[DesignRow]) -> None:
-        """Collect the result rows of designs for the next shard; count designs and failures."""
+        """Collect the result rows of designs until the next shard is written; count failures."""
         for row in rows:
             self._rows.append(row)
             self.progress.done += 1
