@@ -156,7 +156,11 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
 
 
 def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: pose of the frame in ``tree`` relative to the frame in ``moved``}."""
+    """Find the poses by which the body frames of two descriptions of the same robot differ.
+
+    Returns:
+        {base or joint: pose of the frame in ``tree`` relative to the frame in ``moved``}.
+    """
     gauges = {tree.base: pin.SE3.Identity()}
     waiting = tree.children(tree.base)
     while waiting:

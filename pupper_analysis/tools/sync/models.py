@@ -277,7 +277,7 @@ def _make_verified_plan(
 
 
 def _compare_planned(plan: Plan, tolerances: Tolerances) -> FilesCompared:
-    """Compare copies of the files with the plan applied.
+    """Compare copies of both files after the planned changes, to verify the plan.
 
     Raises:
         ModelError: If an engine refuses a copy.

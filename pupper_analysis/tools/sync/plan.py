@@ -39,7 +39,7 @@ from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 
 _SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats)
-"""Kinds of joint numbers that both formats contain."""
+"""Kinds of joint numbers that both formats contain, so that `sync` can write the numbers."""
 
 _WRITTEN_KINDS = (*INERTIAL_KINDS, "position", *_SHARED_JOINT_KINDS)
 """Kinds of differences that `sync` writes to the other file: numbers that both formats contain."""
@@ -333,7 +333,7 @@ class FileLayout:
 
     @staticmethod
     def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """Create the layout of a copy of a model: list all files, and find the common folder.
+        """Create the layout of a copy of a model, from the main file and the files that it needs.
 
         Args:
             main: Main file of the model.
