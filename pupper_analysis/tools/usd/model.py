@@ -373,7 +373,10 @@ def read_body_mass(
 
 
 def _has_shape_mass(body: Any, shape: Any) -> bool:
-    """Return True if a shape has a mass, or the shape, material or body states a density."""
+    """Return True if the file determines the mass of a shape: a stated mass, or a stated density.
+
+    The density may be that of the shape, of the shape's material, or of the body.
+    """
     from pxr import UsdShade
 
     material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial("physics")
