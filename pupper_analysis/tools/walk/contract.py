@@ -548,7 +548,7 @@ def _check_observation(merged: _MergedValues, contract: PolicyContract, inputs: 
 def _check_ranges(
     merged: _MergedValues, lower: Array, upper: Array, effort: Array | None, signs: Array
 ) -> None:
-    """Check values of a contract, shape (n,) each.
+    """Check position limits, torque limits and signs of a policy contract, shape (n,) each.
 
     Raises:
         ModelError: Unless lower <= upper [rad], efforts [N m] are positive, and signs are 1 or -1.
@@ -794,8 +794,9 @@ def _put_known_layout(
 ) -> None:
     """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
-    The function passes the observation and the gait frequency to ``put``. ``put`` is not called if
-    the files do not contain scales as in legged_gym, or if no layout has this size.
+    The layouts are `KNOWN_LAYOUTS`. The function passes the observation and the gait frequency to
+    ``put``. ``put`` is not called if the files do not contain scales as in legged_gym, or if no
+    layout has this size.
 
     Args:
         deployment: Numbers of a deployment.

@@ -44,7 +44,7 @@ def _is_along_elements(attributes: dict[str, Any]) -> bool:
 
 
 def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Return the operation Split into ``count`` parts; None if across the runs."""
+    """Create the ONNX operation Split into ``count`` parts; None if Split would separate runs."""
     if not _is_along_elements(attributes):
         return None
 
@@ -57,7 +57,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat; None if Concat would join different runs.
+    """Create the ONNX operation Concat; None if Concat would join different runs.
 
     Axis 0 joins lists of sizes.
     Along axis 1, arrays with several channels each are joined by channel. Otherwise the elements of
@@ -85,7 +85,7 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _concatenate_sizes(*values: Array) -> Array:
-    """Join lists of sizes, shape (n,).
+    """Join lists of array sizes, shape (n,): the ONNX operation Concat along axis 0.
 
     Raises:
         ValueError: If a value has more than one axis.
@@ -96,7 +96,7 @@ def _concatenate_sizes(*values: Array) -> Array:
 
 
 def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the ONNX operation Clip, with bounds from the inputs, otherwise from attributes."""
+    """Create the ONNX operation Clip, with bounds from the inputs, otherwise from attributes."""
 
     def apply(value: Array, low: Any = None, high: Any = None) -> Any:
         low = attributes.get("min", -np.inf) if low is None else low
@@ -119,7 +119,7 @@ def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
 
 
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the ONNX operation GRU; None if `_is_plain_recurrence` is False."""
+    """Create the ONNX operation GRU; None unless `_is_plain_recurrence`."""
     if not _is_plain_recurrence(attributes):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))
@@ -133,7 +133,7 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the ONNX operation LSTM; None if `_is_plain_recurrence` is False."""
+    """Create the ONNX operation LSTM; None unless `_is_plain_recurrence`."""
     if not _is_plain_recurrence(attributes):
         return None
 
@@ -163,14 +163,14 @@ def _erf(value: Array) -> Array:
 
 
 def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or the tanh approximation."""
+    """Create the ONNX operation Gelu (Hendrycks and Gimpel, 2016), exact or by tanh."""
     if attributes.get("approximate") == "tanh":
         return lambda x: 0.5 * x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3)))
     return lambda x: 0.5 * x * (1 + _erf(x / np.sqrt(2)))
 
 
 def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Softmax; None if across the runs."""
+    """Create the ONNX operation Softmax within each run; None for the axis of runs."""
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
         return None
@@ -184,9 +184,10 @@ def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LayerNormalization (Ba et al., 2016); None if across the runs.
+    """Create the ONNX operation LayerNormalization (Ba et al., 2016) within each run.
 
-    From axis 1, all elements of a run are normalised together; else the last axis is normalised.
+    From axis 1, all elements of a run are normalised together; from axis -1 or 2, the last axis is
+    normalised. None for another axis.
     """
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
@@ -203,7 +204,7 @@ def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation |
 
 
 def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation BatchNormalization of a vector, with constant mean and variance."""
+    """Create the ONNX operation BatchNormalization of a vector, with constant mean and variance."""
     epsilon = attributes.get("epsilon", 1e-5)
 
     def apply(value: Array, scale: Array, bias: Array, mean: Array, variance: Array) -> Any:
@@ -215,11 +216,11 @@ def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reduction(function: Callable[..., Any]) -> Make:
-    """Return a maker of a reduction, such as a mean, for ``OPERATION_MAKERS``.
+    """Return a function that creates a reduction, such as a mean, for ``OPERATION_MAKERS``.
 
     The operation reduces a single axis, or by default all elements of each run. A reduced axis
-    keeps a single element. The maker returns None if several axes, or another axis than -1, 1 or 2,
-    are stated.
+    keeps a single element. The function returns None if several axes, or another axis than -1, 1
+    or 2, are stated.
     """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
@@ -254,7 +255,7 @@ def _find_axis(value: Array, axis: int) -> int:
 
 
 def _make_slice(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Slice, with bounds as inputs or, before opset 10, attributes."""
+    """Create the ONNX operation Slice, with bounds as inputs or, before opset 10, attributes."""
 
     def apply(value: Array, *bounds: Array | None) -> Any:
         names = ("starts", "ends", "axes", "steps")
@@ -283,7 +284,7 @@ def _make_slice(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Gather, which selects elements of an axis by constant indices."""
+    """Create the ONNX operation Gather, which selects elements of an axis by constant indices."""
     axis = attributes.get("axis", 0)
 
     def apply(value: Array, indices: Array) -> Any:
@@ -296,7 +297,7 @@ def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reshape(_: dict[str, Any], __: int) -> Operation:
-    """Return the operation Reshape, for arrays whose first axis is the axis of the runs.
+    """Create the ONNX operation Reshape, for arrays whose first axis is the axis of the runs.
 
     A stated shape of three axes (1, c, n), without 0 for c and n, becomes (runs, c, n). Any other
     shape becomes (runs, 1, elements). Arrays with fewer than three axes are unchanged.
@@ -314,7 +315,7 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
 
 
 def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Transpose; None for an order of axes that is not supported.
+    """Create the ONNX operation Transpose; None for an order of axes that is not supported.
 
     Three orders are supported: an exchange of the last two axes, no change, and an exchange of the
     axis of runs with an axis of a single element. The last order changes nothing for a single

@@ -140,7 +140,7 @@ SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
 
 
 def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Separate words of a command into words that name a robot, and files of a policy.
+    """Separate the words of a command line into words that name a robot, and files of a policy.
 
     Files of a policy, deployment or trainer are recognised by the suffix. Such a file may be
     ``FILE:NAME`` to select a configuration.
@@ -668,9 +668,12 @@ class _ScriptedModule:
         self._lock = threading.Lock()  # threads share the states of the module
 
     def find_states(self, size: int) -> dict[str, int]:
-        """Return {buffer that an evaluation changes, if it starts with zeros: number of elements}.
+        """Find the recurrent states of the module: {buffer: number of elements}.
 
-        ``size`` is the number of elements of the observation.
+        A state is a buffer that starts with zeros and that an evaluation changes.
+
+        Args:
+            size: Number of elements of the observation.
 
         Raises:
             ValueError: If the module cannot be evaluated for this size.

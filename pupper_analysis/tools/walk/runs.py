@@ -324,7 +324,7 @@ def simulate_cases(
 
 
 class Lockstep:
-    """Runs that are simulated together, action by action.
+    """Runs of a policy that are simulated together, action by action, in MuJoCo.
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -402,7 +402,7 @@ class Lockstep:
         return actions
 
     def keep_runs(self, is_kept: NDArray[np.bool_]) -> None:
-        """Continue the simulation with a subset of the active runs, in place.
+        """Continue the simulation with a subset of the active runs; the state is changed in place.
 
         Args:
             is_kept: Mask of the active runs that continue, shape (n,) for n active runs.
