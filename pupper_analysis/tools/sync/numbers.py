@@ -203,7 +203,7 @@ def write_numbers(
 
 @dataclass(frozen=True, eq=False)
 class _EditedFile:
-    """Model file with new numbers in memory; empty without a file.
+    """Model file with new numbers, edited in memory; all fields are empty without the file.
 
     Attributes:
         documents: {path: edited XML document} of the file and the included files.

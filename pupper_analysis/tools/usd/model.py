@@ -387,7 +387,10 @@ def _has_shape_mass(body: Any, shape: Any) -> bool:
 
 
 def _read_positive(prim: Any, name: str) -> float:
-    """Return a number in the unit of the file; 0 if missing, not finite or not positive."""
+    """Read a number attribute of a prim, in the unit of the file; 0 if missing or not > 0.
+
+    An infinite number and NaN also give 0.
+    """
     value = read_number(prim, name, 0.0)
     return max(value, 0.0) if np.isfinite(value) else 0.0
 

@@ -334,7 +334,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Conv along an axis; None with groups, dilation, pads or more axes."""
+    """Create the ONNX operation Conv along one axis; None with groups, dilation or pads."""
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])
@@ -389,7 +389,7 @@ def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation
 
 
 def _ignore_attributes(operation: Operation) -> Make:
-    """Return a function that returns ``operation`` for any attributes of an ONNX node."""
+    """Return an entry of `OPERATION_MAKERS` that creates ``operation`` for any attributes."""
     return lambda _given, _count: operation
 
 

@@ -270,7 +270,10 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _is_number(name: str) -> bool:
-    """Return True if a name consists of at most nine digits, as the number of a column."""
+    """Return True if a text is the number of a CSV column, such as 12 in ``obs_12``.
+
+    The text must consist of one to nine digits.
+    """
     return name.isdecimal() and len(name) <= 9
 
 
