@@ -28,7 +28,7 @@ MODEL_FORMATS = ("urdf", "mjcf", *formats())
 
 @dataclass(frozen=True)
 class Rule:
-    """Rule of the audit: entry of the catalogue, without the check.
+    """Rule of the audit: severity and texts of the catalogue entry, without the check function.
 
     Attributes:
         id: Name in kebab case.

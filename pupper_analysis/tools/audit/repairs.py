@@ -48,7 +48,7 @@ from pupper_analysis.tools.audit.rules.shapes import (
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
-    """Propose attribute values that remove a finding.
+    """Propose new attribute values that should remove a finding of a rule.
 
     Args:
         robot: Model of the file.
@@ -65,7 +65,7 @@ def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[Val
 def _make_urdf_repair(
     robot: UrdfModel, tag: str, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of an element of a URDF: new values of attributes.
+    """Yield a repair that sets attributes of an existing element of a URDF; at most one.
 
     The changed element is the first child with the tag ``child`` of the link or joint with the name
     ``name``; ``tag`` is ``link`` or ``joint``. Nothing is yielded if the name is not unique, the
@@ -172,7 +172,7 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of the masses of two mirrored links (`_repair_number`).
+    """Yield the repairs of different masses of two mirrored links of a URDF (`_repair_number`).
 
     The inertia tensor is scaled with the mass if two conditions hold. The principal moments of both
     links have the same ratio as the masses (`_MOMENT_RTOL`). This ratio is above sqrt(10) or below
@@ -647,7 +647,7 @@ differ by powers of ten is within this bound.
 
 
 def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield masses of a link of a URDF that is too dense.
+    """Yield repairs of the mass of a URDF link that is too dense.
 
     A candidate is the mass divided by a power of ten. If the link on the other side has less than
     half the mass, the candidate must agree with the mass of that link within 1 %. Otherwise the
@@ -899,7 +899,7 @@ def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
 
 
 def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
-    """Return the texts, each without white space."""
+    """Remove all white space from serialised XML elements, to compare elements without layout."""
     return [re.sub(rb"\s+", b"", text) for text in texts]
 
 

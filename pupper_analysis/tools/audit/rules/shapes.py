@@ -411,7 +411,7 @@ shapes. Other hinges, to report the only hinge beside its links. Chosen, not tun
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
-    """Compute the median density of the other links: mass / volume of the convex hull [kg/m^3].
+    """Compute the median density of a robot's links except one: mass / hull volume [kg/m^3].
 
     The other links are the root links and moving links except the link ``name``, each with all
     fixed links. Light links (`MIN_MASS_FRACTION`), and links without mass, without volume or with a
@@ -699,7 +699,7 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _list_moving_links(robot: RobotModel) -> Iterator[Link]:
-    """Yield the root links and the moving links."""
+    """Yield the root links, and the links that move relative to the parent."""
     for body in robot.links.values():
         if body.parent is None or body.moving:
             yield body

@@ -58,7 +58,7 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class StartPose:
-    """Initial configuration of a simulation.
+    """Initial configuration of a simulation that the rules check: qpos0 or a keyframe.
 
     Attributes:
         element: Tag and name for findings.
