@@ -48,7 +48,7 @@ from pupper_analysis.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class ComparedLink:
-    """Inertial of a link, in the frame of the moving body.
+    """Inertial of a link, in the frame of the rigid body to which the link belongs.
 
     Attributes:
         name: Link of the URDF, or body of the MJCF.

@@ -599,7 +599,7 @@ def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
 
 
 def _numbers_agree(first: ParameterValues, second: ParameterValues) -> bool:
-    """Return True if two lists of numbers are equal within `NUMBER_RTOL`, or 1e-12."""
+    """Return True if two lists of numbers agree within `NUMBER_RTOL` (relative) plus 1e-12."""
     return len(first) == len(second) and np.allclose(first, second, rtol=NUMBER_RTOL, atol=1e-12)
 
 
@@ -749,7 +749,7 @@ to rounding. Chosen, not tuned."""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:
-    """Return the binary form (MJB) of a model."""
+    """Return the binary form (MJB) of a model, to test whether two models are equal."""
     image = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, image)
     return image.tobytes()
@@ -869,7 +869,7 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def _choose_ground_height(model: mujoco.MjModel) -> float:
-    """Return the height at which a ground is added [m].
+    """Choose the height [m] at which a ground is added to a file without ground.
 
     The height is usually 0, as in the scene files of published models, although feet may then start
     some centimetres below the ground. Exception: the ground is added at the lowest geom if the

@@ -455,7 +455,7 @@ def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
 
 
 def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> bytes:
-    """Run git and return the output.
+    """Run git in a folder, and return the standard output as bytes.
 
     Args:
         given: Argument of the user, which errors name.
