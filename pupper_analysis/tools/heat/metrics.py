@@ -26,7 +26,7 @@ def _compute_design_heat(design: Any) -> HeatStudy:
 
 
 def _check_motors(design: Any) -> None:
-    """Raise a ConfigurationError if no motor is varied."""
+    """Raise a ConfigurationError if the study of a design varies no motor."""
     if not design.motors:
         raise ConfigurationError("motor", diagnose("no-motor-varied"))
 

@@ -147,7 +147,7 @@ class Recording(Result):
 
 
 class _RecordingEndedError(Exception):
-    """Reason to end the recording before the end of the plan.
+    """Error that ends a recording before the end of the plan, with the reason.
 
     Args:
         finding: Reason.
@@ -160,7 +160,7 @@ class _RecordingEndedError(Exception):
 
 
 class _StandSkippedError(_RecordingEndedError):
-    """End of a stand without a row; the next stand may be recorded."""
+    """Error that skips a stand without a row in the file; the next stand may be recorded."""
 
 
 def record_stands(

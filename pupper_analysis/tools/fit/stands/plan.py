@@ -244,7 +244,7 @@ def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]
 
 
 def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estimate, ...]:
-    """Return the parameters with the stated values and the expected intervals.
+    """Predict the interval of each parameter after the planned stands, around the stated value.
 
     ``information`` is the information matrix of the planned stands and the priors, shape (n, n), in
     units of the parameters' widths.
