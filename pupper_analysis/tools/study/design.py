@@ -414,7 +414,7 @@ class DesignBuilder:
         return with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
 
     def _build_robot(self, numbers: Mapping[str, float]) -> Robot:
-        """Build the robot of a design.
+        """Build the robot of a design, from the variable values that change the model.
 
         ``numbers`` are the values of the variables, {name: value}: scales, patterns (names with a
         colon), motors, ``friction``, and ``payload`` [kg].

@@ -347,7 +347,7 @@ def _make_row_table(
     columns: Sequence[str],
     outcome: StudyOutcome,
 ) -> doc.Table:
-    """Create a table of designs.
+    """Create a table of some designs of a study, with given columns and design numbers.
 
     The first column is the row number of the design in the complete table of ``outcome``, as for
     ``--write``.

@@ -284,7 +284,7 @@ def _scale_value(
 def _check_result(
     before: Robot, after: Robot, masses: Mapping[str, float], offsets: Mapping[str, Array]
 ) -> None:
-    """Check masses and centres of mass of the changed robot in both engines.
+    """Check that a changed robot has the requested masses and CoMs, in both engines.
 
     Args:
         before: Robot before the change.

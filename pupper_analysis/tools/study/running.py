@@ -82,7 +82,7 @@ class WorkDefinition:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Designs for a single call of a worker.
+    """Designs of a study that a worker evaluates in a single call.
 
     Attributes:
         work: Pickled `WorkDefinition`.
@@ -417,7 +417,7 @@ class WorkerPool:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
 
     def _get_executor(self) -> Executor:
-        """Return the executor; create the processes if there are none."""
+        """Return the executor that evaluates designs; create the processes if there are none."""
         if self._executor is None:
             # Spawn, because a fork copies locks that other threads of the parent hold.
             context = _RecordingContext()

@@ -109,7 +109,7 @@ class Variable:
         return {self.kind: list(self.numbers)}
 
     def code_of(self, value: Any) -> float:
-        """Convert a value of this study variable to a number.
+        """Convert a value of a study variable to the stored number, for motors the code.
 
         The name of a motor is converted to the code of the motor.
         """
