@@ -114,7 +114,7 @@ class EditableMjcf:
         return (section for section in self.root.children if section.tag == tag)
 
     def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, XmlElement]:
-        """Return {name: body element}.
+        """Find the XML element of each body of the MJCF: {name: element}.
 
         Bodies without name are included, as ``body_N``, unless MuJoCo copies a body of the file.
         """

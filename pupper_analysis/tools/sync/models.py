@@ -167,7 +167,7 @@ def sync_models(
 def _find_paths(
     urdf: str | Path | VariantSpec, mjcf: str | Path | VariantSpec | None, folder: Path
 ) -> tuple[str | Path, str | Path]:
-    """Return the paths of the URDF and the MJCF.
+    """Return the paths of both models; write the files of a scaled variant to a folder.
 
     The files of a scaled variant are written to ``folder``. Any other name or path is returned
     unchanged.

@@ -159,7 +159,7 @@ def _import_pxr() -> Any:
 
 
 def _check_file(path: Path) -> None:
-    """Check a file before USD opens the file.
+    """Check a file before USD opens the file: size, content, and depth of brackets.
 
     Raises:
         ModelError: If the path is no readable file, or the file is larger than `MAX_BYTES`, empty,
@@ -193,7 +193,7 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _name_prims(prims: list[Any]) -> dict[str, str]:
-    """Return {name: path} of prims.
+    """Return a unique name for each prim: {name: path}.
 
     The key of prims that share a name is the path without the leading slash.
     """

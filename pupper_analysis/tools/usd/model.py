@@ -147,7 +147,7 @@ def read_edge(
     units: StageUnits,
     paths: Mapping[str, str],
 ) -> Edge:
-    """Read a joint between known bodies.
+    """Read a joint of a USD file between two known bodies, or a body and the world.
 
     Args:
         name: Joint name.

@@ -334,7 +334,10 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Conv along one axis; None with groups, dilation or pads."""
+    """Create the ONNX operation Conv along one axis; None if the attributes are not supported.
+
+    Groups, dilation, pads, and strides of several axes are not supported.
+    """
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])

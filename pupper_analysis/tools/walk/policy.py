@@ -160,7 +160,7 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
 
 
 def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
-    """Return the file of the policy, and the other sources.
+    """Select the policy among the typed files; return the policy file and the other sources.
 
     If neither ``policy`` nor ``sources`` names a policy, the only ONNX file in the folder of the
     first source is used. The folder ``exported`` beside this folder is searched as well, as in
