@@ -216,7 +216,7 @@ tuned.
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of the efforts of two mirrored joints of a URDF (`_repair_number`)."""
+    """Yield the repairs of different efforts of two mirrored URDF joints (`_repair_number`)."""
     if isinstance(robot, UrdfModel) and found.message.code == "mirror-effort":
         partner = str(found.message.values["other"])
         efforts = {
