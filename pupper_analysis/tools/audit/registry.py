@@ -75,7 +75,7 @@ def _read_catalogue() -> dict[str, Rule]:
 
 
 def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
-    """Return {"title", "why" or "todo": text} of a rule, with the texts of a similar rule.
+    """Complete the texts of a rule with those of a similar rule: {"title", "why" or "todo": text}.
 
     An entry of the catalogue names the similar rule under the key ``like``.
 
@@ -225,7 +225,7 @@ class Audit(Tabular):
     floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
-        """Return {column: values} of a table of the findings of an audit, a row per finding.
+        """Return the columns of a table of the findings of an audit, a row per finding.
 
         The columns are rule, severity, file, line, element and message.
         """

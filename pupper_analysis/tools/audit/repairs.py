@@ -707,7 +707,7 @@ def _fits_shapes(robot: RobotModel, link: Link) -> bool:
 
 
 def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
-    """Return {attribute: text} of a link's <inertia>, with all entries multiplied by a factor.
+    """Multiply all entries of a link's <inertia> by a factor: {attribute: new text}.
 
     Empty if the link has no <inertia>, or the name is not unique.
     """

@@ -71,7 +71,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 
 def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
-    """Yield (compiled model, actuator) for each actuator that `list_drives` finds.
+    """Yield each actuator that `list_drives` finds in a robot, after the compiled model.
 
     Nothing if the model does not compile.
     """

@@ -351,7 +351,7 @@ def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckF
 
 
 def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield (joint, {kind of parameter: number in the file}) of each joint of a URDF.
+    """Yield each joint of a URDF with the stated limits, {kind of parameter: number in the file}.
 
     Joints that are fixed or mimic another joint are skipped. Nothing is yielded for other formats.
     """

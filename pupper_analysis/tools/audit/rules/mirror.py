@@ -217,7 +217,7 @@ def _get_com_tolerance(com: Array) -> float:
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield (mirror plane, link, link) for left-right pairs of links at mirrored positions.
+    """Yield the mirror plane and both links of each left-right pair of links at mirrored positions.
 
     Pairs are skipped if a child is displaced (`_find_displaced_bodies`), or if the first link has
     less than 1e-4 of the robot's mass. Nothing is yielded if the robot has no mirror plane.
@@ -392,7 +392,7 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yield (mirror plane, joint, joint) for left-right pairs of moving joints of the same kind.
+    """Yield the mirror plane and both joints of each left-right pair of moving joints of one kind.
 
     Nothing is yielded if the robot has no mirror plane.
     """
@@ -610,11 +610,12 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _choose_wrong_shapes(robot: RobotModel, first: Link, second: Link) -> tuple[Link, Link]:
-    """Return (wrong, partner): the link of a pair with probably wrong shapes, and the partner.
+    """Choose the link of a pair whose collision shapes are probably wrong; return both links.
 
-    The wrong link is the link that deviates from equal links of other limbs
-    (`select_deviating_pairs`), or else the only link of the pair without collision shapes. If
-    neither decides, the second link is returned as the wrong link.
+    The first result is the wrong link, the second result the other link. The wrong link is the
+    link that deviates from equal links of other limbs (`select_deviating_pairs`), or else the only
+    link of the pair without collision shapes. If neither decides, the second link is returned as
+    the wrong link.
     """
     pairs = [(second, first), (first, second)]
     kind, boxes = strip_sides(first.name), dict[str, Array]()

@@ -44,7 +44,7 @@ fraction of the extent, if larger (`MIN_GAP_FRACTION`). Chosen, not tuned.
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
-    """Return {joint or foot: position, shape (3,) [m]} of the ends of a link, in the link frame.
+    """Find the ends of a link: {joint or foot: position in the link frame, shape (3,) [m]}.
 
     The ends are the moving joints of the next links, and the links and frames with "foot" in the
     name. Links that are fixed to the link are included.

@@ -480,7 +480,7 @@ def _round_quantity(value: float, unit: str) -> Quantity:
 def _list_penetrations(
     robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
-    """Yield (ids of both bodies, ids of both geoms, penetration [m]) of MuJoCo's contacts.
+    """Yield MuJoCo's contacts in a start pose: ids of both bodies and geoms, and penetration [m].
 
     The contacts are evaluated at the configuration of ``start``; flexible bodies are left out. The
     penetration is negative if the geoms are apart, within the contact margin. Nothing is yielded if

@@ -94,7 +94,7 @@ def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
-    """Yield (link, <geometry>, shape element such as <box>) of each shape of a URDF."""
+    """Yield the shapes of a URDF: link, <geometry>, and the shape element, such as <box>."""
     for name, link in robot.file.tree.links.items():
         for _, shape, _ in link.shapes:
             geometry = shape.find("geometry")
