@@ -131,7 +131,7 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
 
 
 def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
-    """Yield (name, message, file) of each joint that only a single file contains."""
+    """Yield each joint that only a single file contains: name, message, and the file."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
     for joints, file, other in (
         (comparison.only_urdf, urdf, mjcf),

@@ -130,7 +130,7 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
 
 
 def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
-    """Return {(tag, name): element} of joints, actuators, tendons and equalities of an MJCF.
+    """List the joints, actuators, tendons and equalities of an MJCF: {(tag, name): element}.
 
     The elements have the values that a `MultibodyTree` lacks.
     """
@@ -383,7 +383,7 @@ def _list_unnamed_shapes(
     new: Mapping[ElementKey, ModelElement],
     bodies: Mapping[str, str],
 ) -> dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]]:
-    """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}.
+    """List the shapes of each body that cannot be matched by name: {(tag, body): (old, new) keys}.
 
     Such shapes have no name, or have a name that exists in a single version. Bodies have the names
     of the old version; ``bodies`` is {body of the new file: name in the old file}.
@@ -410,7 +410,7 @@ def _match_similar_shapes(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> dict[ElementKey, ElementKey]:
-    """Return {new shape: matching old shape}: equal in all values, else in shape, else by order.
+    """Match shapes that are equal in all values, else in shape, else by order: {new: old}.
 
     Shapes that are matched by order either both can collide, or both cannot.
     """

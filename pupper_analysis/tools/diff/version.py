@@ -186,7 +186,7 @@ def _find_tree_root(model: mujoco.MjModel, names: list[str]) -> str:
 
 
 def _collect_motor_values(scene: NamedModel) -> dict[tuple[str, str], Any]:
-    """Return {("motor", name): transmission, gains and control ranges}.
+    """Collect transmission, gains and control ranges of all actuators: {("motor", name): values}.
 
     Force limits belong to the joints.
     """
@@ -487,7 +487,7 @@ def _git_command(given: str, *arguments: str) -> list[str]:
 def _read_git_objects(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    """Yield (entry, content) of each file of a git tree.
+    """Yield each file of a git tree: the entry, and the content of the file.
 
     Submodules and missing objects are skipped. ``given`` is the argument of the user, which errors
     name; ``folder`` is in the repository (None: the current folder).
