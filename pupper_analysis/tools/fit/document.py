@@ -235,7 +235,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
 
 
 def _format_estimate(estimate: Estimate) -> dict[str, str]:
-    """Return {"mean": mean, "half": half width of the 95 % interval} as texts, three decimals."""
+    """Format mean and half width of the 95 % interval of an estimate: {"mean" or "half": text}."""
     return {"mean": f"{estimate.mean:.3f}", "half": f"{estimate.high - estimate.mean:.3f}"}
 
 

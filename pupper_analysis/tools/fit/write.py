@@ -377,7 +377,7 @@ def write_fit(
 
 
 def _read_own_hashes(folder: Path) -> dict[str, str]:
-    """Return {relative path: hash} of the models that an earlier fit has written to a folder.
+    """Read the hashes of the models that an earlier fit wrote to a folder: {relative path: hash}.
 
     The hashes are read from ``fit.json`` in the folder. The result is empty if this file cannot be
     read or contains no hashes.

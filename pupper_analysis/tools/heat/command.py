@@ -108,7 +108,7 @@ def command(
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the `dcmotor` actuators in the robot's MJCF.
+    """Read the motors that the robot's MJCF states as `dcmotor` actuators: {joint: motor}.
 
     The result is empty if the MJCF has no such actuator, was made from the URDF, or is no file.
     """

@@ -306,7 +306,7 @@ class PushRecovery(PushSettings, Tabular):
     failures_without_push: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of the survived pushes, a row per direction."""
+        """Return the columns of a table of the survived pushes, a row per direction."""
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
         values = (
             self.directions,

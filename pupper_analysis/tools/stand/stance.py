@@ -107,7 +107,7 @@ class Stance(Tabular):
     soft_servos: SoftServos | None = None
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values, shape (nu,)} of the table of joints, in SI units.
+        """Return the columns of the table of joints, shape (nu,) each, in SI units.
 
         ``simulated_torque`` is the torque in the simulation with feed-forward.
         """

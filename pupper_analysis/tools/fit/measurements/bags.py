@@ -229,12 +229,12 @@ def _check_unpacked_size(size: int, maximum: int) -> None:
 
 
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
-    """Return {role: topic}: the requested topic, or the only topic with a suitable message type.
+    """Choose the topic for each role: the requested topic, or the only topic with a suitable type.
 
-    The role is ``state`` (measured positions) or ``command``. If the bag has no topic of commands,
-    ``command`` is left out. For ``state``, a ``JointState`` topic is preferred to the state topic
-    of a controller, which may be late. This does not apply to a topic that is selected for
-    ``command``.
+    The result is {role: topic}. The role is ``state`` (measured positions) or ``command``. If the
+    bag has no topic of commands, ``command`` is left out. For ``state``, a ``JointState`` topic is
+    preferred to the state topic of a controller, which may be late. This does not apply to a topic
+    that is selected for ``command``.
 
     Args:
         types: {topic of the bag: message type}.
@@ -271,9 +271,10 @@ def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> di
 
 
 def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
-    """Return {(kind, joint): recording time [s], header time [s] and value [rad, m], shape (n, 3)}.
+    """Read the samples of each joint from the messages of a bag: {(kind, joint): shape (n, 3)}.
 
-    The kind is ``position`` (measured) or ``command``. The header time is NaN if missing.
+    The kind is ``position`` (measured) or ``command``. The columns are recording time [s], header
+    time [s] and value [rad, m]. The header time is NaN if missing.
 
     Args:
         reader: Reader of the bag, already open.

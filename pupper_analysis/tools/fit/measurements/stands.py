@@ -301,10 +301,10 @@ def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
 
 
 def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yield (link, loads) of each link with a column of known masses.
+    """Yield each link with a column of known masses, and the masses and positions in all stands.
 
-    ``loads`` has a row for each of m stands, shape (m, 4): mass [kg], and position in the link
-    frame [m]; zeros in a stand without mass.
+    The second result has a row for each of m stands, shape (m, 4): mass [kg], and position in the
+    link frame [m]; zeros in a stand without mass.
 
     Raises:
         MeasurementError: If a mass is negative or lacks a coordinate of the position, or a link has

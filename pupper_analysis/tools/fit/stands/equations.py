@@ -1005,7 +1005,7 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Return {foot: total normal force [N]} of the feet that carry load in a stand.
+        """Sum the normal forces of each foot that carries load in a stand: {foot: force [N]}.
 
         The force of a foot is the sum over the contact points, from the stored solution of the
         stand.

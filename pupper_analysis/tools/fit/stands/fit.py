@@ -976,7 +976,7 @@ def predict_noise(
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield (kind, subject, component, stated value) of the parameters that stands can estimate.
+    """Yield the parameters that stands can estimate: kind, subject, component and stated value.
 
     Stated values are in SI units. The subject is that of a `Parameter`, for example the name of a
     link, joint or foot.
@@ -1010,7 +1010,7 @@ def list_parameters(
 
 
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
-    """Yield (kind, link, axis, stated value) of the masses [kg] and CoM coordinates [m] of bodies.
+    """Yield masses [kg] and CoM coordinates [m] of bodies: kind, link, axis and stated value.
 
     A body consists of all links that fixed joints connect (`list_bodies`). CoM coordinates are in
     the frame of the Pinocchio joint. The axis of a mass is an empty text.
