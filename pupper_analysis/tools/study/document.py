@@ -486,6 +486,6 @@ def progress_bar() -> Iterator[Callable[[StudyProgress], None]]:
 
 
 def format_failures(failures: Mapping[str, int]) -> str:
-    """Return {failure kind: number} as text, the most frequent kind first."""
+    """Format the numbers of failures, {kind: number}, as text, the most frequent kind first."""
     ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{kind} ({count})" for kind, count in ordered)

@@ -172,7 +172,7 @@ class Design:
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
-        """Return {joint: value} for an array with a value per joint.
+        """Assign the values of an array with a value per joint to the joint names: {joint: value}.
 
         Args:
             values: Values in actuator order, in any unit.

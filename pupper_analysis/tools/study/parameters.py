@@ -142,7 +142,7 @@ def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """Return {joint: names that a pattern may match} for a kind of variable.
+    """List the names that a pattern may match for a kind of variable: {joint: names}.
 
     A variable of ``BODY_VARIABLE_KINDS`` selects the body that the joint moves: the names of link,
     body and joint match. The joint "" means the base. For other kinds the joint's name matches.
@@ -155,7 +155,7 @@ def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
 
 
 def map_joint_bodies(robot: Robot) -> dict[str, str]:
-    """Return {joint: body of the MJCF that the joint moves}."""
+    """Find the body of the MJCF that each joint moves: {joint: body}."""
     model = robot.mj_model
     return {
         joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)

@@ -540,7 +540,7 @@ class StudyRun:
     def _find_missing(
         self, blocks: Iterable[tuple[list[str], Array]]
     ) -> Iterator[tuple[list[str], Array]]:
-        """Yield (hashes, variable values) of the designs of each block without a stored result.
+        """Yield the designs of each block without a stored result: hashes and variable values.
 
         The designs are sorted by all variables except servo gains, so that neighbours share a
         robot. A repeated design is yielded once. Variable values have the shape (n, variables).

@@ -304,7 +304,7 @@ def _format_stance_value(value: Any, unit: str = "") -> str:
 def _make_files(
     description: Description, packages: Mapping[str, Path] | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield (path, content) of the URDF, the MJCF, and the referenced meshes and textures.
+    """Yield path and content of the URDF, the MJCF, and the referenced meshes and textures.
 
     Paths are relative to the folder of the design. ``packages`` maps ROS package names to folders.
     """

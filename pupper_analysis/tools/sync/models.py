@@ -445,7 +445,7 @@ def choose_files(
 
 
 def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
-    """Yield (index, rank) of the differences that a choice selects; empty ``which``: all.
+    """Yield index and rank of the differences that a choice selects; empty ``which``: all.
 
     ``which`` is a label, a link, an element, a kind, or a list of numbers such as ``1,3-5``. If
     several choices select a difference, the caller applies the choice with the highest rank, the

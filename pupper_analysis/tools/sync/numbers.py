@@ -108,7 +108,7 @@ class WrittenNumbers:
         ]
 
     def hash_contents(self) -> dict[str, str]:
-        """Return {path in the output folder: hash of the file's content}.
+        """Compute the hashes of the file contents: {path in the output folder: hash}.
 
         A later run recognises unmodified files by the hash, and may replace such files.
         """
@@ -249,7 +249,7 @@ def _refuse_mjcf_numbers(changes: NumberChanges) -> dict[PropertyKey, Diagnostic
 def _render_files(
     documents: Mapping[Path, XmlDocument], layout: Sequence[FileLayout]
 ) -> dict[Path, bytes]:
-    """Return {path in the output folder: content}; files other than ``documents`` are copied."""
+    """Render changed documents, and read the other files: {path in the output folder: content}."""
     return {
         place: documents[file].render() if file in documents else read_input(file, MAX_FILE_BYTES)
         for copies in layout
@@ -276,7 +276,7 @@ def _make_mjcf(robot: Robot) -> MjcfFile:
 
 
 def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
-    """Return {joint in the URDF: joint of the robot}, for joints that were renamed on loading."""
+    """Find the joints that were renamed on loading: {joint in the URDF: joint of the robot}."""
     name_of_child = {
         joint.child: name for name, joint in UrdfTree.of(robot.description.urdf).joints.items()
     }

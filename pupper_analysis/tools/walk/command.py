@@ -282,7 +282,7 @@ def _simulate_checked_walk(
 def _parse_motor_limits(
     motors: tuple[str, ...], effort: tuple[str, ...], robot: Robot
 ) -> tuple[dict[str, Motor], dict[str, float]]:
-    """Return {joint: motor} and {joint: torque limit [N m]} of ``--motor`` and ``--effort``.
+    """Parse ``--motor`` and ``--effort``: {joint: motor} and {joint: torque limit [N m]}.
 
     A limit that ``--effort`` states has priority over the largest torque of the motor at rest.
     """

@@ -56,7 +56,7 @@ def find_fall_tests(
 def _list_effective_changes(
     stage: Stage, command: Array, seed: int
 ) -> dict[tuple[str, float], Case]:
-    """Return {(quantity, value): run with this change} of the changes that have an effect."""
+    """Create the runs with a single change that has an effect: {(quantity, value): run}."""
     changes: dict[tuple[str, float], Case] = {}
     latency = stage.policy.contract.latency
     if np.any(command):

@@ -89,7 +89,7 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Return {key: TOML value} of suggestions: frequent terms of an observation, and the joints.
+    """Suggest frequent terms of an observation, and the joints: {contract key: TOML value}.
 
     Joint names and start pose [rad] are included if the policy commands all joints of the robot.
     """

@@ -189,7 +189,7 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of the known arrays of an npz file, and the joint names.
+    """Read the known arrays of an npz file, {array: values}, and the joint names.
 
     Known are ``time`` and the keys of `_SIGNALS`. The names are empty if not stated. Nothing is
     unpickled.
@@ -211,7 +211,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...], list[int]]:
-    """Return {array: values} of a CSV file, the joint names, and the line of each sample.
+    """Read a CSV file: {array: values}, the joint names, and the line number of each sample.
 
     The joint names are those of the columns ``q_JOINT``; empty if the columns are numbered, or
     absent. Numbered columns of a signal are sorted by their numbers. Separators are commas,
@@ -558,7 +558,7 @@ def _explain_difference(
 
 
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("sign", names of inverted elements); None unless signs explain the difference.
+    """Test whether inverted signs of elements explain a difference: ("sign", names), or None.
 
     ``seen`` and ``expected``, shape (n, size) each, are the recorded elements, and the elements as
     the contract defines them.
@@ -571,11 +571,11 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 
 
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("scale", factors of elements); None unless factors explain the difference.
+    """Test whether factors of elements explain a difference: ("scale", factors as text), or None.
 
     Also None if the magnitude of a factor is below 1e-3. The factors are ``seen`` (recorded
-    elements) / ``expected`` (elements as the contract defines them), as text. Both have the shape
-    (n, size).
+    elements) / ``expected`` (elements as the contract defines them). Both have the shape (n,
+    size).
     """
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
@@ -593,7 +593,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 
 
 def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("order", moved elements); None unless a permutation explains the difference.
+    """Test whether a permutation of elements explains a difference: ("order", moved), or None.
 
     At most six moved elements are named. ``seen`` and ``expected``, shape (n, size) each, are the
     recorded elements, and the elements as the contract defines them.
