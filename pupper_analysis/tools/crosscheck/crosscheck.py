@@ -394,7 +394,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Return {quantity: values} of n bodies, in the frame of the inertias.
+    """Collect the inertial quantities of n bodies in the frame of the inertias: {name: values}.
 
     The quantities are masses, (n,) [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2].
     """

@@ -454,7 +454,10 @@ def _match_similar_shapes(
 def _pair_numbers(
     first: ModelElement, second: ModelElement
 ) -> dict[str, tuple[ParameterValues, ParameterValues]]:
-    """Return {attribute: numbers in both elements}. Friction is cut to the shorter list."""
+    """Pair the numbers of two elements: {attribute: (first, second)}.
+
+    If the numbers of friction coefficients differ, the longer list is cut.
+    """
     pairs = {}
     for word in dict.fromkeys((*first.values, *second.values)):
         first_numbers, second_numbers = first.values.get(word, ()), second.values.get(word, ())

@@ -241,7 +241,7 @@ def _edit_mjcf(mjcf: MjcfFile, robots: MatchedRobots, changes: NumberChanges) ->
 
 
 def _refuse_mjcf_numbers(changes: NumberChanges) -> dict[PropertyKey, Diagnostic]:
-    """Return {property: reason} of the numbers that only an MJCF can state: gains and armatures."""
+    """Refuse requested numbers that only an MJCF states (gains, armatures): {property: reason}."""
     mjcf_only = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
     return dict.fromkeys(mjcf_only, diagnose("mjcf-alone-states-it"))
 

@@ -269,7 +269,7 @@ def make_inertial_changes(link: XmlElement, target: pin.Inertia) -> Changes:
 def _list_tensor_changes(
     old_entries: list[str | None], values: Array
 ) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield ((``inertia``, entry), text) for each changed entry of an inertia tensor.
+    """Yield the new text of each changed entry of an inertia tensor: ((``inertia``, entry), text).
 
     Args:
         old_entries: Stated texts in the order of `INERTIA_ENTRIES`; None if not stated.

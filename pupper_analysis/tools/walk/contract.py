@@ -272,7 +272,7 @@ def convert_source_statements(source: JointSource) -> dict[str, Any]:
 
 
 def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
-    """Return {contract key: value} that Pupper's neural_controller implies for an RTNeural JSON.
+    """Return the contract that Pupper's neural_controller implies for an RTNeural JSON.
 
     The observation of a time step (frame) follows ``neural_controller.cpp``: angular velocity,
     gravity, command, commanded up direction in the base frame, joint positions, last action. With

@@ -427,7 +427,7 @@ def _check_network(policy: Policy, trace: Trace) -> TermCheck:
 
 
 def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array]:
-    """Return {term, or ``targets``: recorded signal in the units and order of the contract}.
+    """Convert recorded signals to units and order of the contract: {term or ``targets``: signal}.
 
     A signal has the shape (n, size), before clip and scale of the term. Terms without a recorded
     signal are missing. Actions before the trace are unknown, and replaced by zeros.

@@ -392,7 +392,7 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yield the mirror plane and both joints of each left-right pair of moving joints of one kind.
+    """Yield mirror plane and both joints of each left-right pair of moving joints of equal kind.
 
     Nothing is yielded if the robot has no mirror plane.
     """

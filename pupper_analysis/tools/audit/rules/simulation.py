@@ -182,7 +182,7 @@ def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
 
 
 def _read_impedance(solimp: Sequence[float]) -> tuple[bool, float]:
-    """Return (rises, width [m]): whether the impedance grows with depth, and until which depth."""
+    """Return True if the contact impedance grows with depth, and the transition depth [m]."""
     return bool(solimp[0] < solimp[1]), float(solimp[2])
 
 
