@@ -486,10 +486,10 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
-    """Return the differences that remain if the lengths of both trees get the same unit.
+    """Return the differences that remain after all lengths of a tree are multiplied by a factor.
 
-    ``factor`` is length in the MJCF / length in the URDF. The larger numbers are divided, so that
-    the tolerances apply to the smaller numbers.
+    ``factor`` is length in the MJCF / length in the URDF. The tree with the larger numbers is
+    scaled, so that the tolerances apply to the smaller numbers.
     """
     if factor > 1:
         return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
@@ -754,10 +754,11 @@ tested as a cause. Chosen, not tuned."""
 def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
     """Find mistakes that explain different inertia tensors of bodies with equal mass and CoM.
 
-    Tested mistakes: a file states tensors about the origin of the link instead of the CoM; the MJCF
-    lacks the rotation of ``<inertial><origin>``; one file has the inverse rotation of the principal
-    axes. The mistake that explains most bodies is reported first. One body is sufficient, except
-    for inverse axes: six equal numbers are no coincidence, an order of axes may be.
+    Tested mistakes: a file states tensors about the origin of the link instead of the CoM; the
+    MJCF lacks the rotation of ``<inertial><origin>``; one file has the inverse rotation of the
+    principal axes. The mistake that explains most bodies is reported first. A single body is
+    sufficient evidence, since six numbers are hardly equal by chance. Inverse axes require two
+    bodies, since many orders of axes are tested.
     """
     pairs = list(_list_tensor_pairs(case))
     total, tolerances = len(pairs), case.tolerances

@@ -234,7 +234,7 @@ def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
 
 
 def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
-    """Return [table of the failures by kind], or [] without failures."""
+    """Create the table of the failures by kind; an empty list without failures."""
     if not outcome.failures:
         return []
     rows: list[tuple[doc.Cell, ...]] = [

@@ -556,11 +556,11 @@ def fit_stands(
     ordered = stands.order_joints(robot)
 
     def fit(ordered: MeasuredStands) -> StandFit:
-        """Fit the parameters to stands."""
+        """Fit the parameters to stands, with the priors and options of the caller."""
         return _StandProblem.from_stands(robot, ordered, prior_list, weight, kp, encoder).solve()
 
     def evidence(ordered: MeasuredStands) -> float:
-        """Return the log evidence of stands."""
+        """Return the log evidence of stands, with the priors and options of the caller."""
         return _StandProblem.from_stands(
             robot, ordered, prior_list, weight, kp, encoder
         ).compute_log_evidence()
