@@ -160,7 +160,7 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
     """Evaluate the designs of a chunk in a worker, and return a table row per design.
 
     Raises:
-        StudyError: If package versions differ from the machine that started the run.
+        StudyError: If package versions differ from those on the machine that started the run.
     """
     start = time.perf_counter()
     definition, builder, metrics = _thread_cache.load_work(chunk.work)

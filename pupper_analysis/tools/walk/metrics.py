@@ -53,7 +53,7 @@ def _read_largest_torque(gait: Any) -> float:
     """Return the rms torque of the motor with the largest rms torque [N m, N].
 
     Raises:
-        NotStandingError: If the robot falls: the torques until the fall say nothing about walking.
+        NotStandingError: If the robot falls: the torques before a fall are not those of walking.
     """
     if gait.fall is not None:
         raise NotStandingError((gait.fall,))

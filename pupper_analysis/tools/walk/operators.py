@@ -59,9 +59,9 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
     """Create the ONNX operation Concat; None if Concat would join different runs.
 
-    Axis 0 joins lists of sizes.
-    Along axis 1, arrays with several channels each are joined by channel. Otherwise the elements of
-    each array are joined along the last axis; constants are repeated for all runs.
+    Lists of sizes are joined along axis 0. Along axis 1, arrays with several channels each are
+    joined by channel. Otherwise the elements of each array are joined along the last axis;
+    constants are repeated for all runs.
     """
     if attributes.get("axis") == 0:
         return _concatenate_sizes
@@ -392,7 +392,7 @@ def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation
 
 
 def _ignore_attributes(operation: Operation) -> Make:
-    """Return an entry of `OPERATION_MAKERS` that creates ``operation`` for any attributes."""
+    """Return a function for `OPERATION_MAKERS` that returns ``operation`` for any attributes."""
     return lambda _given, _count: operation
 
 
