@@ -121,7 +121,7 @@ class _ThreadCache(threading.local):
         """Return the definition, builder and metrics of a pickled `WorkDefinition`.
 
         Raises:
-            StudyError: If package versions differ from the definition.
+            StudyError: If package versions differ from those that the definition states.
         """
         if pickled not in self.made:
             self.made.clear()  # a thread works on one study at a time

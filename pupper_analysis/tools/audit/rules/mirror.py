@@ -154,7 +154,7 @@ def _get_anchor(body: Link) -> Array:
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Find links whose position is not the mirror image of the partner: all names, and first pairs.
+    """Find links whose position is not the mirror image of the partner; return names and pairs.
 
     A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
     skipped if the first link neither moves nor has mass, and has no "foot" in the name. A choice of
