@@ -853,9 +853,10 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return a message with the reason for which `is_standing_pose` rejects a keyframe.
+    """Return a message with the reason against a keyframe from which the unmodified file stands.
 
-    The reason is that joints are beyond their limits, or else that the feet are uneven.
+    The reasons, of which the first is stated: joints are beyond their limits, the feet are uneven,
+    or no nominal stand exists with the joint positions of the keyframe.
 
     Args:
         robot: Robot with feet.
@@ -867,7 +868,9 @@ def _list_objections(
     excess = np.abs(values - clip_to_limits(robot, joints))
     beyond = np.flatnonzero(excess > _LIMIT_ATOL)
     if not beyond.size:
-        return (diagnose("keyframe-feet-uneven", subject=subject),)
+        even = is_standing_pose(robot, joints)
+        code = "keyframe-without-stand" if even else "keyframe-feet-uneven"
+        return (diagnose(code, subject=subject),)
     names = [robot.joint_names[joint] for joint in beyond]
     worst = int(np.argmax(excess))
     most = Quantity(float(excess[worst]), joint_unit(robot, robot.joint_names[worst]))
@@ -885,8 +888,8 @@ def find_start_pose(
     The first of these poses with which the nominal stand exists is used:
 
     1. A keyframe whose feet are level, and whose joints are within the limits.
-    2. If there is no such keyframe: a keyframe from which the unmodified file stands
-       (``rest_depth``), with the joints clipped to the limits.
+    2. A keyframe from which the unmodified file stands (``rest_depth``), with the joints clipped to
+       the limits, and with the penetration of the feet at rest.
     3. A searched pose (`search_start`).
 
     If no pose is found, a note reports the failure. The start pose is then the last keyframe that
@@ -907,43 +910,83 @@ def find_start_pose(
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}
+    found = _find_keyframe_stand(robot, standing, sunk)
     against: list[Diagnostic] = []
-    sunk = dict(sunk)
-    if not standing and rest_depth is not None:
-        for name, pose in known.items():
-            depth = rest_depth(name)
-            if depth is not None:
-                standing[name] = dict(
-                    zip(robot.joint_names, clip_to_limits(robot, pose).tolist(), strict=True)
-                )
-                against += _list_objections(robot, name, pose)
-                sunk[name] = depth  # bends straight legs slightly, so that they are not singular
-    for name, pose in standing.items():
+    if found is None and rest_depth is not None:
+        depths = {name: depth for name in known if (depth := rest_depth(name)) is not None}
+        against = [note for name in depths for note in _list_objections(robot, name, known[name])]
+        clipped = {
+            name: dict(
+                zip(robot.joint_names, clip_to_limits(robot, known[name]).tolist(), strict=True)
+            )
+            for name in depths
+        }
+        # A penetration bends straight legs slightly, so that they are not singular. A joint at its
+        # limit may not let the feet sink in.
+        sunk = {**sunk, **depths}
+        found = _find_keyframe_stand(robot, clipped, sunk, also_without_depth=True)
+        standing |= clipped
+    if found is not None:
+        name, tried = found
+        notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
+        notes += [
+            note
+            for note in against
+            if note.subject == notes[0].subject and note.code != "keyframe-without-stand"
+        ]
+        if tried.nominal.any():
+            notes.append(diagnose("feet-placed-by-start-pose"))
+        return _copy_start_pose(whole, tried), notes
+    poses = [*(clip_to_limits(robot, pose) for pose in known.values()), clip_to_limits(robot)]
+    bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
+    low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
+    middle = (low + high) / 2
+    searched = search_start(robot, [*poses, middle])
+    if searched is None:  # keep the pose of the last keyframe, and report why it is rejected
+        kept = whole
+        if standing:
+            name, pose = list(standing.items())[-1]
+            home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
+            at_home = _set_start_pose(robot, home, sunk.get(name, 0.0))
+            kept = _copy_start_pose(whole, replace(at_home, nominal=home))
+        return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
+    height = Quantity(searched.stand_height, "m")
+    notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
+    return _copy_start_pose(whole, searched), [*notes, *against]
+
+
+def _find_keyframe_stand(
+    robot: Robot,
+    poses: Mapping[str, Mapping[str, float]],
+    sunk: Mapping[str, float],
+    *,
+    also_without_depth: bool = False,
+) -> tuple[str, Robot] | None:
+    """Find the first keyframe with whose joint positions the nominal stand exists.
+
+    Args:
+        robot: Robot with feet.
+        poses: {keyframe: {joint: position [rad, m]}}, in the order of the trials.
+        sunk: {keyframe: penetration of the feet [m] at rest}.
+        also_without_depth: Whether keyframes in ``sunk`` are also tried without penetration.
+
+    Returns:
+        Name of the keyframe, and robot with the start pose. The nominal joint positions are those
+        of the keyframe if ``sunk`` contains the keyframe, or if zero positions have no stand. None
+        without such a keyframe.
+    """
+    for name, pose in poses.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
         at_home = _set_start_pose(robot, home, sunk.get(name, 0.0))
         starts = [replace(at_home, nominal=home)]
         if name not in sunk:
             starts.insert(0, replace(at_home, nominal=np.zeros(robot.nu)))
-        elif against:  # a joint at its limit may not let the feet sink in
+        elif also_without_depth:
             starts.append(replace(_set_start_pose(robot, home, 0.0), nominal=home))
-        for tried in starts:
-            if solve_nominal_stand(tried) is not None:
-                notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
-                notes += [note for note in against if note.subject == notes[0].subject]
-                if tried.nominal is home:
-                    notes.append(diagnose("feet-placed-by-start-pose"))
-                return _copy_start_pose(whole, tried), notes
-    poses = [*(clip_to_limits(robot, pose) for pose in known.values()), clip_to_limits(robot)]
-    bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
-    low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
-    middle = (low + high) / 2
-    found = search_start(robot, [*poses, middle])
-    if found is None:  # keep the pose of the keyframe, and report why it is rejected
-        kept = _copy_start_pose(whole, replace(at_home, nominal=home)) if standing else whole
-        return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
-    height = Quantity(found.stand_height, "m")
-    notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
-    return _copy_start_pose(whole, found), [*notes, *against]
+        for start in starts:
+            if solve_nominal_stand(start) is not None:
+                return name, start
+    return None
 
 
 def make_start_keyframe(

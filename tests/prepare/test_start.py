@@ -128,6 +128,32 @@ def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -
 
 
 @pytest.mark.slow
+def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) -> None:
+    """Reference: bare MuJoCo stands from the keyframe, whose knees are at their limits.
+
+    The CoM is 57 mm in front of the centre of the feet. A base that is shifted by this distance
+    needs longer legs at the same height.
+    """
+    pair = standing(tmp_path)
+    pose = " ".join(["0 0.2 -0.4"] * 4)
+    trunk = '<inertial pos="{} 0 0" mass="4" diaginertia="0.02 0.05 0.06"/>'
+    text = pair.mjcf.read_text().replace(" ".join(["0 0.6 -1.2"] * 4), pose)
+    text = text.replace(trunk.format(0), trunk.format(0.12))
+    pair.mjcf.write_text(text.replace('qpos="0 0 0.35 ', 'qpos="0 0 0.411 '))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert data.xpos[1, 2] == pytest.approx(0.411, abs=5e-3)
+    assert data.xmat[1, 8] > math.cos(0.05)
+    robot = pa.load_robot(pair.mjcf)
+    messages = {note.code: str(note) for note in robot.notes}
+    assert "start-pose-found" in messages
+    assert messages["keyframe-without-stand"].startswith("keyframe 'home': the file stands from it")
+    assert "in which it stands" not in messages["start-pose-found"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [40000, 40005])
 def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
     seed: int, tmp_path: Path
