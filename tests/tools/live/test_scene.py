@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.present.scene import DrawnForce
 from pupper_analysis.tools.live.model import PageSolver
-from pupper_analysis.tools.live.scene import Scene, make_body_meshes
+from pupper_analysis.tools.live.scene import Scene, make_body_meshes, make_force_arrows
 from pupper_analysis.tools.live.state import State
 from tests.prepare.convert.test_meshes import claim_vertices, nest_nodes
 from tests.support.engines import evaluate_mujoco
@@ -93,3 +94,12 @@ def test_ghost_and_simulated_robot_are_drawn_beside_the_stand_and_hidden_again()
     assert (stand.visible, twin.visible, ghost.visible) == (False, False, True)
     scene.show(stance)
     assert (stand.visible, twin.visible, ghost.visible) == (True, False, False)
+
+
+def test_the_arrow_of_a_weight_has_three_times_the_height_of_the_stand() -> None:
+    """By hand: half of the weight, upward from the point of contact."""
+    robot, point = load("v3"), np.array([0.1, 0.2, 0.0])
+    force = np.array([0.0, 0.0, robot.weight / 2])
+    ((start, end),) = make_force_arrows(robot, [DrawnForce("FL", point, force)])
+    assert start == pytest.approx(point)
+    assert end - start == pytest.approx([0.0, 0.0, 1.5 * robot.stand_height])
