@@ -12,12 +12,14 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare import drives, self_check
 from pupper_analysis.prepare.self_check import compare_as_published, compare_nominal_stand
+from pupper_analysis.present.document import get_english
 from pupper_analysis.pupper.variants import find_model_folder
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.settling import calms_after_base_nudges
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.tools.stand.document import stance_document
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, rewrite_file
 from tests.support.random_legged import draw_robot, write_robot
@@ -123,6 +125,13 @@ def test_time_step_of_a_light_footed_robot_lets_it_rest(tmp_path: Path) -> None:
     robot = pa.load_robot(file)
     stance = study_stance(robot, pa.StandTask())
     assert stance.verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
+    document = stance_document(stance)
+    findings, details = (
+        [get_english(words) for words in lines] for lines in (document.findings, document.details)
+    )
+    assert sum(line.startswith("added servos: kp") for line in findings) == 1
+    assert not any("on servos that were added" in line for line in findings)  # stated once
+    assert sum("on servos that were added" in line for line in details) == 1
     held = make_stand_start(robot, stance.stand)
     model = held.drive.model
     assert model.opt.timestep == 2e-3 / 8

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -20,7 +21,7 @@ from pupper_analysis.base.units import (
 from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import NextStep, join_words, text, word
+from pupper_analysis.present.document import NextStep, get_english, join_words, text, word
 from pupper_analysis.present.documents.loads import get_display_scales, load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
@@ -33,7 +34,7 @@ from pupper_analysis.present.documents.standing import (
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.present.verdict import judged_document, make_servo_clause
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
@@ -146,7 +147,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         height_plot([run], float(stand.qpos[2])),
         *([] if stance.servos is None else [_make_servo_table(stance.servos)]),
     ]
-    return judged_document(
+    document = judged_document(
         text("stance"),
         stance,
         blocks,
@@ -163,6 +164,18 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
     )
+    return _omit_repeated_servos(document, stance) if stance.servos is not None else document
+
+
+def _omit_repeated_servos(document: doc.Document, stance: Stance) -> doc.Document:
+    """Move the statement on added servos to the details if the servo gains are stated as well."""
+    servos = stance.verdict.servos
+    if not servos.made or not any(_describe_servo_gains(stance)):
+        return document
+    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
+    moved = tuple(line for line in document.findings if get_english(line) == repeated)
+    kept = tuple(line for line in document.findings if get_english(line) != repeated)
+    return replace(document, findings=kept, details=(*document.details, *moved))
 
 
 _NEXT_STEPS = {
