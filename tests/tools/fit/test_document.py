@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pupper_analysis.present.document import BarPlot
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.present.document import BarPlot, Name, diagnostic_text, text
 from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, SURROUNDINGS_KINDS, Parameter
 from pupper_analysis.tools.fit.result import (
@@ -157,3 +159,15 @@ if __name__ == "__main__":
     GOLDEN.mkdir(exist_ok=True)
     for one in RESULTS:
         (GOLDEN / f"{one}.md").write_text(write_document(one), encoding="utf-8")
+
+
+def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
+    """Both had more than 150 characters; `terminal.MAX_ANSWER_WIDTH` is the limit."""
+    place = {"mass": "0.4755", "link": Name("base_link"), "x": "-10.0", "y": "-10.0", "z": "110.8"}
+    planned = text("put-it-there", stands=12, **place)
+    angle = Quantity(math.radians(0.1516), "rad")
+    friction = diagnose("friction-of-joints", joint="leg_front_l_3", angle=angle)
+    recorded = diagnostic_text(friction)
+    for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.1516 deg")):
+        assert kept in line.short
+        assert len(line.short) < MAX_ANSWER_WIDTH < len(line.en)
