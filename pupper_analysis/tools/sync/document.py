@@ -53,8 +53,11 @@ def sync_document(
         messages = [edit_count]
         if sync.not_mended:
             messages.append(text("differences-left-count", count=len(sync.not_mended)))
+        if dry_run:
+            messages.append(text("dry-run-writes-nothing"))
     else:
         messages = [*_describe_differences(sync)]
+    agree = text("sync-would-agree" if is_hypothetical and sync.edits else "agree")
     return doc.Document(
         text("sync"),
         text("urdf-and-mjcf", **dict(zip(("urdf", "mjcf"), names, strict=True)))
@@ -62,7 +65,7 @@ def sync_document(
         else text("both-files"),
         tuple(blocks),
         passed=sync.agree,
-        verdict=text("agree") if sync.agree else text("disagree"),
+        verdict=agree if sync.agree else text("disagree"),
         failures=tuple(_describe_impossible_changes(sync)),
         findings=tuple(messages),
         notes=tuple(

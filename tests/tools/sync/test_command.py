@@ -101,7 +101,14 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
     assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
     message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1"
-    assert result.stdout.splitlines()[:2] == [message, "  differences left: 1"]
+    left = "  differences left: 1; nothing was written, because of --dry-run"
+    assert result.stdout.splitlines()[:2] == [message, left]
+    assert (folder / "robot.urdf").read_bytes() == before
+    # The files do not agree yet if all differences are chosen in a trial.
+    everything = run(folder, "--take", "mjcf", "--dry-run").stdout.splitlines()
+    assert everything[0].startswith("WOULD AGREE robot.urdf and robot.xml: attributes that would")
+    assert everything[1] == "  nothing was written, because of --dry-run"
+    assert everything[2].startswith("  next: pupper-analysis sync ")
     assert (folder / "robot.urdf").read_bytes() == before
 
 
