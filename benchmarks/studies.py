@@ -188,10 +188,10 @@ def find_largest_robots() -> None:
     axes = figure.add_subplot()
     axes.set_prop_cycle(color=drawing.SERIES_COLOURS)
     axes.set(xlabel="leg length relative to v3", ylabel="mass of the robot (kg)")
-    for kp, part in stands.groupby("kp"):
+    for marker, (kp, part) in zip("os", stands.groupby("kp"), strict=True):
         front = pareto_front(part, {"leg_scale": "max", "total_mass": "max"})
-        dots = axes.scatter(part["leg_scale"], part["total_mass"], s=4, alpha=0.35)
-        look = {"color": dots.get_facecolor()[0, :3], "marker": "o", "ms": 3.5}
+        dots = axes.scatter(part["leg_scale"], part["total_mass"], s=4, alpha=0.35, marker=marker)
+        look = {"color": dots.get_facecolor()[0, :3], "marker": marker, "ms": 4}
         label = f"kp = {kp:g} N m/rad: Pareto front (dots: other designs that stand)"
         axes.plot(front["leg_scale"], front["total_mass"], label=label, **look)
     drawing.title_panel(axes, "")
