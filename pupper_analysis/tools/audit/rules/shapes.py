@@ -568,7 +568,10 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
             continue
         if gap > offsets[link]:
             message = diagnose(
-                "links-of-hinge-apart", gap=Quantity(gap, "m"), parent=names[0], child=names[1]
+                "links-of-hinge-apart",
+                gap=Quantity(gap, "m"),
+                parent=names[0],
+                child=names[1],
             )
         else:
             message = diagnose("axis-off-link", offset=Quantity(offsets[link], "m"), link=link)
