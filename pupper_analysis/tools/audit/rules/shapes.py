@@ -6,8 +6,7 @@ which the points are expressed.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import PurePath
 
@@ -469,20 +468,38 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     the origins of the same mesh in both (`_measure_equal_mesh_gap`). The extent is then the extent
     of the origins of link, frames and children.
 
-    Nothing is reported if the corresponding links of all limbs are alike, and the visual shapes of
-    the next link are where the collision shapes are. For example, the hips of Go1 collide where
-    the thighs draw the shoulder.
+    An intended shape (`_list_intended_gaps`) is not reported. For example, the hips of Go1 collide
+    where the thighs draw the shoulder.
     """
     gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
     gaps = {name: gap for name, gap in gaps.items() if gap > 0}
-    kinds = Counter(map(strip_sides, robot.links))
-    found = Counter(map(strip_sides, gaps))
-    for name, gap in gaps.items():
-        kind = strip_sides(name)
-        is_alike = 1 < found[kind] == kinds[kind]
-        if not (is_alike and _is_drawn_by_next_link(robot, robot.links[name])):
-            message = diagnose("collision-off-visual", gap=Quantity(gap, "m"))
-            yield CheckFinding("link", name, message, "collision")
+    intended = _list_intended_gaps(robot, gaps)
+    for name in (name for name in gaps if name not in intended):
+        message = diagnose("collision-off-visual", gap=Quantity(gaps[name], "m"))
+        yield CheckFinding("link", name, message, "collision")
+
+
+def _list_intended_gaps(robot: RobotModel, gaps: Mapping[str, float]) -> set[str]:
+    """Return the links of several limbs with the same gap, whose next links draw the shapes.
+
+    The next link must have visual shapes where the link has collision shapes, in more than half of
+    the corresponding links with a gap. The gap of a link must be within `POSITION_TOLERANCE` of the
+    median of these links. A single link with a defect, such as a missing mesh, changes neither.
+
+    Args:
+        robot: Model of the robot.
+        gaps: {link: gap between collision and visual shapes [m]}.
+    """
+    kinds: dict[str, list[str]] = {}
+    for name in gaps:
+        kinds.setdefault(strip_sides(name), []).append(name)
+    intended: set[str] = set()
+    for names in kinds.values():
+        drawn = [name for name in names if _is_drawn_by_next_link(robot, robot.links[name])]
+        if 1 < len(names) < 2 * len(drawn):
+            usual = float(np.median([gaps[name] for name in drawn]))
+            intended |= {name for name in names if abs(gaps[name] - usual) <= POSITION_TOLERANCE}
+    return intended
 
 
 def _measure_collision_gap(robot: UrdfModel, body: Link) -> float:
