@@ -479,7 +479,7 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
         yield CheckFinding("link", name, message, "collision")
 
 
-def _list_intended_gaps(robot: RobotModel, gaps: Mapping[str, float]) -> set[str]:
+def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
     """Return the links of several limbs with the same gap, whose next links draw the shapes.
 
     The next link must have visual shapes where the link has collision shapes, in more than half of
