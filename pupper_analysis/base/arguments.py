@@ -279,9 +279,9 @@ def check_type(name: str, value: object, hint: Any) -> None:
     wanted = [_describe_type(option) for option in options]
     given = " ".join(reprlib.repr(value).split())
     names = [getattr(option, "__name__", "") for option in options]
-    code = next((_UNION_CODES[name] for name in names if name in _UNION_CODES), None)
-    if code is not None:
-        raise ConfigurationError(name, diagnose(code, value=given))
+    member = next((option for option in names if option in _UNION_CODES), None)
+    if member is not None:
+        raise ConfigurationError(name, diagnose(_UNION_CODES[member], value=given))
     remedy = next((_REMEDIES[name] for name in names if name in _REMEDIES), None)
     message = diagnose("of-another-type", value=given, wanted=wanted, remedy=remedy)
     raise ConfigurationError(name, message)
