@@ -869,8 +869,8 @@ def _list_objections(
     beyond = np.flatnonzero(excess > _LIMIT_ATOL)
     if not beyond.size:
         even = is_standing_pose(robot, joints)
-        code = "keyframe-without-stand" if even else "keyframe-feet-uneven"
-        return (diagnose(code, subject=subject),)
+        note_code = "keyframe-without-stand" if even else "keyframe-feet-uneven"
+        return (diagnose(note_code, subject=subject),)
     names = [robot.joint_names[joint] for joint in beyond]
     worst = int(np.argmax(excess))
     most = Quantity(float(excess[worst]), joint_unit(robot, robot.joint_names[worst]))

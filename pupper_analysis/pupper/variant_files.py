@@ -261,9 +261,8 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
     if all(map(_names_file, files)):
         path = Path(word)
         if path.name == word and path.stem in VARIANTS and not is_input(path):
-            raise VariantError(
-                "name", word, diagnose("known-robots", alike=[path.stem], variants=VARIANTS)
-            )
+            problem = diagnose("known-robots", alike=[path.stem], variants=VARIANTS, missing=[])
+            raise VariantError("name", word, problem)
         return files
     with suppress(OSError, ValueError):  # for example a name that is too long
         if Path(word).is_dir():

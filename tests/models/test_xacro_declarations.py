@@ -83,7 +83,9 @@ def test_unused_xacro_is_ignored_with_a_note(files: Any, name: str) -> None:
 @pytest.mark.parametrize("name", USED)
 def test_used_xacro_is_refused_at_its_line(files: Any, name: str) -> None:
     line = with_xacro(files.urdf, USED[name])
-    with pytest.raises(ModelError, match=f"robot.urdf:{line}: it is a xacro file; give the expanded"):
+    with pytest.raises(
+        ModelError, match=f"robot.urdf:{line}: it is a xacro file; give the expanded"
+    ):
         read_urdf(files.urdf)
 
 

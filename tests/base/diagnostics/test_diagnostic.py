@@ -109,11 +109,11 @@ def find_diagnose_calls() -> Iterator[tuple[str, str, set[str] | None]]:
 
 def pair_assignment(node: ast.Assign) -> Iterator[tuple[ast.expr, ast.expr]]:
     """Yield target and value of an assignment; of a tuple, each pair."""
-    (target,) = node.targets
-    if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
-        yield from zip(target.elts, node.value.elts, strict=True)
-    else:
-        yield target, node.value
+    for target in node.targets:
+        if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+            yield from zip(target.elts, node.value.elts, strict=True)
+        else:
+            yield target, node.value
 
 
 def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
