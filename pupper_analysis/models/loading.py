@@ -149,7 +149,7 @@ def read_model(
             message is a single line with location and reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
-        OutputError: If the present command also writes the file.
+        OutputError: If this run of the command line also writes the file.
     """
     if is_object(path):
         with read_objects([cast(ModelObject, path)], packages) as in_memory:
@@ -189,7 +189,7 @@ def read_as_urdf(
         ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If the present command also writes the file.
+        OutputError: If this run of the command line also writes the file.
     """
     reader = reader_of(model)
     if reader is not None:
@@ -221,7 +221,7 @@ def read_as_mjcf(
         ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If the present command also writes the file.
+        OutputError: If this run of the command line also writes the file.
     """
     reader = reader_of(model)
     if reader is not None:

@@ -108,7 +108,7 @@ def parse_spec(path: Path) -> mujoco.MjSpec:
     Raises:
         ValueError: If MuJoCo rejects the file.
         InputError: If a file with another suffix than ``.xml`` cannot be read.
-        OutputError: If the present command also writes such a file.
+        OutputError: If this run of the command line also writes such a file.
     """
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))

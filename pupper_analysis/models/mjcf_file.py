@@ -332,7 +332,7 @@ class IncludeTree:
     Raises:
         ModelError: For example if an included or attached file is missing or not valid, if files
             include each other in a loop, or if a limit of number, size or depth is exceeded.
-        OutputError: If the present command also writes one of these files.
+        OutputError: If this run of the command line also writes one of these files.
     """
 
     def __init__(
@@ -446,7 +446,7 @@ class IncludeTree:
         Raises:
             ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
                 ``file``, or the file does not exist.
-            OutputError: If the present command also writes the file.
+            OutputError: If this run of the command line also writes the file.
         """
         if next(self._include_counter) > MAX_INCLUDES:
             raise make_element_error(
@@ -823,7 +823,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
@@ -877,8 +877,8 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
             - A limit of size, number or depth is exceeded.
             - MuJoCo cannot parse the file.
             - A mass depends on a missing mesh.
-        OutputError: If the present command also writes an included or attached file, a mesh or a
-            texture.
+        OutputError: If this run of the command line also writes an included or attached file, a
+            mesh or a texture.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"

@@ -48,7 +48,7 @@ def existing_file(path: Path) -> Path | None:
         content, or if the system rejects the path, for example because of its length.
 
     Raises:
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     try:
         if not path.is_file() or is_pointer(path):
@@ -394,7 +394,7 @@ def expand_xacro(
         ModelError: If xacro is not installed or cannot be imported, the file does not exist, a
             package is not found, or the expansion fails.
         UnknownNameError: If neither the file nor an included file declares an argument.
-        OutputError: If the present command also writes an included file.
+        OutputError: If this run of the command line also writes an included file.
     """
     xacro = import_source("xacro", "xacro")
     if xacro is None:

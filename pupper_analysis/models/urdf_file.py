@@ -173,7 +173,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or is not valid. The message is a single line with
             location and reason.
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     check_type("urdf", path, str | Path)
     path = Path(path)
@@ -197,7 +197,7 @@ def urdf_from(
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
-        OutputError: If the present command also writes a mesh or an included file.
+        OutputError: If this run of the command line also writes a mesh or an included file.
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"

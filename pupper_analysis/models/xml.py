@@ -75,7 +75,7 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
             - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.
             - A file that is no URDF uses xacro.
             - A file with the suffix ``.xacro`` has an expression outside of its xacro elements.
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     text = _read_model_text(path)
     root = parse_file_text(path, text)
@@ -189,7 +189,7 @@ def _read_model_text(path: Path) -> str:
     Raises:
         ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
             format.
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     try:
         data = read_content(path, MAX_BYTES)

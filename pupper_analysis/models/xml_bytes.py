@@ -146,7 +146,7 @@ def read_xml_bytes(path: Path) -> XmlDocument:
 
     Raises:
         InputError: If the file cannot be read, or is too large.
-        OutputError: If the present command also writes this file.
+        OutputError: If this run of the command line also writes this file.
     """
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")
