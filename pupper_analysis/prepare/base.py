@@ -27,9 +27,9 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
-"""Tolerance [m] with which the frame of a free base counts as at ground level. The frame is at
-ground level if the height above the lowest point of the limb ends is at most this value. The
-tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
+"""Upper bound of the height [m] of a free base's frame above the lowest point of the limb ends, at
+which the frame counts as at ground level. `place_base_frame` raises such a frame. The tolerance
+covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
 """Lower bound of the cosine of the base tilt [1], about 45 deg. If the cosine is below the bound,
@@ -201,10 +201,11 @@ def _compute_visual_bottom(
     insert_visuals: Callable[[mujoco.MjSpec], object],
     source: Path,
 ) -> float:
-    """Return the lowest height [m] of all geoms of bodies ``ends``, visual meshes included.
+    """Compute the height [m] of the lowest point of the bodies ``ends``, visual meshes included.
 
-    The height is in the world frame. ``insert_visuals`` adds the visual meshes to a copy of the
-    spec.
+    The height is in the world frame, in the initial state. ``ends`` are MuJoCo ids of moving
+    bodies; bodies that are fixed to such a body are included. ``insert_visuals`` adds the visual
+    meshes to a copy of the spec.
     """
     complete = spec.copy()
     complete.compiler.discardvisual = False
@@ -222,10 +223,10 @@ def _raise_frame(
     """Raise the frame of a free base; all elements of the body keep their positions in the world.
 
     Args:
-        spec: Spec, with keyframes; modified in place, with the keyframes.
+        spec: Spec; modified in place. The base poses in the keyframes are changed accordingly.
         base: Base body.
         place: Index in ``qpos`` of the first coordinate of the base's free joint.
-        up: Distance along the z axis of the frame [m].
+        up: Distance by which the frame is raised along its z axis [m].
         model: Compiled model of the spec.
     """
     offset = np.array([0.0, 0.0, up])

@@ -1,9 +1,10 @@
-"""Candidate causes of a different behaviour of a published model and of the prepared robot.
+"""List elements of a published model that may explain why it behaves unlike the prepared robot.
 
 The published model is the user's file as MuJoCo compiles it. The prepared robot is the model with
-which stands are predicted. If a simulation of the published model deviates from the prediction, an
-element of the file may be the cause: for example a servo bias, a limit or a contact exclusion. This
-module lists such elements as candidates. Each candidate can be switched off in a copy of the model.
+which the equilibria of stands are predicted. If a simulation of the published model deviates from
+the predicted equilibrium, an element of the file may be the cause: for example a servo bias, a
+limit or a contact exclusion. This module lists such elements as candidate causes. The effect of
+each candidate can be removed from a copy of the model.
 If the deviation then disappears in a simulation, the element is the cause (`prepare.self_check`).
 """
 
@@ -45,8 +46,8 @@ _OBJECT_TYPE = mujoco.mjtObj
 
 _MAX_FINE_TIMESTEP = 2e-3
 """Upper bound of the time step [s] in a test simulation with a finer integration. The test
-simulation shows if the integration of the file causes a deviation. The value is MuJoCo's default;
-chosen, not tuned."""
+simulation shows if the integration of the file causes a deviation from the predicted equilibrium.
+The value is MuJoCo's default; chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations [1] and upper bound of the tolerance [1] of an accurate constraint
@@ -67,13 +68,16 @@ ankles within 0.1 %. At 1e6 the simulation diverges."""
 
 @dataclass(frozen=True, eq=False)
 class CauseCandidate:
-    """Elements of an MJCF that may cause a deviation, with a function to switch the elements off.
+    """Elements of an MJCF that may explain a deviation, with a function that removes their effect.
+
+    A deviation is a difference between a simulation of the MJCF and the predicted equilibrium, or a
+    fall.
 
     Attributes:
         code: Kind of the cause, for example ``"bias"`` or ``"timestep"``.
         elements: Names of the elements. For MuJoCo options: names or values of the options.
-        switch_off: Function that removes the effect of the elements from a copy of the model, in
-            place.
+        switch_off: Function that removes the effect of the elements from a MuJoCo model, in place.
+            The caller passes a copy of the published model.
     """
 
     code: str
@@ -81,7 +85,7 @@ class CauseCandidate:
     switch_off: Callable[[mujoco.MjModel], None]
 
     def make_cause(self, remaining: float) -> Cause:
-        """Create the `Cause` that reports the elements of this candidate.
+        """Create the entry of a report that names the elements of this candidate as a cause.
 
         Args:
             remaining: Deviation that remains if the elements are switched off. The caller defines
@@ -115,7 +119,7 @@ the first element (`add_line`)."""
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Return a cause with the line number of the first element in the MJCF.
+    """Return a copy of a cause that states the line of its first element in the MJCF.
 
     The cause is returned unchanged if there are no elements, or if `_XML_SECTIONS` does not contain
     the code of the cause.
@@ -136,17 +140,20 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 
 
 def _name_bodies(names: Iterable[str]) -> str:
-    """Return the names of two bodies as the name of a constraint without a name."""
+    """Form a name for a constraint without a name: "A and B", with the names of its two bodies.
+
+    An empty name stands for the world.
+    """
     return " and ".join(name or "world" for name in names)
 
 
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """List candidate causes in a published MJCF that the prediction of a stand does not consider.
+    """List elements of a published MJCF that the predicted equilibrium of a stand ignores.
 
-    An element of the list may explain why the published model deviates from the prediction.
-    Examples are solver settings, contact exclusions, equalities, limits, servo biases and
-    obstacles. The prepared robot does not have the elements, or its behaviour is independent of the
-    elements.
+    Each entry is a candidate cause: it may explain why a simulation of the published model deviates
+    from the predicted equilibrium. Examples are solver settings, contact exclusions, equalities,
+    limits, servo biases and obstacles. The prepared robot does not have these elements, or its
+    behaviour is independent of the elements.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -169,9 +176,9 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
 def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """List candidate causes in an MJCF that affect both the published model and the prepared robot.
 
-    An element of the list may explain why both fall. The elements are actuators with a negative
-    gear, springs, joint limits, fluid forces, gravity with a horizontal component, and slippery or
-    soft contacts.
+    Each entry is a candidate cause: it may explain why both fall in a simulation. The elements are
+    actuators with a negative gear, springs, joint limits, fluid forces, gravity with a horizontal
+    component, and slippery or soft contacts.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -185,7 +192,7 @@ def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCan
 
 
 def _get_element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
-    """Return the name of an element; "#3" etc. without a name."""
+    """Return the name of the element with id ``number``; "#3" etc. if the element has no name."""
     return mujoco.mj_id2name(model, kind, number) or f"#{number}"
 
 
@@ -211,17 +218,19 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
 
 
 NUMERICS_CODES = ("timestep", "iterations")
-"""Codes of the numerical causes of a deviation: ``timestep`` (time step and integrator) and
-``iterations`` (inaccurate constraint solver). Causes with these codes are tested first."""
+"""Codes of the numerical causes of a deviation from the predicted equilibrium: ``timestep`` (time
+step and integrator) and ``iterations`` (inaccurate constraint solver). Causes with these codes are
+tested first."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of causes that change the position to which a servo command corresponds. If a run from a
-keyframe fails because nothing holds a joint, or because the ctrl belongs to another pose, only
-causes with these codes are tested. Other changes might let the robot stand by chance."""
+"""Codes of causes that change the joint position that a servo command (ctrl) requests. If a
+simulation from a keyframe fails because nothing holds a joint, or because the ctrl belongs to
+another pose, only causes with these codes are tested. Other changes might let the robot stand by
+chance."""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
-    """Return a function that sets elements of a model's arrays, or MuJoCo options, in place.
+    """Create a function that removes the effect of elements, by new values in a MuJoCo model.
 
     Args:
         changes: Triples (names of the fields, joined by spaces; index of the elements; new value).
@@ -249,15 +258,15 @@ def _yield_if_any(
         code: Code of the cause.
         elements: Names of the elements.
         fields: Names of the fields of a MuJoCo model that the candidate sets, joined by spaces.
-        index: Index of the elements in these fields.
-        value: New value.
+        index: Index of the elements in these fields; None for fields of ``model.opt``.
+        value: New value, which removes the effect of the elements.
     """
     if elements:
         yield CauseCandidate(code, elements, _make_switch((fields, index, value)))
 
 
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the integration and an inaccurate constraint solver as candidate causes of a deviation.
+    """Yield integration and inaccurate constraint solver as causes of a deviation from equilibrium.
 
     The integration is omitted if an actuator has a delay: its buffer has a fixed number of samples,
     so the time step cannot change.
@@ -282,12 +291,15 @@ def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the robot's joints in the model of the file, (nu,), in actuator order."""
+    """Return the ids of the robot's joints in the published model, (nu,), in actuator order."""
     return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
 def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the actuators at the robot's joints in the published model, shape (n,)."""
+    """Return the ids of the actuators at the robot's joints in the published model, shape (n,).
+
+    The order is that of the robot's joints; a joint may have no actuator, or several.
+    """
     joints = _list_joint_ids(published, robot).tolist()
     return np.array(
         [m for joint in joints for m in list_joint_actuators(published.model, joint)],
@@ -298,7 +310,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield servos with a bias, a gain unequal to the stiffness, or a delay as candidate causes.
 
-    A candidate cause may explain why the model of the file deviates from the prediction.
+    A candidate cause may explain why the published model deviates from the predicted equilibrium.
     """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -393,8 +405,8 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 _MIN_FRICTION = 0.3
 """Lower bound of the sliding friction coefficient [1]. A contact with a lower coefficient is tested
-as the cause of a fall or of a deviation from the prediction: the value may be a mistake of the
-file. Chosen lower than the coefficients of usual materials."""
+as the cause of a fall, or of a deviation from the predicted equilibrium: the value may be a mistake
+of the file. Chosen lower than the coefficients of usual materials."""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
@@ -465,9 +477,9 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield contact exclusions with static bodies, each as a candidate cause.
+    """Yield the exclusions of contacts with bodies that are fixed to the world, as causes.
 
-    A candidate cause may explain why the model of the file deviates from the prediction.
+    Each exclusion may explain why the published model deviates from the predicted equilibrium.
     """
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
@@ -482,7 +494,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield two options as candidate causes: contact flag ``override``, disabled actuator groups.
 
-    A candidate cause may explain why the model of the file deviates from the prediction.
+    Each option may explain why the published model deviates from the predicted equilibrium.
     """
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
@@ -501,7 +513,8 @@ def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield constraints of the published model that may cause a deviation from the prepared robot.
 
-    These are the initially active welds and connects with a static or mocap body.
+    These are the initially active welds and connects of which a body is fixed to the world, or is a
+    mocap body.
     """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
@@ -516,7 +529,7 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the active limits of commands and forces as candidate causes of a deviation.
+    """Yield the limits of servo commands and forces as candidate causes of a deviation.
 
     There is a candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the robot's
     joints, and ``actuatorfrcrange`` of these joints.
@@ -539,10 +552,11 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield actuators without hinge or slide, and slow actuator filters, as candidate causes.
+    """Yield actuators that act on no single hinge or slide, and slow filters, as candidate causes.
 
-    A candidate cause may explain why the model of the file deviates from the prediction. Servos at
-    tendons that drive joints without actuator are not candidates: the servos are commanded.
+    A candidate cause may explain why the published model deviates from the predicted equilibrium.
+    Servos at tendons that drive joints without actuator are no candidates: `compute_hold_commands`
+    commands these servos to hold the joints.
     """
     model = published.model
     commanded = {
@@ -565,11 +579,11 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield joints of the file that the prepared robot lacks (held at zero) as candidate causes.
+    """Yield joints of the file that the prepared robot lacks, as candidate causes of a deviation.
 
-    A candidate may explain why the model of the file deviates from the prediction. Ball joints are
-    a candidate; hinges and slides are the other. To test a candidate, the joints are locked by
-    damping.
+    The prepared robot holds these joints at zero; in the published model they may move. There are
+    at most two candidates: all ball joints, and all hinges and slides. To test a candidate, its
+    joints are locked by damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]
@@ -586,8 +600,9 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield shapes of the published model that may cause a deviation from the prepared robot.
 
-    There are two kinds: shapes whose contacts the preparation disabled, and obstacles. An obstacle
-    is a shape, other than a plane, that is fixed to the world or to a mocap body.
+    There are at most two candidates: all shapes whose contacts the preparation disabled, and all
+    obstacles. An obstacle is a shape, other than a plane, that is fixed to the world or to a mocap
+    body.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -606,7 +621,10 @@ def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_disabled_geoms(published: PublishedModel, robot: Robot) -> list[int]:
-    """Return the collidable geoms whose counterparts in the prepared robot do not collide."""
+    """Return the ids of published geoms that can collide, but whose counterparts cannot.
+
+    The counterpart of a geom has the same index on the body of the same name in the prepared robot.
+    """
     model, robot_model = published.model, robot.mj_model
     geoms = []
     for body in range(1, model.nbody):
@@ -633,17 +651,17 @@ def _list_disabled_geoms(published: PublishedModel, robot: Robot) -> list[int]:
 
 
 def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
-    """Return the bodies with shapes that were replaced by balls."""
+    """Return the names of the bodies whose collision shapes the preparation replaced by balls."""
     balls = (addition.body for addition in robot.description.added if isinstance(addition, Ball))
     return tuple(dict.fromkeys(balls))
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """List changes by the preparation that may cause a deviation from the published model.
+    """List changes by the preparation that may explain a deviation from the published model.
 
-    Unlike the other candidate causes, these are no elements of the file. There are two kinds:
-    bodies whose collision shapes were replaced by spheres, and joints whose actuator is neither a
-    servo nor a torque motor (`Drive.has_other_law`).
+    Unlike a `CauseCandidate`, such a change cannot be switched off in the published model. There
+    are two kinds: bodies whose collision shapes were replaced by spheres, and joints whose actuator
+    is neither a servo nor a torque motor (`Drive.has_other_law`).
 
     Args:
         published: Published model: the user's file as compiled.

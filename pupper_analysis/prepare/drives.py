@@ -1,9 +1,10 @@
 """Add position servos to a robot whose MJCF has torque motors, or no actuators.
 
 Inputs are a robot with a stand and the force laws of the actuators; output is a robot with a
-position servo at each independent joint. Candidates of gains and time step are tried in order,
-until the robot comes to rest in the stand and agrees with the prediction (`add_position_servos`).
-Independent joints of robots with closed loops get motors first, to fix the joint order.
+position servo at each independent joint: its position does not follow from closed loops or
+couplings. Candidates of gains and time step are tried in order, until the robot comes to rest in
+the predicted equilibrium (`add_position_servos`). Independent joints of robots with closed loops
+get motors first, to fix the joint order.
 """
 
 from __future__ import annotations
@@ -76,8 +77,9 @@ _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
 `_SAG_CANDIDATES`. Chosen, not tuned."""
 
 _BRIEF_DURATION = 2.0
-"""Duration [s] of the first simulation that compares candidate gains with the prediction. If the
-results agree, no longer simulation follows. Chosen, not tuned."""
+"""Duration [s] of the first simulation that tests if candidate gains lead to the predicted
+equilibrium. If this simulation agrees with the equilibrium, no longer simulation follows. Chosen,
+not tuned."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
@@ -111,7 +113,7 @@ def add_loop_motors(robot: Robot) -> Robot:
 
 
 class _ServoCandidate(NamedTuple):
-    """Gains and time step of added servos that are tried.
+    """Gains and time step that are tried for a robot with added servos.
 
     Attributes:
         divisor: Number by which the time step of the file is divided.
@@ -149,7 +151,8 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 
     - The robot comes to rest in the stand, with feed-forward torques and with position commands
       alone.
-    - The rest position agrees with the prediction, unless both files describe different robots.
+    - The rest position agrees with the predicted equilibrium, unless URDF and MJCF describe
+      different robots.
     - The motion after nudges of the base decays.
     - The published MJCF with these servos comes to rest, too. This condition is omitted for a robot
       with a URDF alone, and with a reduced time step.
@@ -171,7 +174,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 
     Args:
         robot: Robot.
-        stand: Stand.
+        stand: Stand that the servos must hold.
         original: MJCF of the robot, as read.
     """
     trials = _ServoTrials(robot, stand, original)
@@ -200,7 +203,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 
 
 def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_ServoCandidate]:
-    """Return the gains and time steps that are tried, in this order.
+    """Return the candidates of gains and time step, in the order in which they are tried.
 
     There are three groups, in this order: the deflections `_SAG_CANDIDATES` with the time step of
     the file; `_LIGHT_SAG_CANDIDATES` with reduced damping; `_SAG_CANDIDATES` with smaller time
@@ -226,7 +229,10 @@ def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Serv
 
 
 def _build_with_servos(robot: Robot, candidate: _ServoCandidate, original: MjcfFile) -> Robot:
-    """Return the robot with the servos and the time step of a candidate."""
+    """Return a robot with added position servos that have the gains and time step of a candidate.
+
+    ``original`` is the MJCF as read; the compiler option for visual geoms is copied from this file.
+    """
     divisor, kp, kd = candidate
     timestep = float(robot.description.mjcf.option.timestep) / divisor
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
@@ -256,12 +262,13 @@ class _ServoTrials:
         self._chattering_divisors: set[int] = set()
 
     def find_resting_candidates(self, *feedforward: bool) -> Iterator[_ServoCandidate]:
-        """Yield the candidates with which the robot comes to rest; set the time step of the robot.
+        """Yield the candidates with which a simulated robot comes to rest in the stand.
 
-        ``feedforward`` lists the simulations in which the robot must come to rest: with (True) or
-        without (False) feed-forward torques. Simulations without feed-forward run first: in them
-        most bad candidates fall within seconds. For a robot with a URDF alone, a time step is
-        skipped if contacts chattered with it (`calms_down`).
+        The time step of the robot is set to that of the candidate. ``feedforward`` lists the
+        simulations in which the robot must come to rest: with (True) or without (False)
+        feed-forward torques. Simulations without feed-forward run first, because most bad
+        candidates then fall within seconds. For a robot with a URDF alone, a time step is skipped
+        after contacts chattered: the motion after a nudge did not decay (`calms_down`).
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))
@@ -271,9 +278,10 @@ class _ServoTrials:
                 yield candidate
 
     def _comes_to_rest(self, number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with the gains and time step of a candidate.
+        """Simulate a candidate in the stand; return True if the robot comes to rest.
 
-        The time step of the robot is set. Each case is simulated once, and the result is stored.
+        The time step of the robot is set to that of the candidate. Each case is simulated once, and
+        the result is stored.
 
         Args:
             number: Index of the candidate in `candidates`.
@@ -288,18 +296,20 @@ class _ServoTrials:
         return self._results[number, fed]
 
     def agrees_with_prediction(self, candidate: _ServoCandidate) -> bool:
-        """Return True if the robot comes to rest as predicted, with the gains of a candidate.
+        """Return True if a candidate leads to the predicted equilibrium in a simulation.
 
         The result is also True if URDF and MJCF describe different robots (`_is_as_predicted`). The
-        time step is that of the last candidate of `find_resting_candidates`.
+        gains are those of the candidate. The time step is that of the candidate that
+        `find_resting_candidates` yielded last.
         """
         return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
 
     def calms_down(self, candidate: _ServoCandidate) -> bool:
         """Return True if the motion after nudges of the base decays, with the gains of a candidate.
 
-        If the motion does not decay, the time-step divisor of the candidate is recorded. The time
-        step is that of the last candidate of `find_resting_candidates`.
+        If the motion does not decay, the time-step divisor of the candidate is recorded as
+        chattering. The time step is that of the candidate that `find_resting_candidates` yielded
+        last.
         """
         _, kp, kd = candidate
         is_calm = calms_after_base_nudges(self._robot, self._stand, kp=kp, kd=kd)
@@ -308,11 +318,11 @@ class _ServoTrials:
         return is_calm
 
     def choose_calm_candidate(self) -> _ServoCandidate | None:
-        """Choose a candidate with which the robot rests with feed-forward torques.
+        """Choose the candidate for a robot that comes to rest only with feed-forward torques.
 
-        The first candidate whose motion after nudges decays is returned. If there is none, the
-        first candidate with which the robot rests is returned. If there is none either, the result
-        is None.
+        Only candidates with which the robot comes to rest with feed-forward are considered. The
+        first of these with which the motion after nudges decays is returned, else the first of all.
+        None if there are no such candidates.
         """
         first = None
         for candidate in self.find_resting_candidates(True):
@@ -346,10 +356,10 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
 
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
-    """Return a robot whose description lists the passive joints (`Description.passive_joints`).
+    """Detect passive joints, which no motor drives; list them in the robot's description.
 
     A joint is passive if the effort limit is zero, the MJCF has no actuator at the joint, and the
-    position does not depend on other joints.
+    position does not depend on other joints. The list is `Description.passive_joints`.
 
     The robot is returned unchanged if there are no passive joints, if the MJCF has no actuators, or
     if the MJCF was derived from the URDF. Reason: an effort of zero in a single file may be a
@@ -375,9 +385,10 @@ def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
 
 
 def _remove_zero_limits(robot: Robot) -> Robot:
-    """Return the robot with torque limits of zero or below changed to "unknown".
+    """Return a robot whose torque limits of zero or below are changed to "unknown".
 
-    Passive joints keep their limits. Without such limits, ``robot`` itself is returned.
+    Reason: the choice of servo gains must not depend on such limits. Passive joints keep their
+    limits. Without a limit to change, ``robot`` itself is returned.
     """
     passive = robot.description.passive_joints
     null = [
@@ -394,7 +405,11 @@ def _remove_zero_limits(robot: Robot) -> Robot:
 
 
 def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
-    """Return the robot with servos, ``made``, with the zero torque limits of ``robot`` again."""
+    """Return the robot with servos, ``made``, with the torque limits of ``robot`` again.
+
+    The inverse of `_remove_zero_limits`. ``made`` is returned unchanged if no limit of ``robot`` is
+    zero or below.
+    """
     if not any(limit.without_torque for limit in robot.efforts):
         return made
     return rebuild_robot(
@@ -424,12 +439,13 @@ def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
 
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
-    """Return suggested servo gains of a robot with a fixed base, in actuator order.
+    """Compute suggested servo gains for a robot with a fixed base, such as an arm.
 
     The gains are computed by `suggest_fixed_base_gains`.
 
     Returns:
-        kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m].
+        kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m]. Both are in actuator
+        order.
     """
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
@@ -458,7 +474,10 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
 
 
 def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, and return notes about the servos."""
+    """Add position servos to a robot with a fixed base; return the robot and notes on the servos.
+
+    The caller has marked passive joints, and removed torque limits of zero or below.
+    """
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
@@ -470,7 +489,7 @@ def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list
 def _report_added_servos(
     robot: Robot, built: Robot, mjcf: MjcfFile, kp: Array, kd: Array
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Return the robot with a record of the added servos, and the notes about the servos.
+    """List the added servos in the description of a robot, and create the notes about the servos.
 
     Args:
         robot: Robot without the servos.
@@ -511,10 +530,11 @@ def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> 
 def _merge_gains(
     robot: Robot, own_gains: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
-    """Return kp and kd, (nu,) each, of a robot with servos of the MJCF and added servos.
+    """Combine the gains of the MJCF's servos with suggested gains; return kp and kd, (nu,) each.
 
-    Dependent joints have gains of 0, and joints in ``own_gains`` the gains in this mapping. Other
-    joints have the suggested gains ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m].
+    Joints in ``own_gains``, {joint: (kp, kd)}, have a servo in the MJCF and keep its gains. Other
+    joints get the suggested gains ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]. The gains of
+    dependent joints (of closed loops and couplings) are 0.
     """
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(
@@ -525,11 +545,12 @@ def _merge_gains(
 
 
 def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Return True if the simulated robot comes to rest as predicted.
+    """Return True if servo gains lead to the predicted equilibrium of a stand in a simulation.
 
     The result is also True if URDF and MJCF describe different robots, since no gains help then.
-    The first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the
-    prediction, the default duration is simulated.
+    The prediction takes the penetration of soft ground into account, if it can be computed. The
+    first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the predicted
+    equilibrium, the default duration is simulated.
 
     Args:
         robot: Robot.
@@ -546,10 +567,11 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 
 
 def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
-    """Return True if both files describe different robots: then no gains make the results agree.
+    """Return True if URDF and MJCF describe different robots, by the statics of a stand.
 
     The files differ if the largest unbalanced generalised force of the predicted stand in MuJoCo
-    exceeds ``MAX_BALANCE_RESIDUAL_RATIO`` times the weight.
+    exceeds ``MAX_BALANCE_RESIDUAL_RATIO`` times the weight. Then no servo gains let the simulation
+    agree with the predicted equilibrium.
     """
     weight = robot.weight
     return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight
@@ -565,16 +587,16 @@ def make_missing_servos(
     """Create the additions to an MJCF that give a position servo to each joint without a servo.
 
     Dependent joints of closed loops and couplings get no servo. The force range of a servo is the
-    torque limit of the joint, if this limit is finite and not empty. Two solver options are also
-    added: the time step, and the integrator ``implicitfast``, since explicit damping makes light
-    joints oscillate.
+    torque range of the joint, if this range is finite and not empty. Two options are also added:
+    the time step, and the integrator ``implicitfast``, since explicit damping makes light joints
+    oscillate.
 
     Args:
         robot: Robot.
         kp: Stiffness, shape (nu,) [N m/rad, N/m]; ignored at joints with a servo.
         kd: Damping, shape (nu,) [N m s/rad, N s/m]; ignored at joints with a servo.
-        timestep: Time step [s].
-        own: Names of the joints with a servo; None: joints with a servo in the robot model.
+        timestep: Time step of the robot with servos [s].
+        own: Names of the joints that have a servo; None: joints with a servo in the robot model.
     """
     dependent = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
     excluded = {*(list_position_servos(robot) if own is None else own), *dependent}

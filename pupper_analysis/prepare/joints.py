@@ -26,9 +26,9 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Tolerance [rad, m] for comparing the joint limits of both files. If a limit of the MJCF is
-narrower than the limit of the URDF by more than this value, the limit of the MJCF is used. Smaller
-differences are rounding. Chosen, not tuned."""
+"""Tolerance [rad, m] for comparing the joint limits of URDF and MJCF. If a limit of the MJCF is
+narrower than the limit of the URDF by more than this value, `narrow_limits` uses the overlap of
+both ranges. Smaller differences are rounding. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
 """Limit of a continuous joint in both directions [rad]. The limit is added to a robot with closed
@@ -40,7 +40,7 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
     """Add joint limits to the continuous joints of a robot with closed loops or couplings.
 
     Reason: PlaCo's joint constraints in closed loops require limits. The limits are taken from the
-    MJCF. Without limits in the MJCF, a joint gets a revolution in both directions.
+    MJCF. Without limits in the MJCF, the limits are one revolution in both directions.
 
     Returns:
         Copy of the robot's description, with the limits [rad] in the URDF. None if the robot has no
@@ -71,7 +71,8 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 
     - The MJCF does not limit the joint.
     - The ranges of both files do not overlap.
-    - No limit of the MJCF is narrower by more than 1e-3 rad or m (`_LIMIT_ATOL`).
+    - No limit of the MJCF is narrower than that of the URDF by more than 1e-3 rad or m
+      (`_LIMIT_ATOL`).
 
     Returns:
         Copy of the robot's description with the new limits, and a note that lists the limits. None
@@ -151,7 +152,9 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
-    """Raise an error if a joint has several actuators: a stand has a single command per joint.
+    """Raise an error if a joint has several actuators.
+
+    Reason: a stand is held by a single servo command per joint.
 
     Args:
         model: Model of the MJCF.

@@ -2,8 +2,8 @@
 
 Inputs are the statics, and the results of two simulations of the prepared robot: with feed-forward
 torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on two
-simulations of the published file. The first starts at a keyframe of the file. The second starts at
-the predicted stand, and is compared with the prediction.
+simulations of the published file (the user's MJCF or URDF). The first starts at a keyframe of the
+file. The second starts at the predicted equilibrium of the stand, and is compared with it.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def judge_simulation(
 def _apply_zero_torque_limits(
     robot: Robot, fed: Outcome, alone: Outcome | None, statics: GravityCompensation | None
 ) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
-    """Add the failures that follow from motors with a torque limit of zero to both simulations.
+    """Add failures by motors with a torque limit of zero to two simulations of a stand.
 
     - If such a motor is loaded in ``statics``, or ``statics`` is None: both simulations fail.
     - If no such motor is loaded, and ``fed`` has failed: the message is added to the failures of
@@ -202,7 +202,7 @@ def _apply_zero_torque_limits(
 def _list_model_remarks(
     robot: Robot, stand: Stand, statics: GravityCompensation | None, *, given_gains: bool
 ) -> tuple[Diagnostic, ...]:
-    """Return the remarks of a verdict about the robot's model: tendons, limbs, soles, files, feet.
+    """Return the remarks that a verdict makes on the robot: tendons, limbs, soles, files, feet.
 
     Args:
         robot: Robot.
@@ -248,13 +248,13 @@ def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
 
 
 def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Outcome:
-    """Return a simulation, marked as failed because motors without torque must hold a load.
+    """Mark a simulation as failed because motors without torque must hold a load; return a copy.
 
     If ``springs`` is True and the robot stood, the simulation still counts as standing. Otherwise
     the other failures are omitted: they are consequences of the missing torque.
 
     Args:
-        run: Simulation, in which motors with a torque limit of zero exert no torque.
+        run: Result of a simulation in which motors with a torque limit of zero exert no torque.
         null: Message about the motors.
         springs: Whether springs of the MJCF act on the joints of all loaded motors without torque.
     """
@@ -310,7 +310,10 @@ increase counts as a payload. Smaller increases are rounding errors. Chosen, not
 def _report_buried_foot(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first foot whose predicted penetration exceeds its contact radius; () if none."""
+    """Report the first foot that sinks into the ground by more than its contact radius; () if none.
+
+    The penetration is that under the static contact force.
+    """
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
@@ -333,7 +336,7 @@ def _fail_if_upset(
     *,
     fragile: bool,
 ) -> Outcome:
-    """Return the result of a simulation, marked as failed if the stand fails after a nudge.
+    """Mark a simulation as failed if the stand fails after a nudge; return the result.
 
     A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here. A
     stand near a limit, or a ``fragile`` one, is nudged in all directions (`simulate_nudges`). Other
@@ -395,7 +398,7 @@ contain these notes, since the results depend on assumptions that replace the er
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
-    """Create the message about links whose mass in the URDF is absent, zero or negative.
+    """Create the message that links of the URDF have no mass, or a negative mass.
 
     The message states the consequences. A moving link without a positive mass gets 1 g in the
     prepared robot; MuJoCo itself refuses such a URDF. A negative mass of a link that is fixed to

@@ -51,10 +51,11 @@ def list_driven_limits(robot: Robot) -> list[EffortLimit]:
 
 
 def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
-    """Create the message about passive joints that must hold a torque in a stance.
+    """Create the message that joints without a motor must hold a torque in a stance.
 
     Passive joints have no actuator in the MJCF, and an effort limit of zero
-    (`Description.passive_joints`). The message names the loaded joints and the largest torque.
+    (`Description.passive_joints`). The message names the loaded joints, and the largest static
+    torque with its joint.
 
     Args:
         robot: Robot.
@@ -118,16 +119,19 @@ def list_overloaded_joints(
 def _find_tendon_drives(
     robot: Robot, positions: Array
 ) -> tuple[mujoco.MjModel, list[int], list[int], Array] | None:
-    """Return the actuators at tendons that drive joints without an actuator of their own.
+    """Find the joints that only tendons drive, and the levers of the tendons' actuators.
 
     Args:
         robot: Robot.
         positions: Joint positions, shape (nu,) [rad, m], at which the levers are measured.
 
     Returns:
-        Model of the published file; indices of these joints; ids of the actuators; levers of the
-        actuators at all joints, shape (nu, number of actuators). None without such joints, without
-        a published file, or with closed loops or couplings.
+        - Model of the published file.
+        - Indices of the joints that only tendons drive, in actuator order.
+        - Ids of the actuators at these tendons.
+        - Levers, shape (nu, number of actuators): torque at each joint per unit of actuator force.
+
+        None without such joints, without a published file, or with closed loops or couplings.
     """
     file = None if robot.published is None else robot.published.file
     driven = {
@@ -183,7 +187,7 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
 def _proposed_limit_fields(
     robot: Robot, found: tuple[str, EffortStatement] | None
 ) -> dict[str, Any]:
-    """Return the fields of the message that proposes an effort limit.
+    """Return the fields that propose an effort limit, for the message about a limit of zero.
 
     ``found`` contains a joint and its limit in the other file or in a similar limb. All fields are
     None if ``found`` is None.
@@ -200,10 +204,13 @@ def _proposed_limit_fields(
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return a joint of a similar limb with a stated effort limit, and this limit.
+    """Find an effort limit to propose: that of the corresponding joint of a similar limb.
 
-    ``null`` are the limits that are zero or negative. The first joint of ``null`` with a
-    corresponding joint whose limit is stated is used. None if there is no such joint.
+    ``null`` are the limits that are zero or negative. The first of these joints with a
+    corresponding joint whose limit is stated in a file is used.
+
+    Returns:
+        Name of the corresponding joint, and its limit. None if there is no such joint.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
@@ -223,12 +230,12 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 
 
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if the MJCF has a spring at each joint whose loaded motor has no torque.
+    """Return True if springs may replace motors without torque: one at each loaded joint.
 
-    The tested joints must hold a torque in the stance, and their motors have a torque limit of zero
-    or below. Only linear joint stiffness counts as a spring. The result is True if there are no
-    such joints. True does not imply that the springs are strong enough: a simulation must test
-    this.
+    A joint is tested if its motor has a torque limit of zero or below, and must hold a torque in
+    the stance (``statics``). Only linear joint stiffness in the MJCF counts as a spring. The result
+    is also True if no joint is tested. True does not imply that the springs are strong enough: a
+    simulation must test the strength.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]
@@ -236,7 +243,12 @@ def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
 
 
 def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list[str]:
-    """Return the joints whose motor has a torque limit of zero or below, and must hold a torque."""
+    """Return the names of joints that must hold a torque, although their torque limit is zero.
+
+    Negative limits count as zero. Torques [N m, N] of at most `MIN_TORQUE_PER_MASS` times the
+    robot's mass [kg] count as no torque. Joints that need no motor are omitted
+    (`list_driven_limits`).
+    """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
     return [

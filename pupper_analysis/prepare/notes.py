@@ -2,7 +2,7 @@
 
 Inputs are the results of preparation passes; outputs are diagnostics. ``robot.notes`` contains
 these diagnostics; a verdict contains those of `report_tendon_joints`. The functions only describe
-changes. The passes make the changes.
+changes that the passes have made.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pupper_analysis.stance.problem import can_move_com
 
 
 def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
-    """Yield messages about the matching of joints and base frames of the URDF and the MJCF.
+    """Yield messages about differences between URDF and MJCF that the matching of joints removed.
 
     The messages concern joints with different names, joints with different zero positions, a free
     base with different frames, and joints that a single file contains.
@@ -112,7 +112,7 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Create the message about the feet of a robot, with bodies and numbers of contact points.
+    """Create the message that lists the feet of a robot, with bodies and numbers of contact points.
 
     Args:
         robot: Robot.
@@ -133,7 +133,7 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Create the messages about collision shapes of feet that are replaced by spheres.
+    """Create the messages about feet whose collision shapes are replaced by spheres.
 
     There are three kinds of feet: ellipsoids, soles (several contact points), and others. All feet
     of a kind share a message with the names of the feet.
@@ -155,7 +155,10 @@ def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
 
 
 def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
-    """Yield a message if the legs cannot move the CoM in both horizontal directions."""
+    """Yield a message if the legs cannot move the CoM in both horizontal directions.
+
+    The default stand of such a robot requires the CoM only inside of the support polygon.
+    """
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
@@ -175,7 +178,7 @@ def report_added_servos(
 
     Args:
         servos: Added servos, at least one.
-        own: Number of joints that have a servo in the MJCF.
+        own: Number of joints with a servo in the MJCF, which the preparation keeps.
         timestep: Time step of the model with the added servos [s].
         units: Units of the gains.
     """
@@ -212,7 +215,7 @@ def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:
-    """Create the part of a message with the range of values, such as "5 to 20 N m/rad".
+    """Create the part of a message that states the range of values, such as "5 to 20 N m/rad".
 
     Args:
         values: Values, at least one.

@@ -84,11 +84,11 @@ feet of ANYmal B that creep apart move at 1e-3; robots that shake oscillate with
 
 
 def get_loaded_robot(robot: Robot) -> Robot:
-    """Return the robot as loaded from files: before later changes, and without task contacts.
+    """Return the robot as it was loaded from files, without later changes such as a payload.
 
-    Later changes are those that rebuilt the models, for example an added payload. Other changes
-    remain: MuJoCo options (`with_options`); and servo gains that a design of the tool ``study``
-    set, if the models were not rebuilt before.
+    Omitted are changes that rebuilt the models, for example an added payload, and contact points
+    that a stand task added. Other changes remain: MuJoCo options (`with_options`); and servo gains
+    that a design of the tool ``study`` set, if the models were not rebuilt before.
     """
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
@@ -96,7 +96,7 @@ def get_loaded_robot(robot: Robot) -> Robot:
 
 
 def own_run(robot: Robot) -> OwnRun | None:
-    """Return the simulation of the published file from its keyframe; cached per loaded robot.
+    """Simulate the published file from its keyframe; the result is cached per loaded robot.
 
     Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
@@ -139,7 +139,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the message why MuJoCo cannot import the URDF of a robot, as a tuple.
+    """Create the message that states why MuJoCo cannot import the URDF of a robot, as a tuple.
 
     Empty if the import works, or if the robot has an MJCF: the URDF is then not imported.
     """
@@ -149,13 +149,13 @@ def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _NudgedStates:
-    """States of the nudged simulation of a published model by `_simulate_settling`.
+    """Recorded states of a nudged simulation, reused by a later simulation of the same model.
 
     Attributes:
-        model: Published model.
-        hold: Commands.
-        initial: Initial state (mjSTATE_INTEGRATION).
-        reached: States at increasing times.
+        model: Published model: the user's file as compiled.
+        hold: Commands of the actuators, and external servos.
+        initial: Initial state with the nudge, a small velocity (mjSTATE_INTEGRATION).
+        reached: Later states, at increasing times.
     """
 
     model: mujoco.MjModel
@@ -166,10 +166,11 @@ class _NudgedStates:
     def advance(
         self, model: mujoco.MjModel, state: mujoco.MjData, hold: HoldCommands, seconds: float
     ) -> float:
-        """Advance a simulation by reusing its recorded states, to save computation time.
+        """Advance a simulation to a recorded state, if it repeats the recorded simulation.
 
-        If the simulation is the recorded one, ``state`` is replaced by the latest recorded state
-        within the time ``seconds``.
+        Reason: this saves computation time. The simulation repeats the recorded one if model,
+        commands and state are equal. ``state`` is then replaced by the latest recorded state within
+        the time ``seconds``.
 
         Args:
             model: Published model of the simulation.
@@ -195,7 +196,7 @@ class _NudgedStates:
 
 
 def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
-    """Return the simulation in which the imported URDF of a robot settles.
+    """Return the recorded simulation in which the imported URDF of a robot comes to rest.
 
     None for a robot with an MJCF or without a file, and without such a simulation.
     """
@@ -207,7 +208,7 @@ def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
 
 
 def _integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return all numbers that determine the next steps of MuJoCo, shape (n,)."""
+    """Return the full state (mjSTATE_INTEGRATION) that determines MuJoCo's next steps, (n,)."""
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     values = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, values, kind)
@@ -215,7 +216,7 @@ def _integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 
 def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
-    """Return True if two commands of the same model are equal."""
+    """Return True if actuator commands and external servos of the same model are equal."""
     pairs = zip(
         (first.ctrl, first.act, *first.external),
         (second.ctrl, second.act, *second.external),
@@ -229,7 +230,7 @@ def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
 def _import_urdf(
     robot: Robot,
 ) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedStates | None]:
-    """Import the URDF of a robot without MJCF by MuJoCo's own importer.
+    """Import the URDF of a robot without MJCF by MuJoCo's own importer, with a stable time step.
 
     The time step of a robot on feet is reduced if the robot does not settle otherwise.
 
@@ -273,7 +274,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
 def _simulate_settling(
     model: mujoco.MjModel, robot: Robot, qpos: Array
 ) -> tuple[bool, _NudgedStates | None]:
-    """Simulate a nudged model for `_SETTLING_TIME` [s], to find out if it comes to rest.
+    """Simulate a nudged model for 2 s (`_SETTLING_TIME`), to find out if it comes to rest.
 
     The nudge is a small initial velocity. The joint positions in ``qpos`` are commanded.
 
@@ -283,7 +284,7 @@ def _simulate_settling(
         qpos: Configuration of the stand, shape (nq,).
 
     Returns:
-        Whether the robot still stands and is at rest; and the recorded simulation. (False, None) if
+        True if the robot still stands and is at rest; and the recorded simulation. (False, None) if
         the base cannot be placed.
 
         The record contains the final state. It also contains the state at half the duration of a
@@ -320,7 +321,7 @@ def _simulate_settling(
 
 
 def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
-    """Simulate the published file from its keyframe, without the cache of ``own_run``.
+    """Simulate the published file of a loaded robot from its keyframe (`own_run`, uncached).
 
     None in the cases that ``own_run`` lists.
     """
@@ -358,7 +359,7 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
 
 
 def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
-    """Return the number of the keyframe from which the published model is simulated.
+    """Select the keyframe from which the published model is simulated; return its index.
 
     Args:
         model: Published model: the user's file as compiled.
@@ -368,7 +369,7 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
             the file.
 
     Returns:
-        Number of the keyframe. None if the model has no keyframe, or none with the wanted name.
+        Index of the keyframe. None if the model has no keyframe, or none with the wanted name.
     """
     names = [_keyframe_name(model, key) for key in range(model.nkey)]
     if wanted is not None:
@@ -414,7 +415,7 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
 
 
 def _simulate_holding(published: PublishedModel, robot: Robot, data: mujoco.MjData) -> OwnRun:
-    """Simulate a published model from ``data``, and command the joint positions in ``data``.
+    """Simulate a published model from the state ``data``, with its joint positions as commands.
 
     The published model is compiled from the file of the robot.
     """
@@ -438,7 +439,7 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 @silence_mujoco()
 def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model (compiled from a file) from the robot's start pose.
+    """Simulate a published model without a usable keyframe, from the robot's start pose.
 
     The joint positions of the start pose (``Robot.home``) are commanded.
 
@@ -460,10 +461,11 @@ def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun |
 def _commands_to_hold(
     published: PublishedModel, robot: Robot, data: mujoco.MjData, pose: Array
 ) -> HoldCommands:
-    """Return the commands with which a published model holds joint positions.
+    """Compute the commands with which the servos of a published model hold joint positions.
 
-    If most joints of the file have no servo, the servos that the preparation added are used as
-    external servos. Otherwise a joint with a torque motor is not held.
+    If most joints of the file have no servo, external servos hold these joints, with the gains of
+    the servos that the preparation added. Otherwise joints without a servo are not held, for
+    example joints with a torque motor.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -491,18 +493,18 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] of each joint with which a posture is that of a keyframe. In such a posture,
-the ctrl of the keyframe is simulated. Chosen, not tuned."""
+"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe. From such a
+posture, the simulation uses the ctrl of the keyframe. Chosen, not tuned."""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
-    """Simulate the published file of a robot with a fixed base from a posture.
+    """Simulate the published file of a robot with a fixed base, to find out if a posture is held.
 
     If a keyframe of the file has this posture and specifies ctrl, this ctrl is commanded. Otherwise
     the joint positions are commanded.
 
     Args:
-        robot: Robot.
+        robot: Prepared robot.
         joints: Joint positions of the posture, shape (nu,) [rad, m].
 
     Returns:
@@ -595,10 +597,10 @@ def _missing_files(robot: Robot) -> tuple[str, ...]:
 def _joint_deviations(
     published: PublishedModel, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
 ) -> list[JointOff]:
-    """Return the displacement [rad, m] of each joint between two states, in actuator order.
+    """Return the displacement of each joint from state ``start`` to state ``end``, [rad, m].
 
-    ``ctrl`` are the controls of the model. Each result also contains the offset between commanded
-    and initial position, if known (`_command_offset`).
+    The results are in actuator order. ``ctrl`` are the controls of the published model. Each result
+    also contains the commanded minus the initial position, if known (`_command_offset`).
     """
     addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]
@@ -617,11 +619,11 @@ def _joint_deviations(
 def _unheld_joints(
     published: PublishedModel, robot: Robot, joints: list[JointOff]
 ) -> list[JointOff]:
-    """Return the joints that nothing holds, and that moved by more than `MIN_UNHELD_DISPLACEMENT`.
+    """Return the joints that moved because neither a servo nor a coupling holds them.
 
-    A joint is held by its position servo, by a position servo at a tendon, or by a coupling (a
-    joint without actuator and without added servo). The result is empty unless more than half of
-    the joints have a position servo.
+    The displacement must exceed `MIN_UNHELD_DISPLACEMENT`. A joint is held by its position servo,
+    by a position servo at a tendon, or by a coupling (then the joint has neither actuator nor added
+    servo). The result is empty unless more than half of the joints have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):
@@ -648,7 +650,7 @@ def _absolute_displacement(joint: JointOff) -> float:
 def _command_offset(
     published: PublishedModel, joint: str, ctrl: Array, position: float
 ) -> float | None:
-    """Return the commanded position minus the position of a joint.
+    """Compute how far the ctrl of a position servo commands a joint away from its position.
 
     The commanded position is gain * ctrl / (stiffness * gear). At this position the actuator force,
     gain * ctrl - stiffness * gear * position, is zero.
@@ -660,7 +662,8 @@ def _command_offset(
         position: Position of the joint [rad, m].
 
     Returns:
-        Offset [rad, m]. None unless the joint has a single actuator, with positive stiffness.
+        Commanded position minus ``position`` [rad, m]. None unless the joint has a single actuator,
+        with positive stiffness.
     """
     actuators = list_joint_actuators(published.model, published.model.joint(joint).id)
     laws = [read_actuator_law(published.model, actuator) for actuator in actuators]
@@ -671,11 +674,12 @@ def _command_offset(
 
 
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Return True if the ctrl of a keyframe are joint angles, even if the model has torque motors.
+    """Return True if the values of a keyframe's ctrl are joint angles, not torques.
 
-    The first control of each actuator at a joint is compared with the joint position times the
-    gear. Angles are in radians or in degrees. The result is False if all controls are zero: a
-    torque of zero and an angle of zero are written alike.
+    A file with torque motors may contain such a ctrl by mistake. The first control of each actuator
+    at a joint is compared with the joint position times the gear. Angles are in radians or in
+    degrees. The result is False if all controls are zero: a torque of zero and an angle of zero are
+    written alike.
     """
     at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
     ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]

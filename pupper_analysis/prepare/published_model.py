@@ -66,9 +66,9 @@ _TRIAL_COMMAND = 1e-6
 against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Upper bound of the joint torque per unit of ctrl [N m or N per unit] with which a command has no
-effect. An external servo then acts on the joint directly, not through the actuator. Chosen, not
-tuned."""
+"""Lower bound of the joint torque per unit of ctrl [N m or N per unit] with which a command has an
+effect. Below the bound, an external servo acts on the joint directly, not through the actuator.
+Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
@@ -245,7 +245,7 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 
 
 def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:
-    """Return the model of a URDF as MuJoCo's own importer compiles it, with a ground and servos.
+    """Compile a URDF by MuJoCo's own importer, with floor and servos as in the prepared robot.
 
     Added are a free base (if the robot has one) and the following additions of the prepared robot:
     floor, solver options, contact exclusions, servos. Couplings are stiffened. The collision shapes
@@ -277,7 +277,7 @@ def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel
 
 
 def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
-    """Return the id of the free joint of a body's root body; None without a free joint."""
+    """Return the id of the free joint that moves the kinematic tree of a body; None without one."""
     body = model.body(base).id
     joint = int(model.body_jntadr[model.body_rootid[body]])
     kind = None if joint < 0 else int(model.jnt_type[joint])
@@ -285,7 +285,7 @@ def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
 
 
 def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
-    """Fix the base of a spec to the world, in place, and disable the ground.
+    """Fix the base of a spec to the world, in place, and disable contacts with the ground.
 
     The free joint (id ``free`` in the compiled ``model``) is removed, with its values in all
     keyframes.
@@ -589,12 +589,16 @@ def _set_tendon_commands(
 
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
-"""Actuator types with which a joint is held by position commands of its own actuators, and gets no
-added servo. Actuators without gain get no command. `_has_unequal_gain` describes a further case."""
+"""Actuator types with which a joint is commanded through the actuators of the file, and gets no
+external servo. Actuators without gain get no command. `_has_unequal_gain` describes a further case.
+"""
 
 
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
-    """Return True if the only actuator of a joint has a stiffness unequal to its gain on ctrl."""
+    """Return True if a joint has a single position servo whose gain on ctrl is not its stiffness.
+
+    Such a servo has no pure position law, but can still be commanded to a position.
+    """
     if not drive.has_other_law or len(actuators) != 1:
         return False
     fixed = model.actuator_gaintype[actuators[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
@@ -605,12 +609,12 @@ def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive)
 def _set_position_commands(
     model: mujoco.MjModel, actuators: list[int], ctrl: Array, target: float, torque: float
 ) -> None:
-    """Set the controls of the servos at a joint; the servos share the torque by stiffness.
+    """Set the controls with which the servos at a joint hold a target position under a torque.
 
-    The command is that of an ideal position servo: ctrl = gear * q + tau / (gear * stiffness),
-    with the joint position q (``target``), and the part tau of the joint's ``torque``. A
-    bias of the file, or a gain that differs from the stiffness, is not compensated: the effect is
-    part of the published model.
+    The command is that of an ideal position servo: ctrl = gear * q + tau / (gear * stiffness), with
+    the joint position q (``target`` [rad, m]). tau is the servo's part of ``torque`` [N m, N],
+    which several servos share in proportion to their stiffness. A bias of the file, or a gain that
+    differs from the stiffness, is not compensated: the effect is part of the published model.
     """
     laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
     stiffness_sum = sum(law.joint_gains[0] for law in laws.values())
@@ -711,7 +715,10 @@ def simulate_published(
 
 @contextlib.contextmanager
 def _added_damping(model: mujoco.MjModel, dofs: NDArray[np.intp], kd: Array) -> Iterator[None]:
-    """Add damping ``kd`` to degrees of freedom of a model until the context ends or raises."""
+    """Add damping ``kd`` [N m s/rad, N s/m] to degrees of freedom of a model, within a context.
+
+    ``dofs`` are indices in qvel. The original damping is restored at the end, also after an error.
+    """
     damping = model.dof_damping[dofs].copy()
     model.dof_damping[dofs] += kd
     try:
@@ -723,10 +730,11 @@ def _added_damping(model: mujoco.MjModel, dofs: NDArray[np.intp], kd: Array) -> 
 def _measure_command_law(
     model: mujoco.MjModel, data: mujoco.MjData, dof: int, actuators: list[int]
 ) -> tuple[int, float, float] | None:
-    """Measure the joint torque as a function of ctrl, for the first actuator at zero velocity.
+    """Measure how the torque at a joint depends on the ctrl of its actuator, at zero velocity.
 
-    The law is torque = offset + lever * ctrl. MuJoCo's clamping of ctrl is off during the
-    measurement, since zero may be at the end of a ctrlrange, or outside.
+    The law is torque = offset + lever * ctrl, for the first actuator of the joint. MuJoCo's
+    clamping of ctrl is off during the measurement, since zero may be at the end of a ctrlrange, or
+    outside.
 
     Args:
         model: Published model; unchanged after the call.
@@ -792,8 +800,8 @@ def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
 
 
 def list_uncommanded_actuators(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the actuators that do not act on a single hinge or slide.
+    """Return the ids of the actuators that are not commanded by the position of a single joint.
 
-    Examples are actuators at a tendon or a site.
+    These do not act on a single hinge or slide. Examples are actuators at a tendon or a site.
     """
     return [actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)]

@@ -1,10 +1,10 @@
-"""Compare the published file with the prediction, from the computed stand, and name causes.
+"""Compare a simulation of the published file with the predicted equilibrium, and name causes.
 
-The published model (the user's file as compiled) is placed in the predicted state of rest, and is
-simulated with the predicted commands. Then torques, height and joint positions are compared.
-Results are computed when a verdict is first requested, like the run from the keyframe
-(``own_run``). The cause of a deviation is an element of the file: if it is switched off in a copy
-of the model, the deviation disappears.
+The published model (the user's file as compiled) is placed in the predicted equilibrium of a stand,
+and is simulated with the servo commands that hold this equilibrium. Then torques, height and joint
+positions are compared. Results are computed when a verdict is first requested, like the simulation
+from the keyframe (``own_run``). The cause of a deviation is an element of the file: if it is
+switched off in a copy of the model, the deviation disappears.
 """
 
 from __future__ import annotations
@@ -78,26 +78,26 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics.equilibrium import gravity_compensation
 
 SETTLING_TIME = 1.0
-"""Simulated time [s] between the start in the predicted state and the nudge (a small velocity).
-Chosen: servos with natural frequencies of some hertz are then at rest."""
+"""Simulated time [s] between the start in the predicted equilibrium and the nudge (a small
+velocity). Chosen: servos with natural frequencies of some hertz are then at rest."""
 
 NUDGED_TIME = 4.0
-"""Simulated time [s] between the nudge and the comparison with the prediction. Chosen, not tuned.
-"""
+"""Simulated time [s] between the nudge and the comparison with the predicted equilibrium. Chosen,
+not tuned."""
 
 _MAX_NUDGED_TIME = 40.0
 """Upper bound of the simulated time after the nudge [s]. The simulation lasts longer than
-`NUDGED_TIME` only while the torques deviate from, and approach, the prediction. Chosen, not tuned.
-"""
+`NUDGED_TIME` only while the torques deviate from the predicted torques, but approach them. Chosen,
+not tuned."""
 
 _APPROACH_INTERVAL = 2.0
-"""Simulated time between two evaluations of the torque deviation from the prediction [s]. Two
-successive deviations show whether the torques still approach the prediction
+"""Simulated time between two evaluations of the deviation from the predicted torques [s]. Two
+successive deviations show whether the torques still approach the predicted torques
 (`_MAX_APPROACH_RATIO`). Chosen as a divisor of `NUDGED_TIME`."""
 
 _MAX_APPROACH_RATIO = 0.9
 """Upper bound of the ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart [1]. If
-the ratio is smaller, the torques approach the prediction, and the simulation continues. Measured
+the ratio is smaller, the torques approach the predicted torques: the simulation continues. Measured
 after the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential
 forces relax with a time constant of 6.8 s, which is a ratio of 0.75."""
 
@@ -107,22 +107,22 @@ _MAX_BASE_NUDGE_WINDOWS = 6
 
 _MIN_LASTING_RATIO = 5.0
 """Lower bound of the torque deviation, divided by `TORQUE_RTOL` [1], with which the simulation of a
-changed model may end early (`_is_lasting`). Chosen, not tuned: to agree with the prediction, the
-deviation would still have to fall by a factor of five."""
+changed model may end early (`_is_lasting`). Chosen, not tuned: to agree with the predicted torques,
+the deviation would still have to fall by a factor of five."""
 
 TORQUE_RTOL = 0.01
-"""Upper bound of the torque deviation from the prediction, divided by ``torque_scale`` [1], with
-which the published file agrees with the prediction. Chosen as for a verified stand
+"""Upper bound of the deviation from the predicted torques, divided by ``torque_scale`` [1], with
+which the published file agrees with the predicted equilibrium. Chosen as for a verified stand
 (``FORCE_TOLERANCE``)."""
 
 MAX_REMAINING_SINKAGE = 1e-3
 """Upper bound of the height error of the CoM [m] in a test of a cause. The test simulates a model
-with elements switched off. If the torques agree with the prediction, a height error up to this
-bound is accepted: the switched-off elements are the cause. Chosen, not tuned."""
+with elements switched off. If the torques agree with the predicted torques, a height error up to
+this bound is accepted: the switched-off elements are the cause. Chosen, not tuned."""
 
 HEIGHT_RTOL = 1e-3
 """Upper bound of the height error of the CoM, divided by the CoM height [1], with which the
-published file agrees with the prediction; 0.13 mm for Pupper v3. Chosen, not tuned."""
+published file agrees with the predicted equilibrium; 0.13 mm for Pupper v3. Chosen, not tuned."""
 
 
 def compare_as_published(
@@ -132,7 +132,7 @@ def compare_as_published(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Published | None:
-    """Compare a simulation of the unmodified model file with the prediction for a stand.
+    """Simulate the unmodified model file in a stand; compare it with the predicted equilibrium.
 
     Sometimes another stand than ``stand`` is compared:
 
@@ -145,14 +145,14 @@ def compare_as_published(
 
     Args:
         robot: Prepared robot.
-        stand: Stand.
-        servos: Servos that the verdict uses.
+        stand: Stand whose equilibrium is predicted.
+        servos: Origin of the servos that the verdict uses: file, caller or preparation.
         kp: Requested servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Requested servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Returns:
         Comparison. None, for example, if the robot has no file, if the prepared robot is the
-        unchanged file, or if nothing can be predicted for the stand.
+        unchanged file, or if no equilibrium can be predicted for the stand.
     """
     if robot.published is None or robot.published.is_unchanged:
         return None
@@ -189,24 +189,26 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
-    """Compare the published file with the prediction for the nominal stand (default `StandTask`).
+    """Compare the published file with the predicted equilibrium of the nominal stand.
+
+    The nominal stand is the solution of the default `StandTask`.
 
     Args:
         robot: Prepared robot.
 
     Returns:
-        Comparison. None, for example, if the robot has no nominal stand, or if nothing can be
-        predicted for this stand.
+        Comparison. None, for example, if the robot has no nominal stand, or if no equilibrium can
+        be predicted for this stand.
     """
     return _compare_nominal(robot, None)
 
 
 def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
-    """Compare the published file with the prediction for the nominal stand (default `StandTask`).
+    """Compare the published file with the predicted equilibrium of the nominal stand, for gains.
 
-    ``gains`` are servo gains that the published model gets; None: those of the file. None if the
-    nominal stand cannot be solved, if an error of this package ends the comparison, or if
-    `_compare_in` returns None.
+    ``gains`` are servo gains that the published model gets; None: those of the file. The result is
+    None if the nominal stand (default `StandTask`) cannot be solved, if an error of this package
+    ends the comparison, or if `_compare_in` returns None.
     """
     with contextlib.suppress(PupperAnalysisError):
         return _compare_in(robot, solve_stand(robot, explain=False), gains)
@@ -214,14 +216,15 @@ def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | 
 
 
 def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
-    """Compare the published file with the prediction for a stand, with the causes of differences.
+    """Compare the published file with the predicted equilibrium of a stand, and find causes.
 
     ``gains`` are servo gains that the published model gets; None: those of the file.
 
     Returns:
-        Comparison. None if the robot has no file, or a free base without feet. None if nothing is
-        predicted for the stand, or if MuJoCo refuses the URDF. With a fixed base, None also if
-        there is no published model, or if the file frees the base.
+        Comparison, with the causes of deviations. None if the robot has no file, or a free base
+        without feet. None if no equilibrium is predicted for the stand, or if MuJoCo refuses the
+        URDF. With a fixed base, None also if there is no published model, or if the file frees the
+        base.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
@@ -260,7 +263,7 @@ def compare_with_file(
 
     The file is not simulated if an actuator has a built-in controller, or if a free base has no
     level ground. This is then listed as the cause. If no cause is found, and the prepared robot
-    deviates from the prediction in the same way, the deviation does not count (`_moves_alike`).
+    deviates from the equilibrium in the same way, the deviation does not count (`_moves_alike`).
 
     Args:
         published: Published model: the user's file as compiled.
@@ -293,10 +296,10 @@ def compare_with_file(
 
 
 def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
-    """Simulate the prepared robot's model from a predicted state of rest, and compare both.
+    """Simulate the prepared robot from a predicted equilibrium, and compare both.
 
-    The prepared robot has the additions of this package. None if the base cannot be placed, or if
-    MuJoCo stops with a fatal error.
+    Unlike the published file, the prepared robot has the additions of this package. None if the
+    base cannot be placed, or if MuJoCo stops with a fatal error.
     """
     model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
     return simulate_prediction(model, robot, prediction)
@@ -307,10 +310,10 @@ def _moves_alike(
 ) -> bool:
     """Return True if published file and prepared robot fail alike without feed-forward.
 
-    Neither comes to rest, and their torque deviations from the prediction are equal within
-    ``TORQUE_RTOL``. The file is then no cause: the verdict reports the failure without
-    feed-forward, with its cause. Measured for the reduced Talos of example-robot-data, whose soles
-    chatter: both deviate by 42.3 % in torque.
+    Neither comes to rest with position commands alone, and their deviations from the predicted
+    torques are equal within ``TORQUE_RTOL``. The file is then no cause: the verdict reports the
+    failure without feed-forward, with its cause. Measured for the reduced Talos of
+    example-robot-data, whose soles chatter: both deviate by 42.3 % in torque.
 
     Args:
         prediction: Predicted state of rest.
@@ -333,15 +336,16 @@ def _find_loading_causes(
     run: PublishedRun,
     prepared: PublishedRun | None,
 ) -> tuple[Cause, ...]:
-    """Find out if a deviation from the prediction is due to the preparation, or to the two files.
+    """Find out if a deviation is due to the preparation, or to differences between URDF and MJCF.
 
-    - If the simulation of the prepared robot agrees with the prediction, the changes of the
-      preparation (`list_loading_changes`) are the cause.
-    - If this simulation deviates as much as the published MJCF, URDF and MJCF differ, since the
-      prediction is computed from the URDF. The published MJCF is compared as it is, and with all
-      candidate causes switched off. The cause is the first difference found by ``compare_files``
-      that affects mass matrix, gravity, or positions of joints and feet. Without such a difference,
-      the cause is the first part that differs.
+    - If the simulation of the prepared robot agrees with the predicted equilibrium, the changes of
+      the preparation (`list_loading_changes`) are the cause.
+    - If this simulation deviates as much as the published MJCF, URDF and MJCF differ: the
+      equilibrium is predicted from the URDF. The deviation of the published MJCF is evaluated
+      twice: for the unmodified file, and with all candidate causes switched off. One of both must
+      match. The cause is the first difference found by ``compare_files`` that affects mass matrix,
+      gravity, or positions of joints and feet. Without such a difference, the cause is the first
+      part of the robot that differs.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -388,7 +392,7 @@ def _find_loading_causes(
 
 @dataclass(frozen=True, eq=False)
 class PredictedRest:
-    """Predicted state of rest of a stand, with which a simulation is compared.
+    """Predicted equilibrium of a stand, with which a simulation is compared.
 
     Attributes:
         feedforward: True if the commands include feed-forward torques; False for position commands
@@ -406,7 +410,7 @@ class PredictedRest:
 
 
 def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
-    """Predict the state of rest of a stand, with feed-forward and with position commands alone.
+    """Predict the equilibrium of a stand, with feed-forward and with position commands alone.
 
     The stand is solved on soft ground. If this stand is out of reach, or does not converge because
     of closed loops, the stand on rigid ground is used.
@@ -455,15 +459,16 @@ def simulate_prediction(
     *,
     until_decided: bool = False,
 ) -> PublishedRun | None:
-    """Simulate the published model from the predicted state of rest, and compare both.
+    """Simulate the published model from a predicted equilibrium, and compare both.
 
     The model settles for `SETTLING_TIME` (1 s), is nudged (gets a small velocity), and is then
     simulated for `NUDGED_TIME` (4 s). The simulation continues, up to `_MAX_NUDGED_TIME` (40 s),
-    while the torques deviate but approach the prediction. CoM height [m] and joint positions [rad,
-    m] are compared at the end; joint torques [N m, N] over the last second.
+    while the torques deviate from the predicted torques, but approach them. CoM height [m] and
+    joint positions [rad, m] are compared at the end; joint torques [N m, N] over the last second.
 
-    If the time step of the model is longer than that of the prepared robot, the model then gets
-    large nudges of the base. If it shakes without decay, this motion is compared.
+    If the time step of the model is longer than that of the prepared robot, and the torques agree,
+    the model then gets large nudges of the base (`_find_shaken_state`). If the model shakes without
+    decay, this motion is compared.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -495,20 +500,20 @@ def simulate_prediction(
     scale = torque_scale(robot, prediction.torques)
 
     def find_torque_deviations(low: Array, high: Array) -> Array:
-        """Compute the largest torque deviation of each driven joint from the prediction.
+        """Compute the largest deviation of each driven joint from its predicted torque.
 
         Args:
             low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
             high: Maximum force on each degree of freedom, shape (nv,) [N m, N].
 
         Returns:
-            Larger deviation of both extremes, shape (number of driven joints,) [N m, N].
+            Larger deviation of minimum and maximum, shape (number of driven joints,) [N m, N].
         """
         above, below = high[dofs] - prediction.torques, prediction.torques - low[dofs]
         return np.asarray(np.maximum(above, below)[driven])
 
     def find_relative_deviation(low: Array, high: Array) -> float:
-        """Compute the largest torque deviation from the prediction / torque scale [1].
+        """Compute the largest deviation from the predicted torques / torque scale [1].
 
         Args:
             low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
@@ -579,19 +584,21 @@ def _simulate_until_compared(
     *,
     may_end_early: bool,
 ) -> tuple[Array, Array, float]:
-    """Simulate a published model for `SETTLING_TIME`, nudge the model, and simulate further.
+    """Simulate a published model before and after a nudge, until its torques can be compared.
 
-    The simulation ends `NUDGED_TIME` after the nudge. It continues, up to `_MAX_NUDGED_TIME`, while
-    the torques deviate but approach the prediction.
+    The nudge is a small velocity at `SETTLING_TIME`. The simulation ends `NUDGED_TIME` after the
+    nudge. It continues, up to `_MAX_NUDGED_TIME`, while the torques deviate from the predicted
+    torques, but approach them.
 
     Args:
         published: Published model.
         data: Initial state; changed to the final state.
         hold: Commands of the actuators, and external servos.
-        find_deviation: Returns the largest torque deviation from the prediction, relative to the
-            torque scale [1], for the extreme forces on the degrees of freedom.
-        may_end_early: Whether the simulation ends `_APPROACH_INTERVAL` after the nudge if the
-            deviation `_is_lasting`.
+        find_deviation: Function that returns the largest deviation from the predicted torques,
+            divided by the torque scale [1]. Arguments are the minimum and maximum forces on the
+            degrees of freedom, shape (model.nv,) each [N m, N].
+        may_end_early: True to end the simulation `_APPROACH_INTERVAL` after the nudge if the
+            deviation is large and does not fall (`_is_lasting`).
 
     Returns:
         Minimum and maximum forces in the last `FORCE_WINDOW`, shape (model.nv,) each [N m, N], and
@@ -624,7 +631,7 @@ def _find_shaken_state(
     hold: HoldCommands,
     find_deviation: Callable[[Array, Array], float],
 ) -> tuple[mujoco.MjData, Array, Array] | None:
-    """Nudge the base of a published model, which is at rest, and find shaking without decay.
+    """Nudge the base of a resting published model, and find a motion that shakes without decay.
 
     The base gets ``LARGE_NUDGE_SPEED`` along +-x, +-y and +-z of the world. The preparation
     shortens a time step at which feet chatter after such nudges in the start pose. Other stands
@@ -657,7 +664,7 @@ def _find_shaken_state(
 
 
 def _is_lasting(earlier: float, deviation: float) -> bool:
-    """Return True if the torques deviate much from the prediction, and do not approach it.
+    """Return True if torques deviate much from the predicted torques, and do not approach them.
 
     Two conditions must hold:
 
@@ -675,7 +682,7 @@ def _is_lasting(earlier: float, deviation: float) -> bool:
 
 
 def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
-    """Return the name of the joint that deviates most.
+    """Return the name of the joint that deviates most from the predicted equilibrium.
 
     Args:
         robot: Prepared robot.
@@ -704,7 +711,7 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Return the simulation of the unmodified file (`own_run`), with its causes if it fails.
+    """Simulate the unmodified file from its keyframe (`own_run`); add the causes if it fails.
 
     No causes are searched if a servo has a stiffness of zero or below. None if `own_run` is None.
     """
@@ -720,7 +727,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
-    """Return the cause of a failed run from a keyframe, if the keyframe's ctrl is the cause.
+    """Return the cause of a failed simulation from a keyframe, if the keyframe's ctrl is the cause.
 
     The ctrl is the cause in two cases:
 
@@ -801,9 +808,10 @@ def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
-    """Return the file's servos as the cause of a failure if the file stands with stiffer servos.
+    """Test by a simulation if too soft servos of the file are the cause of a failure.
 
-    Empty otherwise, and without a published model or a free base.
+    The servos are the cause if the file stands with stiffer servos. Otherwise the result is empty,
+    as without a published model or a free base.
     """
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
@@ -820,10 +828,10 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the most probable cause of a failed run of the file, without further simulations.
+    """Return the probable cause of a failed simulation of the file, without further simulations.
 
-    The cause is the joint without servo that moved, else the joint that deviates most. If no joint
-    is known, the cause is that the run diverges.
+    The cause is the joint without servo that moved, else the joint with the largest displacement.
+    If no joint is known, the cause is that the simulation diverges.
     """
     joint = run.unheld or run.worst
     if joint is None:
@@ -877,11 +885,12 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    A group of candidate elements is switched off in a copy of the model. If the simulation then
-    agrees with the prediction, each element of the group is switched on again alone. The element is
-    a cause if the agreement is then lost, both for the group and for the largest set of candidates
-    whose removal restores the agreement. The causes of the first group whose causes alone, switched
-    off, restore the agreement are returned.
+    Groups of candidate elements are tested in turn, in copies of the model (`_test_causes`):
+
+    1. All elements of a group are switched off. The simulation must then agree with the predicted
+       equilibrium.
+    2. Each element is switched on again alone. The element is a cause if the agreement is lost.
+    3. Only the causes are switched off. If the simulation agrees, these causes are returned.
 
     If switching off repairs the torques, a CoM height error of up to `MAX_REMAINING_SINKAGE` is
     accepted.
@@ -898,10 +907,10 @@ def find_difference_causes(
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Simulate a changed model from the predicted stand, and return the torque error.
+        """Simulate a changed model from the predicted equilibrium, and return the torque error.
 
         Returns:
-            Torque deviation from the prediction, divided by the torque scale [1]. None if the robot
+            Deviation from the predicted torques, divided by the torque scale [1]. None if the robot
             collapses, or still deviates. If the change repairs the torques, a CoM height error of
             up to `MAX_REMAINING_SINKAGE` is accepted.
         """

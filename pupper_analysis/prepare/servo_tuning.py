@@ -60,7 +60,7 @@ high falls with 800 N m/rad at its hinges and up to 5,000 N/m at its slides, and
 and 20,000 N/m."""
 
 _DAMPING_TIME = 0.05
-"""Default ratio kd / kp [s] of the servos that the preparation adds to a standing robot.
+"""Default ratio kd / kp [s] between damping and stiffness of servos added to a standing robot.
 Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
 
 _MIN_TORQUE_FRACTION = 0.02
@@ -73,8 +73,8 @@ _MIN_FREQUENCY = 4 * math.pi
 holds no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64
-"""Number of random poses of a fixed-base robot, in which the gravity torques and inertias for the
-design of its servos are computed. Chosen, not tuned."""
+"""Number of random poses of a robot with a fixed base. In these poses, the gravity torques and
+inertias are computed from which its servo gains follow. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step [1]. If a robot with added servos does not come to rest, or
@@ -99,7 +99,8 @@ class ServoRequirement:
         inertia: Inertia at the joint with all other joints free, in closed loops as far as the
             loops permit [kg m^2, kg].
         min_stiffness: Lower bound of the stiffness [N m/rad, N/m].
-        soft_limit: Upper bound of the stiffness that ``torques`` require [N m/rad, N/m].
+        soft_limit: Upper bound of the stiffness that follows from ``torques``; no bound of the
+            stiffness that follows from ``own_torques`` [N m/rad, N/m].
         max_stiffness: Upper bound of the stiffness in all cases [N m/rad, N/m].
     """
 
@@ -131,10 +132,10 @@ class ServoRequirement:
     ) -> ServoRequirement:
         """Compute the requirements on the servos of a standing robot: torques, inertia, bounds.
 
-        All hinges have the same design torque: the largest static torque, but at least 2 % of
-        weight times base height (`_MIN_LEVER_FRACTION`). ``max_stiffness`` follows from the time
-        step and the inertia. With closed loops, ``soft_limit`` bounds the stiffness of the driving
-        joints.
+        All hinges have the same design torque: the largest static torque of all joints, but at
+        least 2 % of weight times base height (`_MIN_LEVER_FRACTION`). ``max_stiffness`` follows
+        from the time step and the inertia. With closed loops or couplings, ``soft_limit`` bounds
+        the stiffness of the driving joints.
 
         Args:
             robot: Robot.
@@ -218,7 +219,7 @@ class ServoRequirement:
 def suggest_standing_gains(
     robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
 ) -> GainArrays:
-    """Compute the gains with which position servos hold a stand; round them down to two digits.
+    """Compute servo gains that hold a stand; round the gains down to two significant digits.
 
     Args:
         robot: Robot.
@@ -239,8 +240,8 @@ def suggest_standing_gains(
 def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> GainArrays:
     """Compute servo gains for a robot with a fixed base, such as an arm, with critical damping.
 
-    kd = 2 sqrt(kp I), with the smallest inertia I at the joint in random poses, the other joints
-    free. The gains are rounded to three digits.
+    The damping is kd = 2 sqrt(kp I). I is the smallest inertia at the joint in random poses, with
+    the other joints free. The gains are rounded to three significant digits.
 
     Args:
         model: Model with a fixed base, or with a free base that is held.

@@ -95,10 +95,10 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
 
 
 def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
-    """Compute the penetration of the feet in keyframes in which the ground carries the robot.
+    """Compute how deep the feet are in the ground in keyframes whose contact forces balance weight.
 
-    In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
-    the base is meaningful. A keyframe is used under three conditions:
+    In such a keyframe the ground carries the robot, so the height of the base is meaningful. A
+    keyframe is used under three conditions:
 
     - The sum of the normal forces of the contacts with the world equals the weight within 1 %
       (`_WEIGHT_RTOL`): on level ground the robot would neither fall nor be thrown up.
@@ -109,8 +109,8 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
         model: Unmodified model of the MJCF.
 
     Returns:
-        {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model has
-        exactly one free joint.
+        {keyframe: largest penetration of a contact with the world [m]}; other keyframes are
+        omitted. Empty unless the model has exactly one free joint.
     """
     found, free = {}, list_free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():
@@ -143,8 +143,8 @@ def choose_keyframes(
 
     Args:
         mjcf: MJCF, for errors.
-        known: {keyframe: {joint: position [rad, m]}} of all keyframes.
-        wanted: Name of the requested keyframe; None to select all.
+        known: {keyframe: {joint: position [rad, m]}} of all keyframes of the MJCF.
+        wanted: Name of the keyframe that the user requests; None to select all.
 
     Returns:
         {keyframe: {joint: position [rad, m]}}, in the order in which the keyframes are tried.
@@ -194,11 +194,12 @@ _MAX_FOOT_HEIGHT_SPREAD = 0.1
 height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
-"""Upper bound of the number of IK branches that are tried at each height, nearest to the pose
-first. Chosen, not tuned."""
+"""Upper bound of the number of IK branches that are tried as initial guesses at each base height,
+nearest to the requested pose first. Chosen, not tuned."""
 
 _NUM_HEIGHTS = 12
-"""Number of base heights that are tried between folded and straight legs. Chosen, not tuned."""
+"""Number of base heights at which a stand is searched, between folded and straight legs
+(`_MIN_HEIGHT_FRACTION`, `_MAX_HEIGHT_FRACTION`). Chosen, not tuned."""
 
 _MIN_GROUND_CLEARANCE = 0.01
 """Lower bound of the height above the ground [m] of all bodies except those of the feet, in a
@@ -218,12 +219,13 @@ _JOINT_MARGINS = (0.2, 0.05, 0.0)
 pose is found. Chosen, not tuned."""
 
 _MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
-"""Bounds of the horizontal distance of a foot from the hip, relative to the distance of both.
-Outside, the foot is moved to `_TARGET_SIDE_DISTANCE`. Chosen, not tuned."""
+"""Bounds of the horizontal distance of a foot from the hip, divided by the distance between foot
+and hip [1]. Outside of the bounds, the foot is moved to `_TARGET_SIDE_DISTANCE`. Chosen, not
+tuned."""
 
 _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
-"""Horizontal distance of a moved foot from the hip, and depth of all feet below the hips, relative
-to the distance between foot and hip. Chosen, not tuned."""
+"""Horizontal distance of a moved foot from the hip, and depth of all feet below the hips, divided
+by the distance between foot and hip [1] (`_spread_feet`). Chosen, not tuned."""
 
 _NUM_KEYFRAME_DIGITS = 6
 """Decimals of a written keyframe's joint positions [rad, m], height [m] and ctrl: 1 um. Chosen, not
@@ -236,20 +238,22 @@ height. The small weight only selects among the postures in which the soles lie 
 tuned."""
 
 _MAX_SOLE_ERROR = 1e-3
-"""Upper bound of the errors of joint positions that are used as initial guess of a stand: height
-error of a contact point, and CoM offset, both divided by the base height. Chosen, not tuned: the
-stand is solved exactly afterwards."""
+"""Upper bound of two errors with which `_level_soles` accepts joint positions as initial guess of a
+stand [1]: height error of a contact point, and horizontal CoM offset, both divided by the base
+height. Chosen, not tuned: the stand is solved exactly afterwards."""
 
 _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad, m]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
 _MIN_CONTACT_RATE = 1e-9
-"""Upper bound of the elements of a Jacobian [m/rad, 1] from rounding: a contact point with larger
-elements is moved by a joint. Chosen, not tuned: the elements of legs are 1e-2 m/rad or larger."""
+"""Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint moves a
+contact point. Smaller elements are rounding. Chosen, not tuned: the elements of legs are 1e-2 m/rad
+or larger."""
 
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
-"""Lowest and highest height that is tried, as fractions of the leg length. Chosen, not tuned."""
+"""Lowest and highest base height at which a stand is searched, as fractions of the leg length
+(`compute_leg_length`). Chosen, not tuned."""
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
@@ -338,23 +342,25 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 
 def _can_move_contacts(robot: Robot, pose: Array) -> bool:
-    """Return True if a joint moves a contact point, at joint positions of shape (nu,) [rad, m].
+    """Return True if a joint moves a contact point relative to the base, unlike that of a wheel.
 
-    Wheels, whose contact points are on their axes, do not move them.
+    The Jacobian is evaluated at the joint positions ``pose``, shape (nu,) [rad, m]. The contact
+    point of a wheel is on the axis of its joint, which therefore does not move the point.
     """
     jacobians = Configuration(robot, robot.make_qpos(pose)).foot_jacobians().values()
     return any((np.abs(jacobian[:, 6:]) > _MIN_CONTACT_RATE).any() for jacobian in jacobians)
 
 
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
-    """Find a nominal stand (default `StandTask`) with level feet at free horizontal positions.
+    """Find a start pose with flat soles, without prescribing the horizontal positions of the feet.
 
     The horizontal positions are free because a bent leg may not reach a level sole at prescribed
     positions: with fewer than six joints and axes that are not parallel, bending moves and tilts
-    the sole sideways. The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
+    the sole sideways. The start pose is searched near ``pose``, joint positions of shape (nu,)
+    [rad, m], at several base heights. The nominal stand (default `StandTask`) must exist.
 
     Returns:
-        Robot with this nominal stand; None if there is none.
+        Robot with this start pose; None if no start pose is found.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = np.round(
@@ -363,7 +369,10 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     heights = heights[heights > 0]
 
     def level_at_heights(margin: float) -> list[Robot]:
-        """Return robots with level soles at the heights; joints are ``margin`` from the limits."""
+        """Return a robot per base height at which the joints can lay all soles flat.
+
+        The joints are at least ``margin`` [rad, m] from the limits.
+        """
         guesses = [(height, _level_soles(robot, pose, height, margin)) for height in heights]
         return [
             _set_start(replace(robot, nominal=joints), joints, float(height))
@@ -375,9 +384,9 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
 
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
-"""Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``), and largest number of evaluations, of
-the last least-squares problem of `_level_soles`. Gauss-Newton converges quadratically from errors
-of 1e-8 m; chosen, not tuned."""
+"""Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``) and largest number of evaluations of the
+second least-squares problem of `_level_soles`, which has no regularisation. Gauss-Newton converges
+quadratically from errors of 1e-8 m. Chosen, not tuned."""
 
 
 def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
@@ -458,29 +467,30 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
 
 
 def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
-    """Return a robot with another start pose, from which its default stand is solved.
+    """Return a robot with other joint positions of the start pose, and another nominal base height.
 
     Args:
         robot: Robot.
         joints: Joint positions, shape (nu,) [rad, m].
-        height: Height of the base above the ground in the default stand [m].
+        height: Height of the base above the ground in the nominal stand (default `StandTask`) [m].
     """
     return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
 
 
 def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
-    """Choose the start pose from runs of poses at successive base heights.
+    """Choose the start pose among candidates at successive base heights, the middle height first.
 
-    Each run is tried from the middle outwards. The first robot with a nominal stand (default
-    `StandTask`) on soft ground is returned. Without such a robot, the result is the first robot
-    with a nominal stand on rigid ground. A start may fail: the stand needs the CoM in the centre of
-    the feet, and bending straight legs moves the CoM.
+    Each series of candidates is tried from the middle outwards. The first candidate with a nominal
+    stand (default `StandTask`) on soft ground is returned. Without such a candidate, the first with
+    a nominal stand on rigid ground is returned. A candidate may fail: the nominal stand needs the
+    CoM above the centre of the feet, and bending straight legs moves the CoM.
 
     Args:
-        runs: Robots that differ in the start pose; later runs are used only if necessary.
+        runs: Series of robots that differ only in the start pose, each in the order of the base
+            heights. A later series is used only if no robot before has a stand on soft ground.
 
     Returns:
-        The robot; None if all fail.
+        Robot with the chosen start pose; None if no candidate has a nominal stand.
     """
     on_rigid_ground: Robot | None = None
     for starts in runs:
@@ -496,10 +506,11 @@ def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
 
 
 def _is_within_reach_on_soft_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if the legs can be extended by the depth at which the feet penetrate the ground.
+    """Return True if a stand remains within reach of the legs on ground into which the feet sink.
 
-    The result is False near the largest height that the legs reach. Other errors on soft ground,
-    such as depths that do not converge, do not count.
+    The legs must be extended by the depth of the feet in the ground. The result is therefore False
+    near the largest height that the legs reach. Other errors on soft ground, such as depths that do
+    not converge, do not count.
     """
     try:
         solve_stand_on_soft_ground(robot, stand, explain=False)
@@ -511,11 +522,12 @@ def _is_within_reach_on_soft_ground(robot: Robot, stand: Stand) -> bool:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Search for a nominal stand (default `StandTask`) from several start poses.
+    """Search for a start pose at the middle of the base heights that are reached from given poses.
 
     1. From each pose, stands are searched at successive base heights.
     2. The pose with the most consecutive stands is used.
-    3. The nominal stand is that at the middle height, or else the nearest valid stand.
+    3. The start pose is the stand at the middle height. If the nominal stand (default `StandTask`)
+       does not exist there, the next heights are tried.
 
     The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand on
     soft ground is found. Without such a stand, the first stand on rigid ground is used.
@@ -525,11 +537,14 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Robot with the nominal stand; None if there is no stand.
+        Robot with the start pose; None if there is no stand.
     """
 
     def find_run(margin: float) -> list[Robot]:
-        """Return the robots of the longest run; joints are ``margin`` [rad, m] from the limits."""
+        """Return a robot per stand of the longest series, with this stand as start pose.
+
+        The joints are at least ``margin`` [rad, m] from the limits.
+        """
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
             placed = _set_start(replace(robot, nominal=pose), pose, robot.stand_height)
@@ -547,7 +562,7 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:
-    """Return joint positions with each foot at a bounded horizontal distance from the hip.
+    """Compute joint positions that place the feet below and beside the hips, where legs can bend.
 
     A foot that is too near or too far (`_MIN_SIDE_DISTANCE`, `_MAX_SIDE_DISTANCE`) gets a target at
     `_TARGET_SIDE_DISTANCE`. All targets have the same height. Reason: legs that are straight to the
@@ -558,9 +573,9 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
         pose: Joint positions, shape (nu,) [rad, m].
 
     Returns:
-        Joint positions, shape (nu,) [rad, m]; ``pose`` without an IK branch. If the legs cannot
-        reach the targets, the foot errors are the smallest found. A foot on the base keeps its
-        position.
+        Joint positions, shape (nu,) [rad, m]; ``pose`` if inverse kinematics finds no solution. If
+        the legs cannot reach the targets, the foot errors are the smallest found. A foot on the
+        base keeps its position.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
@@ -602,8 +617,8 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
         margin: Distance of the joints from the limits [rad, m].
-        known: Length of the longest series for other poses. The search ends once no longer series
-            is possible; the result may then be shorter, or empty.
+        known: Number of stands in the longest series for other poses. The search ends once no
+            longer series is possible; the result may then be shorter, or empty.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [
@@ -613,7 +628,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
     ]
 
     def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
-        """Solve a stand at a base height that is clear of the ground.
+        """Solve a stand at a base height in which no other body than the feet nears the ground.
 
         Args:
             height: Height of the base [m].
@@ -663,7 +678,7 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
 
 
 def list_foot_bodies(robot: Robot) -> set[int]:
-    """Return the MuJoCo ids of the bodies to which the feet belong.
+    """Return the MuJoCo ids of the moving bodies that have a foot.
 
     If a foot is on a body without joints, the id is that of the moving body to which this body is
     fixed (``body_weldid``).
@@ -673,7 +688,7 @@ def list_foot_bodies(robot: Robot) -> set[int]:
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if in a stand no body except the bodies of the feet is near the ground.
+    """Return True if no body is near the ground in a stand, except the bodies of the feet.
 
     A body is near the ground if a geom of the body touches the ground when the base is lowered by 1
     cm (`_MIN_GROUND_CLEARANCE`).
@@ -721,12 +736,13 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
 
 
 def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
-    """Yield initial guesses of the joint positions (nu,) [rad, m] with bent legs.
+    """Yield initial guesses of joint positions (nu,) [rad, m] from inverse kinematics of the legs.
 
-    The level base is at the position of ``goal``. Each guess combines inverse-kinematics branches
-    of the legs for the foot targets of ``goal``. Guesses that reach the targets come first, then
-    the nearest to ``pose``; at most `_MAX_BRANCHES` guesses are yielded. The branches are computed
-    only when the first guess is requested.
+    The base is level at the position in ``goal``. Each guess combines a solution branch of each leg
+    for the foot targets in ``goal``, for example with the knee forwards or backwards. Guesses that
+    reach the targets come first, sorted by the distance of the joints from ``pose``. At most
+    `_MAX_BRANCHES` guesses are yielded. The branches are computed only when the first guess is
+    requested.
     """
     qpos = robot.make_qpos(pose)
     qpos[:3] = (*goal.place, goal.height)
@@ -737,10 +753,11 @@ def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
 def _solve_first_guess(
     context: SearchContext, goal: Goal, guesses: Iterable[Array]
 ) -> Stand | None:
-    """Return the first stand that is solved from initial guesses of the joint positions.
+    """Solve a stand from initial guesses of the joint positions, in order, until a guess succeeds.
 
-    If the CoM is free within the support polygon, the nonlinear program is tried, too; the stand of
-    the program must be clear of the ground.
+    If the task permits any CoM within the support polygon, the nonlinear program
+    (`solve_constraints`) is tried after each guess that fails. Its stand must be clear of the
+    ground.
 
     Args:
         context: Search context of the robot.
@@ -748,8 +765,8 @@ def _solve_first_guess(
         guesses: Joint positions, shape (nu,) each [rad, m].
 
     Returns:
-        Stand. None if all guesses fail, or if two guesses end at the same minimum of the foot
-        errors, out of reach.
+        Stand. None if all guesses fail. None also if two guesses end at the same minimum of the
+        foot errors, above zero: the stand then counts as out of reach.
     """
     misses: list[float] = []
     for joints in guesses:
@@ -770,7 +787,7 @@ def _solve_first_guess(
 
 
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
-    """Compute the height of the base above the ground if the longest leg were straight.
+    """Compute the base height above the ground at which the longest leg would be straight.
 
     The height of a leg is a sum of three terms:
 
@@ -883,7 +900,7 @@ def find_start_pose(
     sunk: Mapping[str, float],
     rest_depth: Callable[[str], float | None] | None = None,
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Determine the start pose of a robot, from a keyframe or by a search, and set the pose.
+    """Find the start pose of a robot, from a keyframe or by a search, and set the pose.
 
     The first of these poses with which the nominal stand exists is used:
 
@@ -1025,9 +1042,10 @@ def round_start_configuration(robot: Robot, stand: Stand) -> Array:
 
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
-    """Return the robot with a start pose whose lowest foot penetrates the ground by ``sunk`` [m].
+    """Set the start pose of a robot to joint positions, with the lowest foot ``sunk`` [m] deep.
 
-    The start pose has the joint positions ``joints``, shape (nu,) [rad, m], and a level base.
+    The joint positions are ``joints``, shape (nu,) [rad, m]; the base is level. The base height of
+    the nominal stand is set accordingly.
     """
     qpos = robot.make_qpos(joints)
     places = Configuration(robot, qpos).foot_positions()
@@ -1036,10 +1054,10 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
 
 
 def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Return the robot ``whole`` with the start pose and nominal positions of ``posed``.
+    """Copy the start pose and the nominal joint positions of the robot ``posed`` to ``whole``.
 
-    The description's MJCF gets the start pose as well, with the base level at x = y = 0. Both
-    robots have the same joints.
+    The MJCF of the returned robot's description gets the start pose as well, with the base level at
+    x = y = 0. Both robots have the same joints.
     """
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)

@@ -1,8 +1,8 @@
 """Disable the contacts that the statics do not assume: a robot stands only on its feet.
 
-Input is a robot with a start pose. Two kinds of contacts are disabled: contacts of other shapes of
-a foot's body near the ground, and contacts between bodies that overlap in the start pose. Visual
-geoms are discarded.
+Input is a robot with a start pose. Two kinds of contacts are disabled: contacts of shapes near the
+ground that are on a foot's body but are not foot geoms, and contacts between bodies that overlap in
+the start pose. Visual geoms are discarded.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
-    """Copy the compiler option ``discardvisual`` from an original spec to another spec, in place.
+    """Set the compiler option ``discardvisual`` of a spec to that of an original spec, in place.
 
     Returns:
         True if the option of ``spec`` changed.
@@ -62,23 +62,24 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Bound of the fraction [1] of a foot's load that the foot's own contact shape carries. With a
-larger fraction, the foot keeps this shape. Otherwise another shape of the same body carries more,
-and becomes the contact shape. Chosen, not tuned."""
+"""Lower bound of the fraction [1] of a foot's load that the present contact shape of the foot
+carries. With a larger fraction, the foot keeps this shape. Otherwise another shape of the same body
+carries more, and becomes the contact shape (`find_carrying_hulls`). Chosen, not tuned."""
 
 
 def find_carrying_hulls(
     footless: Robot, robot: Robot, feet: Sequence[Foot]
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
-    """Find other shapes on the bodies of soft feet that carry most of the load of the feet.
+    """Find soft feet whose load is mainly carried by another shape of the foot's body.
 
     A soft foot may penetrate the ground so far that a stiffer shape of the foot's body also
     touches, such as the convex hull of the shank. The contact point of the foot must then be on
     this shape.
 
-    The foot's fraction of the load is estimated at a single penetration: the other shape alone
-    would carry the complete load there. The fraction is averaged over the affected feet, so that
-    all legs are treated equally. Only feet with a single contact point are considered.
+    The fraction of the load that the foot itself carries is estimated. It is the force of the foot
+    at the penetration at which the other shape alone would carry the load, divided by the load. The
+    fraction is averaged over the affected feet, so that all legs are treated equally. Only feet
+    with a single contact point are considered.
 
     Args:
         footless: Robot before feet were added.
@@ -88,7 +89,7 @@ def find_carrying_hulls(
     Returns:
         All feet, and a note. In the affected feet, the other shape is the contact shape. None in
         three cases: the stand on soft ground is not solved; no other shape touches the ground in a
-        single point; the feet carry more than half of their load on average.
+        single point; the feet themselves carry more than half of the load on average.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -176,8 +177,9 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Add contact exclusions for the pairs of bodies that overlap in the start pose.
 
-    The start pose is the nominal stand (default `StandTask`). For a fixed base, the start pose is
-    the default posture.
+    Reason: the statics assume that no bodies of the robot touch each other. The start pose is the
+    nominal stand (default `StandTask`). For a fixed base, the start pose is the default posture
+    (`find_posture`).
 
     Returns:
         Robot, and a list with a note about the pairs. The list is empty, and the robot unchanged,
@@ -205,10 +207,10 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Return the qpos, shape (nq,) [m, rad], of the nominal stand or of a fixed base's posture.
+    """Compute the start configuration in which overlaps of bodies are tested, shape (nq,) [m, rad].
 
-    The nominal stand is the solution of the default `StandTask`. None if the stand or posture
-    cannot be solved.
+    The configuration is the nominal stand (solution of the default `StandTask`); for a fixed base,
+    the default posture (`find_posture`). None if the stand or posture cannot be solved.
     """
     if robot.floating:
         stand = start.solve_nominal_stand(robot)
