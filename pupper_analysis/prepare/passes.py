@@ -80,7 +80,7 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 
 @dataclass(frozen=True, eq=False)
 class LoadRequest:
-    """Options of the user for loading a robot.
+    """Options with which the user loads a robot; see `load_robot`.
 
     Attributes:
         feet: {foot: (frame in the URDF, frame in the MJCF)}; None: feet are detected.
@@ -104,9 +104,9 @@ class LoadRequest:
 
 
 _MIN_PARTIAL_FREE_JOINTS = 4
-"""Smallest number of joints with which a child body of the world counts as a free base although it
-has no free joint. Such a base is not fixed. Derived: three slides and a ball joint move a body
-freely.
+"""Lower bound of the number of joints with which a child body of the world counts as a free base,
+although it has no free joint. The preparation does not fix such a base. Derived: three slides and a
+ball joint move a body freely.
 """
 
 
@@ -161,7 +161,7 @@ class Draft:
 
     @property
     def may_fix_base(self) -> bool:
-        """Whether the base may be fixed although the user did not request a fixed base.
+        """Whether the preparation may fix the base although the user did not request this.
 
         This is permitted only if the base is not free in the MJCF. The base counts as free if the
         MJCF has a free joint, or if a child body of the world has four or more joints
@@ -177,7 +177,7 @@ class Draft:
 
     @property
     def urdf_is_free(self) -> bool:
-        """Whether a massless root link of the URDF has a single joint, and this joint is floating.
+        """Whether the URDF has a free base: a floating joint as the only joint of a massless root.
 
         For example, a URDF of a ``pin.Model`` with a free flyer.
         """
@@ -244,7 +244,7 @@ class Pass:
 
 
 _registered_passes: list[Pass] = []
-"""Passes in the order of their registration by `_register_pass`, which is that of application."""
+"""Preparation passes that `_register_pass` has registered so far, in the order of application."""
 
 
 def _register_pass(
@@ -254,11 +254,12 @@ def _register_pass(
     after_refusal: bool = False,
     deferred: bool = False,
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
-    """Return a decorator that registers a function as the next pass, named after the function.
+    """Create a decorator that appends a function to the preparation passes.
 
-    The arguments are the fields of `Pass`. ``does`` is the purpose of the pass in words.
-    ``condition`` returns True if a draft needs the pass. ``after_refusal`` applies the pass also to
-    refused drafts. ``deferred`` postpones the pass until the robot is first simulated or drawn.
+    The pass is named after the function. The arguments are the fields of `Pass`. ``does`` is the
+    purpose of the pass in words. ``condition`` returns True if a draft (the robot in preparation)
+    needs the pass. ``after_refusal`` applies the pass also if no robot with a free base can be
+    made. ``deferred`` postpones the pass until the robot is first simulated or drawn.
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
@@ -276,17 +277,17 @@ def _applies_always(_draft: Draft) -> bool:
 
 
 def _has_free_base_request(draft: Draft) -> bool:
-    """Return True if the user requested no fixed base. The files need not be matched yet."""
+    """Return True unless the user requested a fixed base; callable before the pass ``match``."""
     return not draft.request.fixed_base
 
 
 def _has_free_base(draft: Draft) -> bool:
-    """Return True if the robot's base is free. The files must already be matched."""
+    """Return True if the robot's base is free; callable only after the pass ``match``."""
     return not draft.request.fixed_base and draft.match.robot.floating
 
 
 def _has_fixed_base(draft: Draft) -> bool:
-    """Return True if the robot's base is fixed. The files must already be matched."""
+    """Return True if the robot's base is fixed; callable only after the pass ``match``."""
     return not _has_free_base(draft)
 
 
@@ -296,14 +297,17 @@ def _stands_on_feet(draft: Draft) -> bool:
 
 
 def _may_be_altered(draft: Draft) -> bool:
-    """Return True if the robot has feet and a free base, and `LoadRequest.as_is` is False."""
+    """Return True if contacts and actuators of a robot on feet may be changed.
+
+    The robot must have feet and a free base, and the user must permit changes (no ``as_is``).
+    """
     return _stands_on_feet(draft) and not draft.request.as_is
 
 
 def _may_get_servos(draft: Draft) -> bool:
     """Return True if servos may be added to the robot.
 
-    The robot must have feet or a fixed base, and the caller must permit changes (no ``as_is``).
+    The robot must have feet or a fixed base, and the user must permit changes (no ``as_is``).
     """
     return _may_be_altered(draft) or (_has_fixed_base(draft) and not draft.request.as_is)
 
@@ -334,10 +338,11 @@ def _find_requested_feet(
 
 
 def _must_fix_base(draft: Draft) -> bool:
-    """Return True if the base may be fixed, and the robot cannot stand with a free base.
+    """Return True if the robot must be prepared again with a fixed base, as it cannot stand.
 
-    The base may be fixed if `Draft.may_fix_base` is True. The robot cannot stand if an earlier pass
-    has failed, or if the robot has no nominal stand (default `StandTask`).
+    Two conditions must hold. The base may be fixed (`Draft.may_fix_base`). The robot cannot stand
+    with a free base: an earlier pass has failed, or there is no nominal stand (default
+    `StandTask`).
 
     Exception: if the user named the feet and no earlier pass has failed, the base stays free.
     Commands then report why the robot does not stand.
@@ -351,7 +356,10 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name bodies and joints, list keyframes; remove visual geoms if the user named no feet."""
+    """Name all bodies and joints, select keyframes, and discard visual geoms of the MJCF.
+
+    Visual geoms are kept if the user named feet: a foot may be a visual geom.
+    """
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom
@@ -375,7 +383,7 @@ def _free_base(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lifts the base's frame off the ground"), _has_free_base_request)
 def _place_base_frame(draft: Draft) -> PassOutput:
-    """Move the MJCF's base frame up to the height of its CoM, if needed (`place_base_frame`)."""
+    """Raise the MJCF's base frame to the CoM of the base, if needed (`place_base_frame`)."""
     file = draft.mjcf
     messages = place_base_frame(
         draft.spec, file.model, file.path, insert_visuals=file.deferred_visuals
@@ -385,7 +393,7 @@ def _place_base_frame(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("finds whose joint is whose"), _applies_always)
 def _match(draft: Draft) -> PassOutput:
-    """Match the joints of URDF and MJCF by `match_models`, and note guessed pairs."""
+    """Match the joints of URDF and MJCF (`match_models`), with notes on differences and guesses."""
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     name = draft.request.name or draft.spec.modelname
@@ -403,7 +411,7 @@ def _couple_mimics(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("builds the robot on its fixed base"), _has_fixed_base)
 def _build_with_fixed_base(draft: Draft) -> PassOutput:
-    """Build the robot with the base fixed; named feet are kept as frames."""
+    """Build the robot with a fixed base; the feet that the user named become contact points."""
     described = start.with_keyframes(draft.matched_description, draft.keyframes)
     described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
@@ -412,7 +420,7 @@ def _build_with_fixed_base(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("adds a level ground, or makes it level"), _has_free_base)
 def _level_ground(draft: Draft) -> PassOutput:
-    """Add a level floor, or level the file's floor.
+    """Make the ground of the MJCF a level plane at z = 0; add a missing floor (`level_ground`).
 
     Solver options that reduce the creep of contacts (`STIFF_FRICTION_OPTIONS`) are added in two
     cases: the MJCF was converted from a URDF; or a floor was added to a file with neither a free
@@ -443,14 +451,14 @@ def _remove_free_joint_friction(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("builds the robot"), _has_free_base)
 def _build(draft: Draft) -> PassOutput:
-    """Build the robot; raise an error for joints with several motors."""
+    """Build the robot with a free base; raise an error for joints with several motors."""
     check_motors(draft.mjcf.model, draft.mjcf.path)
     return replace(draft, built=build_robot(draft.matched_description)), ()
 
 
 @_register_pass(Term("limits joints of loops that have none"), _has_free_base)
 def _limit_continuous_joints(draft: Draft) -> PassOutput:
-    """Add limits to continuous joints of robots with closed loops."""
+    """Add limits to continuous joints of robots with closed loops or couplings, for PlaCo."""
     return _rebuild_robot(draft, limit_continuous_joints(draft.robot)), ()
 
 
@@ -463,7 +471,7 @@ def _narrow_limits(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("refuses joints that move no mass"), _applies_always)
 def _check_masses(draft: Draft) -> PassOutput:
-    """Raise an error if a joint moves no mass, and has no rotor inertia."""
+    """Raise an error if a joint has no inertia: it moves no mass, and has no rotor inertia."""
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
@@ -534,15 +542,15 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add motors without torque to independent joints without one, if there are closed loops."""
+    """Add missing torque motors at independent joints of closed loops, to fix the joint order."""
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return a function of a keyframe's name that computes the penetration of the feet at rest [m].
+    """Create a function that computes how deep the feet of the unmodified file rest in the ground.
 
-    The function simulates the unmodified file from the keyframe. It returns None if the file falls,
-    or lacks the keyframe.
+    The argument of the function is the name of a keyframe, from which the file is simulated. The
+    result is the penetration at rest [m]; None if the file falls, or lacks the keyframe.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -557,10 +565,11 @@ def _find_start_pose(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
 def _use_hulls_as_feet(draft: Draft) -> PassOutput:
-    """Use other shapes of soft feet, such as hulls, as contact points if they carry most load.
+    """Move the contact points of soft feet to another shape that carries most of the load.
 
-    `touching.find_carrying_hulls` finds these shapes. The draft is unchanged without such shapes,
-    with closed loops, or if the robot with these contact points has no nominal stand.
+    An example is the hull of the shank (`touching.find_carrying_hulls`). The draft is unchanged
+    without such a shape, with closed loops, or if the robot with these contact points has no
+    nominal stand (default `StandTask`).
     """
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
@@ -586,7 +595,7 @@ def _use_hulls_as_feet(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lets feet alone touch the ground"), _may_be_altered)
 def _disable_shapes_beside_feet(draft: Draft) -> PassOutput:
-    """Disable contacts of shapes near the ground on foot bodies, except the feet's own shapes."""
+    """Disable contacts of shapes near the ground that are on foot bodies but are not foot geoms."""
     robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 
@@ -610,7 +619,7 @@ def _choose_solver(draft: Draft) -> PassOutput:
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
-    """Return the same draft, and notes on coupled joints and on uncommanded actuators.
+    """Report coupled joints and uncommanded actuators in notes; return the unchanged draft.
 
     The position of a coupled joint depends on other joints, by a closed loop or a coupling. An
     actuator is not commanded if it does not act on a single hinge or slide.
@@ -622,7 +631,7 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 
 
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
-    """Create the message why a robot has no nominal stand (default `StandTask`).
+    """Create the message that states why a robot has no nominal stand (default `StandTask`).
 
     If fewer than `_MIN_STANDING_FEET` feet were found, the message names no reason: the feet may be
     the fingers of a gripper.
@@ -670,14 +679,20 @@ def _fix_base(draft: Draft) -> PassOutput:
 
 
 def _lacks_servos(robot: Robot) -> bool:
-    """Return True if a joint has no position servo; dependent joints do not count."""
+    """Return True if a joint has no position servo; dependent joints are ignored.
+
+    The position of a dependent joint follows from closed loops or couplings.
+    """
     dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
     return not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent
 
 
 @_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos, deferred=True)
 def _add_servos(draft: Draft) -> PassOutput:
-    """Add position servos to joints without one, except dependent joints."""
+    """Add position servos to joints without a position servo, except dependent joints.
+
+    The position of a dependent joint follows from closed loops or couplings.
+    """
     robot = draft.robot
     if _lacks_servos(robot):
         add = drives.add_suggested_servos if robot.floating else drives.add_fixed_base_servos
@@ -692,9 +707,11 @@ def _add_servos(draft: Draft) -> PassOutput:
     deferred=True,
 )
 def _store_rest_pose(draft: Draft) -> PassOutput:
-    """Replace a searched start pose by the stand on soft ground.
+    """Replace a searched start pose by the pose in which the robot rests on soft ground.
 
-    The start pose is kept without such a stand, or if the keyframe cannot be made.
+    The pose is the nominal stand (default `StandTask`) with the feet in the ground. The start pose
+    is kept if it is a keyframe of the file, if the stand on soft ground cannot be solved, or if the
+    new keyframe cannot be made.
     """
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)
@@ -715,10 +732,11 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
 
 
 def _pose_without_servos(draft: Draft) -> Robot:
-    """Return the robot with start pose and passive joints, which stands and statics need.
+    """Return the robot before servos are added, but with final start pose and passive joints.
 
-    Both are equal to those of the completed robot, since they do not depend on the added servos.
-    The notes of the passes are included: the notes contain the reason why a robot cannot stand.
+    Stands and statics need both, and give the same results as with the completed robot: neither
+    depends on the added servos. The notes of the passes are included, since they contain the reason
+    why a robot cannot stand.
     """
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
@@ -751,7 +769,7 @@ def _convert_visual_meshes(draft: Draft) -> PassOutput:
 
 
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
-    """Return the additions to a robot that has only a URDF: a floor, and solver options.
+    """Create the additions to a robot that has only a URDF: a floor, and solver options.
 
     The options (`STIFF_FRICTION_OPTIONS`) reduce creep: the slow slip of loaded contacts that
     MuJoCo's friction permits.
@@ -762,8 +780,8 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
 """Names of passes whose notes are reordered. `_complete_preparation` puts the note about a fixed
-base last. `_add_notes` puts the notes about visual meshes after those about the matching of the
-files."""
+base last. `_add_notes` puts the notes about visual meshes after the notes about the matching of
+URDF and MJCF."""
 
 PREPARATION_PASSES = tuple(_registered_passes)
 """All passes of the preparation of a robot, in the order of application."""
@@ -866,7 +884,7 @@ def make_robot(
         return robot if finish is None else finish(robot)
 
     def pose_without_servos() -> Robot:
-        """Return the robot in the start pose, without added servos and visual meshes."""
+        """Return the robot with its start pose, but without added servos and visual meshes."""
         robot = _pose_without_servos(draft)
         return robot if finish is None else finish(robot)
 
@@ -879,12 +897,12 @@ def make_robot(
 
 
 def _keeps_joint_order(draft: Draft) -> bool:
-    """Return True if the joint order does not change when servos are added.
+    """Return True if added servos do not change the order of a robot's joints.
 
     Joints are in actuator order. The order does not change if servos are added to all joints in
-    this order, or to none. It may change if some joints have no actuator, already have a servo, or
-    depend on other joints. In these cases a robot with servos is built, and both orders are
-    compared.
+    this order, or to none. The order may change if some joints have no actuator, already have a
+    servo, or depend on other joints. In these cases a robot with servos is built, and both orders
+    are compared.
     """
     robot = draft.robot
     if not _may_get_servos(draft) or not _lacks_servos(robot):
@@ -918,14 +936,18 @@ def prepare_robot(
 
 
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Run all preparation passes that are not deferred until first use; return the draft robot."""
+    """Run the immediate preparation passes, without servos, rest pose and visual meshes.
+
+    Returns:
+        Draft: the robot in preparation.
+    """
     check_simulable(mjcf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 
 
 @silence_mujoco()
 def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
-    """Run the passes with `Pass.deferred`: servos, rest pose, visual meshes.
+    """Run the deferred preparation passes: servos, rest pose (on soft ground), visual meshes.
 
     Returns:
         Robot with all notes, and all passes that were run on the draft.
@@ -937,7 +959,7 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
 
 
 def _add_notes(robot: Robot, runs: Sequence[PassRun]) -> Robot:
-    """Return a robot with the notes of passes before its own notes."""
+    """Insert the notes of preparation passes before the notes of a robot; return a copy."""
     notes_by_pass = {run.name: run.done for run in runs}
     # Meshes that were left out are reported with the other parts of the files that were left out.
     left_meshes = notes_by_pass.pop(_CONVERT_MESHES, ())

@@ -1,4 +1,4 @@
-"""Specification of a robot by files, for scripts, command lines and studies.
+"""Specify a robot by its files and loading options, for scripts, command lines and studies.
 
 `RobotFiles` stores the arguments of ``load_robot``: names of a URDF or an MJCF, and options.
 `FileSource` provides the loaded robot to pages and studies. Pinocchio and MuJoCo are not imported
@@ -24,7 +24,7 @@ _MODEL_OPTIONS = ("urdf", "mjcf")
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """Arguments of ``load_robot`` from which a robot can be loaded repeatedly.
+    """Files and options of a robot: the arguments of ``load_robot``, to load it repeatedly.
 
     Attributes:
         models: Names of the files: a URDF, an MJCF, or both.
@@ -92,7 +92,7 @@ class RobotFiles:
 
 @dataclass(frozen=True, eq=False)
 class FileSource:
-    """Loaded robot with the files that specify the robot, for pages and studies; can be pickled.
+    """Loaded robot with its files and loading options, for pages and studies; can be pickled.
 
     Attributes:
         files: Files of the robot, with the options for loading.
@@ -104,11 +104,11 @@ class FileSource:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Scale factors of the robot's dimensions [1]; empty: a robot of files cannot be scaled."""
+        """Scale factors {dimension: factor [1]}; always empty: a robot of files is not scaled."""
         return {}
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Return the loaded robot; scale factors are refused.
+        """Return the loaded robot; scale factors are refused, unlike for a generated robot.
 
         Args:
             scales: {dimension: factor}; must be empty, since a robot of files cannot be scaled.

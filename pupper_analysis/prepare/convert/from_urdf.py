@@ -1,8 +1,8 @@
 """Convert a URDF to an MJCF: bodies, joints, inertias and shapes.
 
 Input is a validated URDF; output is the XML of an MJCF with a fixed or free base, as
-`ConvertedMjcf`. Ground, servos and feet are added later, by the passes of the preparation. If a
-robot is loaded, these passes also free the base.
+`ConvertedMjcf`. Ground, servos and feet are added later, by the passes of the preparation. When a
+robot is loaded from a URDF alone, the conversion fixes the base; a pass frees the base later.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from pupper_analysis.prepare.convert.repair import (
 from pupper_analysis.prepare.passes import Feet
 
 _ZERO_VECTOR = "0 0 0"
-"""Text that replaces a missing vector (``xyz``, ``rpy``) of a URDF."""
+"""Text that replaces a missing vector (``xyz`` [m], ``rpy`` [rad]) of a URDF."""
 
 _POINT_RADIUS = "0.001"
 """Radius [m], as text, of a collision sphere whose radius in the URDF is zero. Models of Drake have
@@ -71,7 +71,7 @@ _SIZE_ATTRIBUTES = {
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
 }
-"""{shape of a URDF: attributes that are lengths}."""
+"""{tag of a URDF shape: its attributes that are lengths [m]}, for converting the sizes."""
 
 
 VISUAL_CLASS: Final = "visual"
@@ -188,8 +188,8 @@ class UrdfBodies:
         mimics: {joint: (leader, multiplier, offset)} as text; the joint follows the leader.
         efforts: {joint: effort limit [N m or N]} as text, for joints with a limit and without
             coupling.
-        root: Name of the base link.
-        frames: Names of all links.
+        root: Name of the base link, the root of the URDF.
+        frames: Names of all links of the URDF.
     """
 
     urdf: UrdfFile
@@ -235,7 +235,7 @@ class UrdfBodies:
         self._fill_body(body, links[self.root])
 
     def _fill_body(self, body: etree._Element, link: UrdfLink) -> None:
-        """Add the inertial, shapes and child bodies of a link to a body."""
+        """Add inertial and shapes of a link to a body, then all child bodies with their joints."""
         if link.inertial is not None and body.tag != "worldbody":
             _add_mjcf_inertial(body, link.inertial)
         for kind, shape, geometry in link.shapes:
@@ -361,7 +361,7 @@ class UrdfBodies:
         )
 
     def _convert_geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
-        """Return {attribute: text} of the geom of a URDF shape; None if the shape is left out.
+        """Convert the geometry of a URDF shape to {attribute: text} of a geom; None if left out.
 
         A shape without extent, of an unknown kind, or with a mesh that cannot be used is left out,
         with a note. ``kind`` is ``"visual"`` or ``"collision"``: a collision sphere of radius zero
@@ -394,7 +394,7 @@ class UrdfBodies:
         return None
 
     def _find_material(self, shape: etree._Element) -> str | None:
-        """Record the colour of a shape's material; return the material's name in the MJCF.
+        """Return the MJCF material for the colour of a shape; record a new colour as a material.
 
         None if the shape has no colour.
         """
@@ -415,13 +415,16 @@ class UrdfBodies:
 
 
 def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
-    """Return an attribute of an element; None if it is missing, or all its numbers are zero."""
+    """Return the text of an attribute; None if element or attribute is missing, or all are zero."""
     text = None if parent is None else parent.get(attribute)
     return None if text is None or is_zero(text) else text
 
 
 def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
-    """Return position and angles of an <origin>; None for each that is zero."""
+    """Read position (xyz [m]) and angles (rpy [rad]) of the <origin> below an element, as text.
+
+    A missing or zero position is None; so are missing or zero angles.
+    """
     origin = parent.find("origin")
     xyz, rpy = (
         (None if origin is None else origin.get(name)) or _ZERO_VECTOR for name in ("xyz", "rpy")
@@ -459,8 +462,8 @@ def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""Lower bound of the number of moving joints at the base of a URDF with which the converted robot
-gets a free base by default. With fewer, the base is fixed, as in ``load_robot``."""
+"""Lower bound of the number of moving joints at the base of a URDF (limbs) with which the converted
+robot gets a free base by default. With fewer joints, the base is fixed, as in ``load_robot``."""
 
 
 @dataclass(frozen=True)
@@ -489,16 +492,16 @@ class MjcfOptions:
 
 @dataclass(frozen=True)
 class ConvertedMjcf:
-    """MJCF that was converted from a URDF, before the preparation: links, shapes and couplings.
+    """MJCF that was converted from a URDF: links, shapes and couplings, without floor and servos.
 
     Attributes:
         urdf: URDF with the repaired inertials.
         mjcf: MJCF without mesh assets.
-        meshes: Meshes.
-        bodies: Converter, with notes and records.
-        free: True if the base is free.
+        meshes: Meshes of the MJCF, converted from the mesh files of the URDF.
+        bodies: Converter of the links, with notes and with records of materials and couplings.
+        free: True if the base is free in the MJCF.
         notes: Notes on assumptions.
-        repairs: Repaired inertials.
+        repairs: Inertials that MuJoCo would refuse, with their replacements.
     """
 
     urdf: UrdfFile
@@ -567,7 +570,7 @@ class ConvertedMjcf:
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
     def make_import(self) -> UrdfImport:
-        """Return the URDF for MuJoCo's own importer, without visual shapes.
+        """Create a URDF that MuJoCo's own importer accepts, without visual shapes.
 
         Some elements are changed as in the converted MJCF:
 
@@ -629,7 +632,10 @@ def convert_urdf_in_memory(
 
 
 def _remove_massless_root(tree: UrdfTree) -> bool:
-    """Remove a root link without inertial above a floating joint; return True if removed."""
+    """Remove the root link of a URDF if it only states a free base; return True if removed.
+
+    Such a link has no inertial, and a floating joint as its only joint.
+    """
     base = tree.base
     below = tree.child_joints.get(base.name, [])
     is_floating = base.inertial is None and [joint.kind for joint in below] == ["floating"]
@@ -639,10 +645,10 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
 
 
 def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
-    """Return True if the base of a URDF floats, or may be made free.
+    """Return True if the robot of a URDF gets a free base by default.
 
-    A base may be made free if it is not the world, and if at least `MIN_FREE_BASE_LIMBS` moving
-    joints are attached to it.
+    The base is free if it floats in the URDF (``is_floating``). The base is also made free if it is
+    not the world, and if at least `MIN_FREE_BASE_LIMBS` moving joints are attached to the base.
     """
     base = tree.base.name
     if base == WORLD_LINK or is_floating:

@@ -61,7 +61,7 @@ class ModelPair:
 
     @staticmethod
     def from_file(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
-        """Convert a URDF to an MJCF, or an MJCF to a URDF, in memory; return both models.
+        """Complete a single file to a pair: convert it to the other format in memory.
 
         Args:
             file: URDF or MJCF.
@@ -78,7 +78,7 @@ class ModelPair:
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def add_conversion_note(self, robot: Robot) -> Robot:
-        """Return a robot with a note that the URDF or MJCF was converted from the other model.
+        """Add to a robot the note that its URDF or MJCF was converted from the other model.
 
         The format of the converted model is stored in ``description.converted``. The robot is
         returned unchanged if both models were read from files.
@@ -193,13 +193,13 @@ def _pair_files(
     folders: Mapping[str, Path],
     defer_visuals: bool,
 ) -> ModelPair:
-    """Read the files of keyword arguments; convert a model if the URDF or MJCF is missing.
+    """Select the URDF and the MJCF among files; convert a missing model from the other model.
 
     Args:
         files: Files that were read from positional arguments; extended in place.
         read_file: Function that reads a file of either format.
-        urdf: Path of the URDF.
-        mjcf: Path of the MJCF.
+        urdf: Path of the URDF, as keyword argument; None if not given.
+        mjcf: Path of the MJCF, as keyword argument; None if not given.
         take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
         body: Root body of the robot in an MJCF with several robots.
         folders: {ROS package: folder}.

@@ -1,4 +1,4 @@
-"""Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format.
+"""Collect the mesh files of a URDF for an MJCF; convert formats that MuJoCo cannot read to OBJ.
 
 Inputs are the paths of a URDF's meshes. Outputs are mesh files, and the names by which the MJCF
 refers to the files. There is a name for each file and scale. The conversion of visual meshes can be
@@ -73,7 +73,7 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Return the first ROS package (``package://NAME/...``) that missing mesh files name.
+        """Return the first ROS package that missing mesh files name, as in ``package://NAME/...``.
 
         ``why`` is the reason why ``files`` are omitted. The result is empty if no file names a
         package, or if ``why`` is another reason than a missing file.
@@ -159,7 +159,7 @@ class MeshFiles:
         return self._names[path, scale]
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
-        """Return the file name under which MuJoCo reads a collision ``<mesh>`` of the URDF.
+        """Return the file name with which MuJoCo's URDF importer finds a collision ``<mesh>``.
 
         Args:
             mesh: Element ``<mesh>``.
@@ -192,7 +192,7 @@ class MeshFiles:
 
         Args:
             asset: Element ``<asset>``; extended in place.
-            used: Names of the required meshes; None: all.
+            used: Names of the meshes that the MJCF needs; None: all registered meshes.
             assets: Receives {name: content} of the converted meshes; None if files are written.
         """
         for (path, scale), name in self._names.items():
@@ -226,11 +226,14 @@ class MeshFiles:
         return DeferredMeshes(files) if files else None
 
     def _make_relative(self, path: Path) -> str:
-        """Return a path relative to the folder of the MJCF."""
+        """Return the path of a mesh file as text, relative to the folder of the MJCF."""
         return os.path.relpath(path, self.output.parent.resolve())
 
     def _choose_path(self, path: Path) -> Path:
-        """Return the path that the MJCF names for a mesh file of the URDF."""
+        """Choose the path of the file that the MJCF uses for a mesh file of the URDF.
+
+        This is the same file, or a converted or copied file in a folder beside the MJCF.
+        """
         ending = path.suffix.lower()
         if ending in MUJOCO_MESH_SUFFIXES and not self.copied:
             return path
@@ -242,7 +245,7 @@ class MeshFiles:
         return self._places[path]
 
     def _add_content(self, path: Path) -> None:
-        """Read a mesh file, and convert it if MuJoCo cannot read the format.
+        """Read a mesh file; store the content in ``made`` if it must be converted or copied.
 
         Raises:
             UnreadableError: If the file cannot be read or converted, or is too large.
@@ -257,7 +260,7 @@ class MeshFiles:
     def _record_loss(
         self, why: Diagnostic, file: str, *, touches: bool = False, is_visual: bool = False
     ) -> None:
-        """Record that a file is left out, and why.
+        """Record that a mesh file is left out of the MJCF, with the reason, for the notes.
 
         Args:
             why: Reason.
@@ -350,7 +353,10 @@ class DeferredMeshes:
         return _describe_left_visuals(removed)
 
     def _convert(self, name: str) -> tuple[str, bytes, bool]:
-        """Return file name and OBJ content of a mesh, and True if the mesh has no volume.
+        """Convert a deferred mesh to OBJ, and test if MuJoCo accepts the mesh.
+
+        Returns:
+            File name, content, and True if the mesh is flat: a surface without volume.
 
         Raises:
             UnreadableError: If the file is broken, or MuJoCo refuses the mesh.
@@ -370,7 +376,7 @@ class DeferredMeshes:
 
 
 def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
-    """Describe visual meshes that cannot be converted: {reason: files}.
+    """Create a note per reason for visual meshes that were left out, from {reason: files}.
 
     The notes have a separate code, since visual meshes have no effect on a simulation.
     """
@@ -380,14 +386,14 @@ def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Dia
 def _test_compile(
     content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool
 ) -> None:
-    """Compile a mesh with MuJoCo, as a test.
+    """Test if MuJoCo accepts a mesh, by compiling a model with this mesh alone.
 
     Args:
         content: Content of the file; if None, MuJoCo reads ``path``.
         path: Path of the mesh.
         scale: Scale factors along x, y and z, as text.
-        touches: Whether the shape of the mesh can collide.
-        shell: Whether the mesh is compiled as a surface, without a volume.
+        touches: True if the mesh can collide; MuJoCo then computes its convex hull.
+        shell: True to compile the mesh as a surface without volume.
 
     Raises:
         ValueError: If MuJoCo refuses the mesh.
@@ -426,7 +432,8 @@ MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
 accepted."""
 
 _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
-"""Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
+"""Suffixes of the mesh formats that are converted to OBJ. Archives are not converted: the size of
+their content is not bounded."""
 
 
 def convert_to_obj(path: Path) -> bytes:
@@ -446,7 +453,7 @@ def convert_to_obj(path: Path) -> bytes:
 
 
 def _convert_content(data: bytes, ending: str) -> bytes:
-    """Return the content of a mesh file with a suffix such as ``.dae`` as OBJ.
+    """Convert the content of a mesh file to OBJ; ``ending`` is its suffix, such as ``.dae``.
 
     Raises:
         UnreadableError: If the mesh is broken, or has too many vertices or parts.
@@ -472,7 +479,7 @@ def format_obj(vertices: Array, faces: IntArray, name: str | None) -> bytes:
 
 
 _OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
-"""First line of a converted file: the library that reads the converted formats."""
+"""First line of a converted OBJ file: the address of trimesh, which reads the other formats."""
 
 
 def read_mesh_file(path: Path) -> bytes:

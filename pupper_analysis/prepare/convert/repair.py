@@ -30,8 +30,8 @@ WORLD_LINK: Final = "world"
 the same way."""
 
 _TRIANGLE_RTOL: Final = 1e-12
-"""Relative tolerance with which principal moments count as satisfying A + B >= C: rounding of the
-eigenvalues."""
+"""Relative tolerance [1] with which principal moments A <= B <= C of a valid inertial satisfy
+A + B >= C. The tolerance covers rounding of the eigenvalues."""
 
 _MIN_INERTIA: Final = 1e-14
 """Lower bound of the principal moments of inertia [kg m^2] of a valid inertial with mass. Chosen as
@@ -48,13 +48,13 @@ Chosen as that of a ball with a radius of 16 mm. With a much smaller value, a sm
 move the link too fast for a time step of 2 ms."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
-"""Relative margin with which repaired principal moments satisfy the triangle inequality A + B >= C.
-Chosen larger than the rounding to the written digits."""
+"""Relative margin [1] with which repaired principal moments satisfy A + B >= C. Chosen larger than
+the rounding to the written digits."""
 
 
 @dataclass(frozen=True)
 class Repair(Result):
-    """Invalid inertial and replacement.
+    """Inertial of a URDF that MuJoCo would refuse, with its valid replacement.
 
     Attributes:
         link: Name of the link.
@@ -84,11 +84,11 @@ class Repair(Result):
 
 @dataclass(frozen=True, eq=False)
 class LinkBodies:
-    """Links of a URDF, with the information which links move in the converted MJCF.
+    """Links of a URDF as bodies of the converted MJCF, with methods to find fixed neighbours.
 
     Attributes:
-        tree: Links, changed in place.
-        free: True if the base is free.
+        tree: Links and joints of the URDF, changed in place.
+        free: True if the base is free in the MJCF.
     """
 
     tree: UrdfTree
@@ -101,7 +101,10 @@ class LinkBodies:
         return [name for name in self.tree.subtree(base) if name != base or base != WORLD_LINK]
 
     def parent(self, body: str) -> str | None:
-        """Return the name of the parent body; None for the base, and below the world link."""
+        """Return the name of the parent body.
+
+        None for the base. None also for a child of a root link ``world``.
+        """
         above = self.tree.parent(body)
         return None if above == self.tree.base.name == WORLD_LINK else above
 
@@ -225,7 +228,7 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 
 
 def find_nearest_moments(moments: Array, mass: float) -> Array:
-    """Return the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
+    """Compute the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
     1. Negative moments become zero.
     2. If no moment exceeds `_MIN_INERTIA`, all moments become m r^2, with the radius of gyration r,
@@ -250,7 +253,7 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Add the invalid inertia of a body to that of a body fixed to it, if the sum is valid.
+    """Move the invalid inertia of a body to a body that is fixed to it, if the sum is valid.
 
     The other body must have an inertial. The first body loses its inertial.
 
@@ -271,7 +274,7 @@ def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagno
 
 
 def _has_group_mass(bodies: LinkBodies, body: str) -> bool:
-    """Return True if a body, or a body fixed to this body, has a mass."""
+    """Return True if a body, or a body that fixed joints connect to this body, has a mass."""
     inertias = (bodies.inertia(member) for member, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
@@ -302,7 +305,7 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 
 
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
-    """Return the nearest moving ancestor of a body, or the base, and the body's pose in its frame.
+    """Find the nearest ancestor of a body that moves relative to its parent, or is the base.
 
     The result is the body itself if the body is not fixed to its parent.
 
@@ -322,14 +325,14 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
 
 
 def _make_inertia_error(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
-    """Return the error for the invalid inertia of the link ``name``."""
+    """Create the error, with file and line, that MuJoCo would refuse the inertia of a link."""
     mass, moments = Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
     return make_file_error(urdf.place("link", name, "inertial/inertia"), problem)
 
 
 def _make_mass_error(urdf: UrdfFile, body: str) -> ModelError:
-    """Return the error for a moving body without mass."""
+    """Create the error, with file and line, that a moving link has no mass."""
     above = urdf.tree.parent_joints.get(body)
     joint = None if above is None else above.name
     problem = diagnose("link-without-mass", subject=("link", body), joint=joint)

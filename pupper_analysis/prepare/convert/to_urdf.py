@@ -63,7 +63,7 @@ class UrdfLinks:
         shapes: Converter of the shapes.
         fix_balls: True to fix a ball joint at the reference position, if the body has no other
             joint. False to refuse ball joints.
-        left: Notes on parts that a URDF cannot express.
+        left: Notes on parts of the MJCF that were left out, since a URDF cannot express them.
         links: {body id: (name of the link, pose of the body's frame in the link's frame)}.
         unlimited: Number of joints without a finite effort limit.
     """
@@ -82,7 +82,7 @@ class UrdfLinks:
         self.unlimited = 0
 
     def add(self, base: int) -> None:
-        """Convert a body and all descendants to links and joints of the URDF.
+        """Convert the bodies of a robot, from the base on, to links and joints of the URDF.
 
         A link ``world`` is added above the base in two cases: the base has joints other than a free
         joint, or the base is fixed away from the world's origin.
@@ -115,7 +115,7 @@ class UrdfLinks:
                 self._add_body(body, self._make_link_name(body), link, inside)
 
     def _add_body(self, body: int, name: str, parent: str, inside: pin.SE3) -> None:
-        """Add the joints of a body, and the link.
+        """Add the link of a body to the URDF, and the joints that connect it to the parent link.
 
         Args:
             body: Id of the body.
@@ -154,9 +154,10 @@ class UrdfLinks:
         self._add_link(body, name, placement)
 
     def _add_movable_joint(self, joint: int, parent: str, child: str, placed: pin.SE3) -> None:
-        """Add a hinge or slide (MuJoCo id ``joint``), with limits, damping and friction.
+        """Add a hinge or slide to the URDF, with limits, damping and friction.
 
-        ``placed`` is the pose of the child link's frame in the parent link's frame.
+        ``joint`` is the MuJoCo id. ``placed`` is the pose of the child link's frame in the parent
+        link's frame.
         """
         model = self.model
         limited = bool(model.jnt_limited[joint])
@@ -197,7 +198,10 @@ class UrdfLinks:
             self.unlimited += 1
 
     def _add_link(self, body: int, name: str, inside: pin.SE3) -> None:
-        """Add the link of a body; ``inside`` is the pose of the body frame in the link frame."""
+        """Add the link of a body to the URDF, with inertial and shapes.
+
+        ``inside`` is the pose of the body frame in the link frame.
+        """
         model = self.model
         self.links[body] = name, inside
         link = self.tree.new_link(name)
@@ -208,7 +212,7 @@ class UrdfLinks:
         self.shapes.add(link.element, body, inside)
 
     def add_sites(self) -> None:
-        """Add a link without mass for each named site of a converted body.
+        """Add the named sites of the converted bodies to the URDF, as links without mass.
 
         The link is fixed to the link of the body. A site with the name of a link is left out, with
         a note.
@@ -228,13 +232,16 @@ class UrdfLinks:
             self._add_joint(self._make_joint_name(f"{name}_fixed"), "fixed", link, name, placed)
 
     def _add_frame(self, name: str) -> None:
-        """Add a link without mass and shapes."""
+        """Add a link without mass and shapes to the URDF, which serves as a frame."""
         _set_zero_inertial(self.tree.new_link(name))
 
     def _add_joint(
         self, name: str, kind: str, parent: str, child: str, placed: pin.SE3
     ) -> UrdfJoint:
-        """Add a joint; ``placed`` is the pose of the child link in the parent link's frame."""
+        """Add a joint of type ``kind``, such as ``revolute``, to the URDF.
+
+        ``placed`` is the pose of the child link's frame in the parent link's frame.
+        """
         return self.tree.new_joint(name, kind, parent, child, placed, NUM_DIGITS)
 
     def _make_link_name(self, body: int) -> str:
@@ -242,11 +249,11 @@ class UrdfLinks:
         return self._make_free_name(str(self.model.body(body).name) or f"body_{body}")
 
     def _make_free_name(self, wanted: str) -> str:
-        """Return ``wanted`` as link name, with a suffix if a link of this name exists."""
+        """Reserve a unique link name: ``wanted``, with a suffix if a link of this name exists."""
         return make_unique_name(wanted, self._names)
 
     def _make_joint_name(self, wanted: str) -> str:
-        """Return ``wanted`` as joint name, with a suffix if a joint of this name exists."""
+        """Reserve a unique joint name: ``wanted``, with a suffix if a joint of this name exists."""
         return make_unique_name(wanted, self._joint_names)
 
 
@@ -308,7 +315,10 @@ class ConvertedUrdf:
 
 
 def _set_zero_inertial(link: UrdfLink) -> None:
-    """Add an inertial with zero mass: PyBullet assumes 1 kg for a link without inertial."""
+    """Add an inertial with zero mass to a link.
+
+    Reason: PyBullet assumes 1 kg for a link without inertial.
+    """
     inertial = add_element(link.element, "inertial")
     add_element(inertial, "mass", value="0")
     add_element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))
@@ -362,12 +372,12 @@ class UrdfShapes:
     """
 
     def __init__(self, file: MjcfFile, model: mujoco.MjModel, folder: Path) -> None:
-        """Collect the mesh files of a model.
+        """Prepare the conversion of geoms: collect the mesh files of a model.
 
         Args:
             file: MJCF.
             model: Compiled model.
-            folder: Folder of the URDF.
+            folder: Folder of the URDF, to which paths of mesh files are relative.
         """
         self.model, self.left = model, list[Diagnostic]()
         self._materials: dict[tuple[float, ...], str] = {}
@@ -410,7 +420,7 @@ class UrdfShapes:
                         self._add_material(shape, geom)
 
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
-        """Return the URDF shapes of a geom, with poses in the body frame; a capsule has three.
+        """Convert a geom to URDF shapes, with poses in the body frame; a capsule becomes three.
 
         Empty, with a note, if a URDF has no such shape.
         """
@@ -435,7 +445,7 @@ class UrdfShapes:
         return []
 
     def _convert_mesh(self, geom: int, placed: pin.SE3) -> list[ShapeGeometry]:
-        """Return the mesh of a geom as URDF shape; ``placed`` is the geom's pose in the body frame.
+        """Convert the mesh of a geom to a URDF shape; ``placed`` is the geom's pose in the body.
 
         Empty, with a note, if the mesh file is unknown, or if the MJCF moves the mesh with
         ``refpos`` or ``refquat``, for which a URDF has no equivalent.
@@ -460,7 +470,10 @@ class UrdfShapes:
         return [("mesh", attributes, where)]
 
     def _add_material(self, shape: etree._Element, geom: int) -> None:
-        """Add the colour of a visual shape; a material is defined at the first use."""
+        """Add the colour of a geom to a visual shape of the URDF.
+
+        The colour is a ``<material>``, whose values are written at the first use only.
+        """
         model = self.model
         material = int(model.geom_matid[geom])
         rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
@@ -475,7 +488,7 @@ class UrdfShapes:
 
 
 def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
-    """Return the path of a mesh file; None if there is no such file."""
+    """Return the path of the file of an MJCF's mesh; None if there is no such file."""
     if not mesh.file:
         return None
     name = Path(mesh.file).name if file.spec.strippath else mesh.file
@@ -601,6 +614,9 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
 
 
 def _list_top_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[int, mujoco.MjsBody]:
-    """Return {id: body} of the children of the world, in the same order in model and spec."""
+    """Return {body id in the model: body of the spec} of the children of the world.
+
+    The order of the children is the same in model and spec.
+    """
     ids = np.flatnonzero(model.body_parentid[1:] == 0) + 1
     return dict(zip(map(int, ids), spec.worldbody.bodies, strict=True))
