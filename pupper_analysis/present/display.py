@@ -1,4 +1,4 @@
-"""Windows of MuJoCo's viewer, and the test of whether a window can be opened."""
+"""Open MuJoCo's viewer, and test beforehand if a window can be opened."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_display() -> None:
 
 
 def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Simulate in MuJoCo's viewer in real time until the window is closed.
+    """Simulate a model in a window of MuJoCo's viewer, in real time, until the window is closed.
 
     Args:
         model: Model.

@@ -35,11 +35,11 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.diagnostics.diagnostic import Severity
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""{severity of a finding: emphasis in a document}."""
+"""{severity of a finding: emphasis of its text in a document}, values of ``Text.mark``."""
 
 
 def text(key: str, **values: object) -> Text:
-    """Create a text in English and Chinese from an entry of the catalogue.
+    """Create a text in English and Chinese from an entry of the text catalogue, with values.
 
     The Chinese text is formed on access to ``Text.zh``.
 
@@ -60,10 +60,10 @@ def text(key: str, **values: object) -> Text:
 
 
 def word(name: str) -> Text | Name:
-    """Return the entry of a key in ``terms.toml``, in both languages.
+    """Translate a term of the catalogue ``terms.toml``; return other names, such as joints, as is.
 
-    A string without an entry, such as the name of a joint, is returned as a `Name`. A `Name` is
-    shown untranslated.
+    ``name`` is the key of the term, which becomes a text in both languages. A string without an
+    entry, such as the name of a joint, becomes a `Name`, which is shown untranslated.
     """
     return text(name) if is_term(name) else Name(name)
 
@@ -89,7 +89,7 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
 
 
 def _select_short_form(value: object) -> object:
-    """Return the short form of a text, if there is one. Other values are returned unchanged."""
+    """Return the short English form of a `Text` that has one; return any other value unchanged."""
     return value.short if isinstance(value, Text) and value.short else value
 
 
@@ -99,14 +99,14 @@ def get_english(words: Words) -> str:
 
 
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
-    """Return the text of the catalogue entry ``key`` in a language, with ``values`` inserted."""
+    """Format the catalogue entry ``key`` in a language ("en", "zh"), with ``values`` inserted."""
     template = phrase(key, language)
     translated = {name: _select_string(value, language) for name, value in values.items()}
     return fill_template(template, translated, language) if translated else template
 
 
 def _fill_short(template: str, values: Mapping[str, object]) -> str:
-    """Return a short English text: a template with values inserted, texts in their short form."""
+    """Format a short English text from a template; inserted texts have their short form."""
     translated = {
         name: _select_string(_select_short_form(value), "en") for name, value in values.items()
     }
@@ -122,7 +122,7 @@ def _select_string(value: object, language: str) -> object:
 
 @dataclass(frozen=True)
 class Axis:
-    """Axis of a plot.
+    """Axis of a plot: name, unit and number format of a quantity.
 
     Attributes:
         name: Name of the quantity.
@@ -399,7 +399,7 @@ class FileFinding:
 
 @dataclass(frozen=True)
 class Listing:
-    """Text that is shown verbatim, such as the differences of a file.
+    """Text that is shown verbatim, such as the changed lines of a file.
 
     Attributes:
         title: Title of the listing.
@@ -506,7 +506,7 @@ class NextStep:
 
 @dataclass(frozen=True)
 class Document:
-    """Content of a result.
+    """Content of a result to show: verdict, findings, tables, plots and notes.
 
     The first three lines of a printed document are the answer:
 
@@ -556,7 +556,7 @@ class Document:
 
 @dataclass(frozen=True)
 class Report:
-    """Documents of several results.
+    """Documents of several results, with an overview that compares the results.
 
     Attributes:
         title: Title of the report.
@@ -570,7 +570,7 @@ class Report:
 
 
 def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:
-    """Create a cell with a number.
+    """Create a table cell with a number, converted from SI units to the displayed unit.
 
     Args:
         value: Number in SI units. None is shown as a dash.
@@ -588,7 +588,7 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
-    """Create the cells of two compared numbers, with enough digits to show the difference.
+    """Create two table cells with numbers to compare, with enough digits to show the difference.
 
     Args:
         first: Number, in the displayed unit.
@@ -603,10 +603,10 @@ def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
 
 
 def vector_cell(values: Sequence[float] | Array, form: str) -> Name:
-    """Create a cell with the numbers of a vector, in the displayed unit, separated by spaces.
+    """Create a table cell with the numbers of a vector, separated by spaces.
 
     Args:
-        values: Numbers, shape (n,).
+        values: Numbers in the displayed unit, shape (n,).
         form: Format specification of each number, such as ``"+.3f"``.
     """
     return Name(" ".join(number_cell(value, form).text for value in values))

@@ -31,7 +31,7 @@ SARIF_SCHEMA_URL = "https://json.schemastore.org/sarif-2.1.0.json"
 """URL of the JSON schema that SARIF files refer to."""
 
 _SARIF_LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
-"""{level of an annotation: level in SARIF}."""
+"""{level of an annotation: level of the result in a SARIF file}."""
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,11 @@ def write_sarif(annotations: Iterable[Annotation]) -> str:
 def _make_results(
     annotations: Iterable[Annotation], numbers: dict[str, int]
 ) -> Iterator[dict[str, Any]]:
-    """Create the SARIF result of each annotation.
+    """Yield a SARIF result object per annotation, with rule, place, fingerprint and fixes.
 
-    The fingerprint depends on kind, file and title, and on the number of earlier annotations with
-    the same kind, file and title. The fingerprint does not depend on the line.
+    By the fingerprint, a server recognises a finding in a later run. The fingerprint depends on
+    kind, file and title, and on the number of earlier annotations with the same kind, file and
+    title. The fingerprint does not depend on the line.
 
     Args:
         annotations: Annotations.
@@ -197,7 +198,7 @@ def _escape_brackets(text: str) -> str:
 
 
 def _make_location(file: str, line: int | None) -> dict[str, Any]:
-    """Create the place of a SARIF location: {"artifactLocation": ..., "region": ...}.
+    """Create a SARIF object for a place in a file: {"artifactLocation": ..., "region": ...}.
 
     Without a line number the place is line 1, because GitHub shows no result without a line.
     Special characters of a relative path are percent-encoded. An example is the colon: the
@@ -214,7 +215,7 @@ such as text directions, surrogates, line and paragraph separators.
 
 
 def escape_control(text: str) -> str:
-    """Replace control characters by escape sequences.
+    """Replace control characters in a text by visible escape sequences of Python.
 
     Names in model files and names of files may contain sequences that control a terminal or begin a
     new line.
@@ -261,7 +262,7 @@ def _escape_data(text: str) -> str:
 
 
 def _escape_property(text: str) -> str:
-    """Escape a property, such as the file, of a GitHub workflow command."""
+    """Escape a property of a GitHub workflow command, such as the file or the title."""
     return _escape_data(text).replace(":", "%3A").replace(",", "%2C")
 
 
@@ -300,7 +301,7 @@ def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-ana
 
 
 ANNOTATION_WRITERS = {"github": write_github, "sarif": write_sarif, "junit": write_junit}
-"""{format: function that returns annotations in this format}."""
+"""{output format: function that converts annotations to a text in this format}."""
 
 
 def write_annotations(

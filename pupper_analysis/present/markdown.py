@@ -38,7 +38,7 @@ accepts 65,536; the rest is available for text that the caller adds.
 """
 
 _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
-"""Characters that can begin or end markup (group 1), and list markers at the start (group 2)."""
+"""Characters to escape in Markdown: markup (group 1), and list markers at the start (group 2)."""
 
 _REFERENCE_PATTERN = re.compile(
     r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
@@ -54,7 +54,7 @@ character, GitHub does not convert these texts to a mention of a user or to a li
 
 
 def write_markdown(report: Report) -> str:
-    """Return a report as Markdown: the overview, and the documents.
+    """Convert a report to Markdown for a comment: the overview, then the documents.
 
     If the report has an overview, the blocks of the documents are omitted. If the text exceeds
     `MAX_COMMENT_LENGTH`, all blocks are omitted. The remaining text is cut to this length, and a
@@ -74,13 +74,16 @@ def write_markdown(report: Report) -> str:
 
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
-    """Return lines as preformatted text in a folded HTML section with a title."""
+    """Format lines as a folded HTML section with a title and preformatted text."""
     content = "\n".join(html.escape(line) for line in lines)
     return f"<details><summary>{html.escape(title)}</summary><pre>{content}</pre></details>\n"
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
-    """Return the Markdown sections of a document. If ``whole`` is False, blocks are omitted."""
+    """Convert a document to Markdown sections: title, messages, blocks and notes.
+
+    If ``whole`` is False, the blocks (tables, plots and others) are omitted.
+    """
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"
@@ -99,7 +102,7 @@ def _write_document(document: Document, *, whole: bool) -> list[str]:
 
 
 def _write_block(block: object) -> list[str]:
-    """Return a block of a document as Markdown parts; a detail block as one folded section."""
+    """Convert a block, such as a table, to Markdown sections; fold a block that is a detail."""
     parts = _make_parts(block)
     if parts and getattr(block, "detail", False):
         return [_fold_text(_escape_words(_get_title(block)), "\n\n".join(parts))]
@@ -113,19 +116,19 @@ def _get_title(block: object) -> Words:
 
 
 def _fold_text(title: str, text: str) -> str:
-    """Return a folded section with a title and a Markdown text."""
+    """Format a Markdown text as a folded section with a title."""
     return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
 @singledispatch
 def _make_parts(_: object) -> list[str]:
-    """Return the Markdown paragraphs of a block of a document; none for plots and views."""
+    """Convert a block of a document to Markdown paragraphs; none for plots and 3-D views."""
     return []
 
 
 @_make_parts.register
 def _make_table_parts(table: Table) -> list[str]:
-    """Return the title, header, rows and notes of a table."""
+    """Convert a table to Markdown paragraphs: title, header with rows, and notes."""
     heads = [_format_header(column) for column in table.columns]
     rules = [":---" if column.left or not index else "---:" for index, column in
              enumerate(table.columns)]  # fmt: skip
@@ -138,27 +141,27 @@ def _make_table_parts(table: Table) -> list[str]:
 
 
 def _format_header(column: Column) -> str:
-    """Format the header of a column with the unit."""
+    """Format the header of a table's column for Markdown, with the unit in brackets."""
     unit = f" ({_escape_markdown(column.unit)})" if column.unit not in ("", "1") else ""
     return f"{_escape_words(column.name)}{unit}" or " "
 
 
 def _format_cell(cell: Cell) -> str:
-    """Format a cell; bad, warning and best values in bold."""
+    """Format a table cell for Markdown; cells marked bad, warn or best are bold."""
     text = _escape_markdown(cell.text) if isinstance(cell, Number) else _escape_words(cell)
     return f"**{text}**" if text and cell.mark in ("bad", "warn", "best") else text
 
 
 @_make_parts.register
 def _make_remark_parts(block: Lines) -> list[str]:
-    """Return the title of remarks and the remarks as a list."""
+    """Convert remarks to Markdown paragraphs: the title, and the remarks as a list."""
     title = [] if block.title is None else [f"**{_escape_words(block.title)}**"]
     return [*title, "\n".join(f"- {_escape_words(line)}" for line in block.lines)]
 
 
 @_make_parts.register
 def _make_finding_parts(block: FileFinding) -> list[str]:
-    """Return a finding with places and notes as a nested list."""
+    """Convert a finding in a file to a nested Markdown list, with places and notes."""
     tag = "" if block.tag is None else f"{_escape_words(block.tag)} "
     lines = [f"- {tag}**{_escape_words(block.title)}**"]
     lines += [f"  - {_format_place(place)}" for place in block.columns]
@@ -174,21 +177,24 @@ def _format_place(place: FilePlace) -> str:
 
 @_make_parts.register
 def _make_listing_parts(block: Listing) -> list[str]:
-    """Return the title and text of a listing as a fenced code block."""
+    """Convert a listing to Markdown paragraphs: the title, and a fenced code block."""
     text = "\n".join(map(escape_control, block.text.rstrip("\n").split("\n")))
     fence = "`" * max(3, _measure_tick_run(text) + 1)
     return [f"**{_escape_words(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
 
 
 def _format_code(text: str) -> str:
-    """Return a text as inline code, so that no character is markup; empty for a blank text."""
+    """Format a text as inline code of Markdown, so that no character acts as markup.
+
+    The result is empty for a blank text.
+    """
     shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""
 
 
 def _measure_tick_run(text: str) -> int:
-    """Return the length of the longest run of backticks."""
+    """Return the length of the longest run of backticks in a text, to choose a longer fence."""
     return max(map(len, re.findall("`+", text)), default=0)
 
 
@@ -205,5 +211,5 @@ def _escape_markdown(text: str) -> str:
 
 
 def _escape_match(match: re.Match[str]) -> str:
-    """Insert the backslash for a match of `_MARKUP_PATTERN`."""
+    """Return a match of `_MARKUP_PATTERN` with a backslash before the markup character."""
     return f"\\{match[1]}" if match[1] else f"{match[2][:-1]}\\{match[2][-1]}"

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 MIN_AMBIENT_LIGHT, MIN_DIFFUSE_LIGHT = 0.4, 0.6
-"""Smallest ambient and diffuse intensity of the light at the camera, 0 to 1. Chosen so that a black
-robot, such as Go1, is visible in front of a file's dark floor."""
+"""Lower bounds of the ambient and diffuse intensity of the camera's light (MuJoCo's headlight), 0
+to 1. Chosen so that a black robot, such as Go1, is visible in front of a file's dark floor."""
 
 
 def draw_frames(folder: Path) -> None:

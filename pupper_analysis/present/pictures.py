@@ -84,7 +84,7 @@ _OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
 
 @dataclass(frozen=True, eq=False)
 class MotionView:
-    """Configurations of a robot to draw.
+    """Robot and configurations that a picture or an animation shows.
 
     Attributes:
         robot: Robot on its ground.
@@ -331,12 +331,12 @@ def _make_verification_view(run: StandVerification, robot: Robot | None = None) 
 
 
 def _make_still_view(robot: Robot, qpos: Array) -> MotionView:
-    """Return the view of a robot in one configuration ``qpos``, shape (nq,), at time 0."""
+    """Create the view of a robot in a single configuration ``qpos``, shape (nq,), at time 0."""
     return MotionView(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:
-    """Return the robot of a result.
+    """Return ``robot``, the robot of a result; raise an error if it is None.
 
     Raises:
         ConfigurationError: If the robot is None; the message contains the type of the result.
@@ -348,12 +348,16 @@ def _require_robot(result: object, robot: Robot | None) -> Robot:
 
 
 def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
-    """Return the robot with the slopes, steps and tables of a stand."""
+    """Return the robot on the ground of a stand: with its slopes, steps and tables."""
     return build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
 
 
 def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a picture; ConfigurationError if there is no option of a name."""
+    """Check the names of the options of a picture, such as ``size``; return the options.
+
+    Raises:
+        ConfigurationError: If there is no option of a name.
+    """
     known = ("size", "azimuth", "elevation")
     for name in options:
         if name not in known:
@@ -398,9 +402,9 @@ def _can_open_window() -> bool:
 
 
 def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
-    """Return cameras that see the robot's first and last configuration.
+    """Create a camera per configuration, so that the first and last configuration are visible.
 
-    All cameras have the same distance and looked-at point.
+    All cameras have the same distance and the same looked-at point.
 
     Args:
         robot: Robot.
@@ -488,10 +492,10 @@ def _list_drivers() -> tuple[str, ...]:
 
 
 def _run_drawing(folder: Path, driver: str) -> str | None:
-    """Draw the views stored in a folder, in another process, and return the reason of a failure.
+    """Run `offscreen` in another process, to draw the views stored in a folder.
 
-    The result is None if the frames were written. ``driver`` is the value of MUJOCO_GL, which
-    selects MuJoCo's rendering backend.
+    ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's rendering backend. The result is
+    the reason of a failure; None if the frames were written.
     """
     environment = {**os.environ, "MUJOCO_GL": driver}
     program = Path(__file__).with_name("offscreen.py")

@@ -65,7 +65,7 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 
 def make_axes(title: str, height: float) -> Axes:
-    """Create axes in a new figure of ``pyplot``, as wide as a page.
+    """Create a new figure of ``pyplot``, as wide as a page, with a single panel; return its axes.
 
     Args:
         title: Title of the figure.

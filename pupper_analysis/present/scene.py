@@ -27,12 +27,13 @@ NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0 to 2."""
 
 _MAX_GRID_CELLS = 512
-"""Number of cells along the longest side of a mesh in the first, finest grid of `_simplify_mesh`.
-Vertices in the same cell are merged. Each further grid has 3/4 of the cells per side. Chosen, not
-tuned.
+"""Number of grid cells along the longest side of a mesh, in the first and finest grid with which
+`_simplify_mesh` reduces the mesh. Vertices in the same cell are merged. Each further grid has 3/4
+of the cells per side. Chosen, not tuned.
 """
 _MIN_MESH_FACES = 100
-"""Largest number of triangles of a mesh that is never reduced. Chosen, not tuned."""
+"""Upper bound of the number of triangles at which a mesh is not simplified (`_simplify_mesh`).
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +145,7 @@ class StandingScene:
 def describe_scene(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> StandingScene:
-    """Evaluate positions, axes and loads of a robot in a stand.
+    """Collect what a view of a stand shows besides shapes: ground, CoM, axes, forces, polygon.
 
     Args:
         robot: Robot.
@@ -178,7 +179,7 @@ def describe_scene(
 def _collect_contacts(
     robot: Robot, stand: Stand, statics: GravityCompensation
 ) -> tuple[DrawnForce, ...]:
-    """Return the forces on feet and on contacts with a grip."""
+    """Return the contact forces on feet and on contacts with a grip, with their positions."""
     loads = statics.foot_loads.items()
     feet = [DrawnForce(foot, load.centre_of_pressure, load.force) for foot, load in loads]
     pulls = {name: statics.weld_wrenches[name][:3] for name in robot.grips}
@@ -202,7 +203,7 @@ def evaluate_plane_height(points: Array, place: Array) -> float:
 
 
 def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
-    """Return the corners of the support region, shape (m, 3) [m], in the world frame.
+    """Compute the corners of the support region, shape (m, 3) [m], in the world frame.
 
     The region contains the horizontal CoM positions at which contact forces can balance the weight
     (`Stand.corners`). z is the height of the least-squares plane of ``points`` at each corner.

@@ -48,9 +48,9 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 @draw_result.register(SolvedPosture)
 def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw a posture: as a stand with contact forces, or as joints and links without forces.
+    """Draw a posture in two panels: as a stand with contact forces, or as joints and links.
 
-    The posture is drawn as a stand if feet carry load.
+    The posture is drawn as a stand if feet carry load. Otherwise the plot contains no forces.
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the posture's stand.

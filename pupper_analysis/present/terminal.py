@@ -1,4 +1,4 @@
-"""Documents on a terminal: verdict, key figures, and tables that fit the width.
+"""Print documents on a terminal: verdict, key figures, and tables that fit the width.
 
 The short view omits blocks marked as detail, and the tables and notes of a brief document. A
 document begins with up to three lines: verdict, limit or cause, and the next command. A last line
@@ -42,10 +42,12 @@ counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
-"""Largest number of findings in files in the short view. Chosen, not tuned."""
+"""Largest number of findings in files that the short view (without ``-v``) prints. Chosen, not
+tuned."""
 
 MAX_SHORT_NOTES = 4
-"""Largest number of lines of notes in the short view. Chosen, not tuned."""
+"""Largest number of lines of notes that the short view (without ``-v``) prints. Chosen, not
+tuned."""
 
 _MIN_TERMINAL_WIDTH = 40
 """Smallest width [characters] for which text is laid out. On a narrower terminal this width is
@@ -54,7 +56,7 @@ used. Chosen, not tuned.
 
 
 class _ViewOptions(NamedTuple):
-    """Options with which a block of a document is printed.
+    """Options with which a block of a document, such as a table, is printed.
 
     Attributes:
         out: Console, which determines the width.
@@ -68,7 +70,7 @@ class _ViewOptions(NamedTuple):
 
 
 class _PrintedLine(NamedTuple):
-    """Line, the indent [characters] of its continuation lines, and True if wrapping is allowed."""
+    """Line to print, indent [characters] of its continuation lines, and permission to wrap it."""
 
     text: Text
     indent: int = 0
@@ -186,7 +188,7 @@ def print_document(
 
 
 def _print_next_command(out: Console, command: str) -> None:
-    """Print a command line to run next. The line is not wrapped, so it can be copied."""
+    """Print the proposed next command line. The line is not wrapped, so it can be copied."""
     _print_line(out, Text(f"  next: {_escape_line(command)}"), wrap=False)
 
 
@@ -198,7 +200,7 @@ def print_summary(out: Console, document: Document, *, next_command: str = "") -
 
 
 def _is_left_out(document: Document, block: Block, place: int) -> bool:
-    """Return True if the short view omits a block of a document.
+    """Return True if the short view (without ``-v``) omits a block of a document.
 
     The view omits details, tables of a brief document, and findings after `MAX_SHORT_FINDINGS`.
 
@@ -245,7 +247,7 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 def _join_short_messages(messages: Sequence[Words]) -> Text:
     """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
 
-    The first message is always printed. If a message does not fit, this message and all later
+    The first message is always contained. If a message does not fit, this message and all later
     messages are only counted.
     """
     line, left = Text(), len(messages)
@@ -286,7 +288,10 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
 
 
 def _print_left_out(out: Console, document: Document, notes: int) -> None:
-    """Print how many findings, tables and notes the short view omits."""
+    """Print how many findings, tables and notes the short view omits, and the option ``-v``.
+
+    ``notes`` is the number of omitted notes.
+    """
     left, place = [], 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)
@@ -304,13 +309,16 @@ def _print_left_out(out: Console, document: Document, notes: int) -> None:
 
 @singledispatch
 def _make_lines(_: object, __: _ViewOptions) -> list[_PrintedLine]:
-    """Return no lines: the fallback for blocks that a terminal cannot show (plots and views)."""
+    """Convert a block of a document to lines to print; none for plots and 3-D views."""
     return []
 
 
 @_make_lines.register
 def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
-    """Return an empty line, the title, the header, the rows and the notes of a table."""
+    """Convert a table to lines: an empty line, the title, the header, the rows and the notes.
+
+    The short view (without ``-v``) omits columns that are details.
+    """
     columns = [
         index for index, one in enumerate(table.columns) if view.everything or not one.detail
     ]
@@ -325,7 +333,10 @@ def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_PrintedLine]:
-    """Return the title, places and notes of a finding. The short view omits quoted lines."""
+    """Convert a finding in a file to lines: title, places and notes.
+
+    The short view (without ``-v``) omits the quoted lines of the file.
+    """
     head = Text(f"{view.place}. ")
     if block.tag is not None:
         head.append(f"{_to_plain_text(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
@@ -347,7 +358,7 @@ def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_Printed
 
 @_make_lines.register
 def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
-    """Return the title of a block of remarks, if any, and the remarks, a line each."""
+    """Convert remarks to lines: the title, if there is one, and a line per remark."""
     lines = [_PrintedLine(_style_words(line)) for line in block.lines]
     if block.title is None:
         return lines
@@ -357,7 +368,7 @@ def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
-    """Return the lines of a listing, without the title; the lines are not wrapped."""
+    """Convert a listing to its lines, which are not wrapped; the title is omitted."""
     rows = block.text.rstrip("\n").split("\n")
     return [_PrintedLine(Text(_escape_line(row)), wrap=False) for row in rows]
 
@@ -388,13 +399,13 @@ def _to_plain_text(words: Words) -> str:
 
 
 def _get_short_form(words: Words) -> str:
-    """Return the escaped short English form of words; the whole text without a short form."""
+    """Return the short English form of words, escaped; the whole English text without one."""
     short = words.short if isinstance(words, TranslatedText) else ""
     return _escape_line(short) or _to_plain_text(words)
 
 
 def _style_words(words: Words, *, short: bool = False) -> Text:
-    """Return a text for the terminal, in the style of the emphasis (``mark``).
+    """Convert words to a text for the terminal, in the style of their emphasis (``mark``).
 
     If the text begins with a word in capitals, such as HOLDS, only this word is styled. Otherwise
     only a text with the mark ``"quiet"`` is styled.
@@ -415,10 +426,12 @@ COLUMN_GAP = 2
 """Space between the columns of a table [characters]. Chosen, not tuned."""
 
 _MIN_HEADER_WIDTH = 12
-"""Smallest width [characters] to which a header is wrapped. Chosen, not tuned."""
+"""Smallest width [characters] to which the header of a table's column is wrapped. Chosen, not
+tuned."""
 
 _MIN_SENTENCE_WIDTH = 24
-"""Smallest width [characters] to which a column of sentences is wrapped. Chosen, not tuned."""
+"""Smallest width [characters] to which a table's column of sentences is wrapped. Chosen, not
+tuned."""
 
 MARK_STYLES = {
     "good": "green",
@@ -427,7 +440,7 @@ MARK_STYLES = {
     "best": "bold green",
     "quiet": "dim",
 }
-"""{mark: style of rich}."""
+"""{emphasis of a text or number (``mark``): style of the package rich}."""
 
 
 _HEADER_RULE_BOX = "    \n    \n ── \n" + "    \n" * 5
@@ -455,10 +468,10 @@ class _PrintedColumn(NamedTuple):
 
 
 def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
-    """Return the lines of a table, divided into parts that each begin with the first column.
+    """Lay out a table as lines; divide a table that is too wide into parts below each other.
 
-    A part fits the width of the console if its first two columns fit. A table is not divided if the
-    first column is wider than half of the console.
+    Each part begins with the first column. A part fits the width of the console if its first two
+    columns fit. A table is not divided if the first column is wider than half of the console.
 
     Args:
         out: Console.
@@ -498,7 +511,7 @@ def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
 
 
 def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
-    """Return the smallest width of columns side by side, with gaps [characters]."""
+    """Return the smallest width [characters] of columns side by side, including the gaps."""
     return sum(column.least + COLUMN_GAP for column in columns) - COLUMN_GAP
 
 

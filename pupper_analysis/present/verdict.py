@@ -1,4 +1,4 @@
-"""Text of a verdict, for terminals and pages.
+"""Express a verdict as sentences in English and Chinese, for terminals and pages.
 
 Input is a ``Verdict``. Outputs are clauses in both languages, sorted by importance, and the
 document of a result whose answer is the verdict.
@@ -71,8 +71,9 @@ class Clause:
 
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
-    """Return the statements of a verdict, without repetitions, in the order in which to show them.
+    """List the statements of a verdict in the order of display, the most important first.
 
+    - No statement is repeated.
     - Statements that agree with the verdict come first.
     - In a bad verdict, the causes (`_CAUSES`) follow directly after the first statement.
     - A remark about an impossible mass or inertia is the first statement of a bad verdict, because
@@ -120,7 +121,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
 
 
 def format_verdict(verdict: Verdict) -> str:
-    """Join the statements of a verdict with semicolons."""
+    """Join the English statements of a verdict to a single line, with semicolons."""
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
@@ -138,7 +139,8 @@ _VERDICT_WORDS = {
     Question.TRACKED: ("tracked", "FAILED"),
     Question.LASTS: ("lasts", "FAILS"),
 }
-"""{question: (key of a good verdict, key of a bad verdict)}, keys of the text catalogue."""
+"""{question of a verdict: (word of a good verdict, word of a bad verdict)}, as keys of the text
+catalogue."""
 
 
 def get_verdict_key(verdict: Verdict) -> str:
@@ -185,7 +187,7 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 
 def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
-    """Divide a verdict's lines into lines of the short answer and further lines.
+    """Divide the statements of a verdict into those of the short answer and further ones.
 
     The short answer contains statements against the stand, warnings and assumptions. Statements
     with the codes of `_LEADING_CODES` are always in the short answer. A statement about the
@@ -272,7 +274,7 @@ def judged_document(
     notes: Iterable[Words] = (),
     next_step: NextStep | None = None,
 ) -> Document:
-    """Create the document of a result whose answer is a verdict.
+    """Create the document of a result whose answer is a verdict, such as a stance.
 
     The short answer has four parts, which the reasons precede in a bad verdict. The parts are the
     verdict with the first text of ``answer``, ``limit``, the warnings and assumptions that change
@@ -327,15 +329,19 @@ def judged_document(
 
 
 def verdict_word(verdict: Verdict) -> Text:
-    """Return the display word of a verdict (HOLDS, FAILS ...), in English and Chinese."""
+    """Return the word that displays a verdict (HOLDS, FAILS ...), in English and Chinese.
+
+    If one model was converted from the other, a good verdict gets a restriction
+    (`qualify_verdict_word`).
+    """
     return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
 
 
 def qualify_verdict_word(key: str, converted: str) -> Text:
-    """Return the display word of a verdict, with a restriction if one model was converted.
+    """Add a restriction to the word of a good verdict if URDF or MJCF was converted from the other.
 
-    If one model was converted from the other model, the agreement of both models proves nothing.
-    The text of a good verdict then also states that both models come from the same file.
+    The agreement of such models proves nothing. The text of a good verdict therefore also states
+    that both models come from the same file.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
@@ -348,12 +354,13 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 
 
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
-    """Yield the clauses of a verdict about the published file, simulated from a keyframe.
+    """Yield the statements of a verdict about the published file, simulated from a keyframe.
 
-    There are up to two runs: with the commands of the file and, if it exists, with joint angles as
-    commands. Each run has a clause; each cause of a failure has a further clause. If
-    ``keyframe_run`` is None, nothing is yielded. If MuJoCo refuses the file, the clause does not
-    support the stand.
+    The published file is the user's file without the changes of the preparation. There are up to
+    two simulations: with the ctrl of the file and, if it exists, with joint angles as servo
+    commands. Each simulation has a statement; each cause of a failure has a further statement.
+    Nothing is yielded if ``keyframe_run`` is None. If MuJoCo refuses the file, the statement does
+    not support the stand.
     """
     for run in (
         ()
@@ -398,10 +405,9 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Yield a statement on servos of the file that were replaced.
+    """Yield the statement that servos of the file cannot hold a position, and were replaced.
 
-    Servos are replaced if they cannot hold a position. Without replaced servos there is no
-    statement.
+    Nothing is yielded without replaced servos.
     """
     if replaced:
         joints = [servo.joint for servo in replaced]
@@ -410,9 +416,9 @@ def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 
 
 def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield clauses on how the simulations of the computed stand ended, and on the servos.
+    """Yield statements on how the simulations of the computed stand ended, and on the servos.
 
-    The clauses are, for example, about the end of the simulation with feed-forward and without,
+    The statements are, for example, about the end of the simulation with feed-forward and without,
     the reasons of a failure, and servos that the preparation added.
     """
     fed, alone = verdict.with_feedforward, verdict.commands_alone
@@ -463,7 +469,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
-    """Return the failures of the simulation with feed-forward that the verdict states.
+    """Select the failures of the simulation with feed-forward that the verdict reports.
 
     If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
     is stated. The difference is the cause of the deviations of torques and forces. If the robot is
@@ -478,7 +484,7 @@ def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
 
 
 _TOUCH_CODE = "body-touches-ground"
-"""Code of the failure that a body other than a foot touches the ground."""
+"""Code of a simulation's failure: a body other than a foot touches the ground."""
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
@@ -597,15 +603,15 @@ elements and the line in the file."""
 
 
 def _make_error_quantity(error: float | None) -> Quantity | None:
-    """Return a relative error [1], at least 1e-6, as quantity; None if the error is None."""
+    """Convert a relative error [1] to a quantity of at least 1e-6; None stays None."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield up to two clauses: on motors that exceed their limits, and on the doubling time [s].
+    """Yield up to two statements: on motors beyond their limits, and on the doubling time [s].
 
     The doubling time is the time in which a deviation of an unstable stance from equilibrium
-    doubles. The clause on this time is omitted if the time is infinite, or if the stance was
+    doubles. The statement on this time is omitted if the time is infinite, or if the stance was
     simulated with feed-forward.
     """
     if verdict.overloaded_motors:
@@ -623,10 +629,10 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield a clause on creep: slow motion of a standing robot at the end of the simulation.
+    """Yield a statement on creep: slow motion of a standing robot at the end of the simulation.
 
-    If the creep exceeds a bound (``is_notable``), the clause is a warning. Nothing is yielded if
-    the creep was not measured, or if the robot collapses.
+    If the creep exceeds a bound (``is_notable``), the statement is a warning. Nothing is yielded if
+    the creep was not measured, or if the robot collapses or is lifted.
     """
     creep = verdict.creep
     if creep is None or verdict.with_feedforward in (Ending.COLLAPSES, Ending.LIFTED):
@@ -642,7 +648,7 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
-    """Return the command to run after a failure: `crosscheck` if the files may explain the failure.
+    """Select the command line to propose after a failure: a comparison of the files may explain it.
 
     The files may explain the failure in three cases:
 
@@ -650,8 +656,8 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
     - The robot or the published file does not stand as predicted.
     - A difference of the files is the cause of a deviation.
 
-    If one model was converted from the other, the command in these cases is `audit`. In other cases
-    ``otherwise`` is returned.
+    In these cases the command is `crosscheck`; if one model was converted from the other, `audit`.
+    In other cases ``otherwise`` is returned.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
@@ -679,7 +685,7 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
-    """Return {name: value} of a message about servo gains: lowest, highest, and units.
+    """Return the values of a message about servo gains: lowest and highest gains, and units.
 
     The highest gains (``kp_most``, ``kd_most``) are None if all gains are equal.
     """

@@ -39,12 +39,12 @@ motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 
 
 def utilisation_cell(share: float, limit: float) -> doc.Number:
-    """Create a cell with a motor utilisation in percent and a bar.
+    """Create a table cell with a motor utilisation in percent, with a bar and a warning colour.
 
     The cell shows a dash if the limit is zero, or if the limit or the utilisation is not finite.
 
     Args:
-        share: |torque| / limit.
+        share: Utilisation |torque| / limit [1].
         limit: Effort limit [N m]; of a slide [N].
     """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
@@ -54,7 +54,7 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
 
 
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:
-    """Create a cell with a torque limit, or the word "unknown" if the limit is not finite.
+    """Create a table cell with a torque limit, or "unknown" if the limit is not finite.
 
     Args:
         limit: Torque limit [N m]; infinite if no file states a limit.
@@ -77,7 +77,7 @@ def mass_text(mass: float) -> doc.Words:
 
 
 def round_mass_down(mass: float) -> float:
-    """Round a payload mass [kg] above 0 down to two significant digits.
+    """Round a payload mass [kg] down to two significant digits; the mass must be positive.
 
     A robot that carries the mass also carries the rounded mass.
     """
@@ -95,7 +95,7 @@ def _floor(number: float) -> int:
 
 
 def proof_text(verification: StandVerification) -> doc.Text:
-    """Return a sentence on the simulation that verified the predicted torques and foot forces.
+    """Create the sentence that a simulation verified the predicted torques and foot forces.
 
     The sentence contains the simulated time [s] and the relative errors of torques and forces.
     """
@@ -121,9 +121,9 @@ def load_blocks(
     """Create the tables and the plot of motor torques and contact forces.
 
     Args:
-        statics: Equilibrium with minimum tangential forces.
-        min_max_torque: Equilibrium with the smallest peak utilisation.
-        verification: Simulation with feed-forward.
+        statics: Equilibrium with minimum tangential forces; its torques are the prediction.
+        min_max_torque: Equilibrium with the smallest peak utilisation of the motors.
+        verification: Simulation with feed-forward torques.
         limits: Effort limits, shape (nu,) [N m, N].
         origins: Attribute and file that state each joint's limit; None for a joint without limit.
         units: Unit of each joint position, shape (nu,): rad, or m for a slide.
@@ -154,7 +154,7 @@ def load_blocks(
 
 
 def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return the factors, shape (nu,), from joint positions [rad, m] to displayed ones [deg, mm].
+    """Return the factors, shape (nu,), that convert joint positions [rad, m] to [deg, mm].
 
     Args:
         units: Units of the positions, rad or m, shape (nu,).
@@ -163,11 +163,14 @@ def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
 
 
 def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Words]:
-    """Create the note on a table that names the slides and their units; empty without a slide.
+    """Create the note below a table that the values of slides have other units (N, mm).
 
     Args:
         names: Names of the joints.
-        units: Unit of each joint position, rad or m.
+        units: Unit of each joint position, rad or m (slide).
+
+    Returns:
+        List with the note, which names the slides; empty without a slide.
     """
     slides = [name for name, unit in zip(names, units, strict=True) if unit == "m"]
     return [text("units-of-slides", joints=", ".join(slides))] if slides else []
@@ -214,7 +217,7 @@ def torque_table(
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
-    """Return a text that lists the attributes and files (origins) that state torque limits.
+    """Create the text that lists where torque limits come from: attributes and files (origins).
 
     The most frequent origin is first. If there are several origins, the text contains the number of
     joints of each.
@@ -269,7 +272,7 @@ def torque_plot(
 
 
 def contact_table(statics: GravityCompensation) -> doc.Table:
-    """Create the table of the forces [N] on feet, welds and grips, in world axes.
+    """Create the table of the contact forces [N] on feet, welds and grips, in world axes.
 
     For feet, the table also has the friction utilisation.
     """

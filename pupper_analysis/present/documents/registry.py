@@ -1,4 +1,4 @@
-"""Selection of the builder that creates the document of a result.
+"""Create the document of a result, by the builder that is registered for the result's type.
 
 A builder is a function that is registered for the type of a result (``@build_document.register``).
 The builder is in the module ``document`` of the tool that computes the result. The builder of a
@@ -69,7 +69,7 @@ def value_cell(value: object) -> Cell:
 
 
 def _write_value(value: object) -> str:
-    """Return the text of a value, with all entries of short lists, mappings and arrays.
+    """Format the value of a result's field as text, with the entries of short containers.
 
     A list, mapping or array is short if the number of entries is at most `MAX_SHOWN_ENTRIES`. A
     short array also has at most two dimensions. Other containers are replaced by their size or
@@ -126,7 +126,7 @@ package of the result's class and of the parent packages. The search ends below 
 
 @singledispatch
 def build_document(result: object, _: Robot | None = None) -> Document:
-    """Create the document of a result. Without a registered builder, the document lists the fields.
+    """Create the document of a result; without a registered builder, a list of the fields.
 
     The module of the builder must have been imported. `make_document` imports the module and calls
     this function.
@@ -202,7 +202,10 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Return the title of a report: the common ``Document.kind`` or "report", and all titles."""
+    """Create the title of a report from its documents: kind of result, and all titles.
+
+    If the documents have different kinds, the kind is "report".
+    """
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}

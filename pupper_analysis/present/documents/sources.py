@@ -1,4 +1,4 @@
-"""Origin of a report's numbers: model files with line numbers, and pages of the documentation.
+"""State the origin of a report's numbers: lines of model files, and pages of the documentation.
 
 Inputs are a robot, or a place ``file:line`` that a result contains. Outputs are sentences and the
 quoted lines of the file.
@@ -20,7 +20,7 @@ Chosen, not tuned."""
 
 
 def cite_page(name: str, heading: str) -> Text:
-    """Return a text that refers to a section of the documentation.
+    """Create the text that refers to a section of the documentation, as source of numbers.
 
     Args:
         name: Page, such as ``explanation/statics.md``.
@@ -30,7 +30,7 @@ def cite_page(name: str, heading: str) -> Text:
 
 
 def files_text(robot: Robot | None) -> Text:
-    """Return a sentence that names the URDF and MJCF of a robot.
+    """Create the sentence that names the URDF and MJCF from which results were computed.
 
     The sentence also states if one model was converted from the other, or if the URDF was changed
     after reading. Without a robot, no file is named.
@@ -60,9 +60,9 @@ def is_urdf_changed(robot: Robot) -> bool:
 
 
 def quote_line(place: str | None, *paths: str) -> str:
-    """Return the line at a place in a file, with the preceding lines of the same element.
+    """Quote the XML tag at a place in a model file: the line, with earlier lines of the tag.
 
-    An XML reader reports the line on which a tag ends, so earlier lines may belong to the tag.
+    An XML reader reports the line on which a tag ends; earlier lines may belong to the tag.
 
     Args:
         place: ``file:line``; ``file`` is a name or a path.
@@ -88,7 +88,7 @@ def quote_line(place: str | None, *paths: str) -> str:
 
 
 def _join_element_lines(rows: list[str]) -> str:
-    """Return the tag that ends on the last of the given lines of an XML file (``rows``).
+    """Join the lines of the XML tag that ends on the last of ``rows``, the lines of a file.
 
     If the tag starts before the last `MAX_QUOTED_LINES` lines, the last line alone is returned.
     After `MAX_QUOTED_CHARACTERS` characters, the text is cut.

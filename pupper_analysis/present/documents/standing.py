@@ -26,7 +26,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:
-    """Create the columns of a table with a quantity per row: name, values, unit.
+    """Create the columns of a table that has a quantity per row: name, values, unit.
 
     Args:
         *values: Headers of the value columns. Default: ``value``.
@@ -43,7 +43,7 @@ def task_text(task: StandTask) -> Text:
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Return a sentence on the files of a robot, and the notes on its preparation.
+    """Create the notes of a report on a robot: its files, and changes by the preparation.
 
     Without a robot nothing is returned.
     """
@@ -55,7 +55,7 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 
 def ground_text(depths: Iterable[float]) -> Text:
-    """Return a sentence on the ground for which a stand was solved: soft or rigid.
+    """Create the sentence that states for which ground a stand was solved: soft or rigid.
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m], which the stand compensates;
@@ -71,7 +71,7 @@ def ground_text(depths: Iterable[float]) -> Text:
 
 
 def ground_word(depths: Iterable[float], run: StandVerification | None = None) -> Text:
-    """Return a short text on the ground for which a stand was solved: soft or rigid.
+    """Create the short text that states for which ground a stand was solved: soft or rigid.
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
@@ -85,7 +85,7 @@ def ground_word(depths: Iterable[float], run: StandVerification | None = None) -
 
 
 def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
-    """Create the table of height, CoM margin, clearances and largest friction utilisation.
+    """Create the table of a stand: height, CoM margin, clearances, largest friction utilisation.
 
     Quantities that are unknown or not finite are omitted.
     """
@@ -144,10 +144,11 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 
 
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
-    """Format the mean height loss [mm] in the last second of a run.
+    """Format the mean height loss of the base [mm] in the last second of a simulation.
 
-    The property ``run.height_loss`` is the mean over another second: the last second before the
-    velocity disturbance that tests stability. ``task`` is the requested height [m].
+    The loss is the requested height ``task`` [m] minus the mean height. The property
+    ``run.height_loss`` is the mean over another second: the last second before the velocity
+    disturbance that tests stability.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
@@ -156,7 +157,7 @@ def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
 
 
 def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
-    """Return the recorded configurations of simulations, as motions that a 3-D view can play."""
+    """Convert the recorded configurations of simulations to motions that a 3-D view can play."""
     return [
         doc.Motion(
             text("simulated-with-feed-forward")
@@ -172,7 +173,7 @@ def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:
 def run_rows(
     runs: Sequence[Any], names: Collection[str] | None = None
 ) -> tuple[tuple[doc.Cell, ...], ...]:
-    """Create the rows of a table of simulated quantities, with a column per run.
+    """Create the rows of a table of simulated quantities, with a column per simulation.
 
     Args:
         runs: Simulations, or other results with the same quantities, such as ``SteadyState``.
@@ -196,7 +197,7 @@ def _get_joint_error(run: StandVerification, unit: str) -> float | None:
 
 
 _JOINT_ERROR = "joint-error"
-"""Catalogue key of the joint error, whose unit depends on the joint."""
+"""Catalogue key of the joint error, whose unit is that of a hinge [deg] or a slide [mm]."""
 
 
 def simulated_table(run: StandVerification) -> doc.Table:

@@ -1,7 +1,8 @@
-"""Plots as PNG files with Matplotlib, from the SVG elements of the HTML page; parts of figures.
+"""Draw plots as PNG files with Matplotlib, from the SVG elements of the HTML page.
 
 ``html.plots`` converts a plot to lines, points and words in CSS pixels. This module draws these
-elements in panels of a Matplotlib figure, so that page and PNG show the same plot.
+elements in panels of a Matplotlib figure, so that page and PNG show the same plot. The module also
+contains colours and parts that other figures share.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ _CLASS_COLOURS = {
     "grid": GRID_COLOUR,
     "empty": "0.93",
 }
-"""{class of the HTML report's style sheet: colour of a mark in Matplotlib}."""
+"""{class of the HTML report's style sheet: colour in Matplotlib of a mark with this class}."""
 
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
@@ -89,7 +90,7 @@ _LETTER_HEIGHT = 12.0
 """Font size of the plots in HTML reports [CSS pixels]."""
 
 _NUM_COLUMNS = 2
-"""Number of panels in a row of a figure. Chosen: with three, the labels are illegible."""
+"""Largest number of panels in a row of a figure. Chosen: with three, the labels are illegible."""
 
 
 def write_plots(
@@ -99,7 +100,7 @@ def write_plots(
     title: Words | None = None,
     names: Sequence[str] = (),
 ) -> None:
-    """Write plots as panels of a figure, at most two in a row.
+    """Write plots as a PNG file: a figure with a panel per plot, at most two in a row.
 
     Args:
         plots: Plots.
@@ -123,7 +124,7 @@ def make_plots_figure(
     names: Sequence[str] = (),
     create: Callable[..., Figure] = Figure,
 ) -> Figure:
-    """Draw plots as panels of a figure, at most two in a row.
+    """Draw plots in a figure with a panel per plot, at most two panels in a row.
 
     Args:
         plots: Plots, at least one.
@@ -228,7 +229,7 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
-    """Return {text: class of the style sheet} of a legend.
+    """Return the legend of a drawing as {text: class of the style sheet}.
 
     If the drawing has a note, the note is the last entry, with an empty class.
     """
@@ -243,7 +244,7 @@ size (measured with DejaVu Sans). The widths decide whether two entries fit side
 
 
 def _count_legend_columns(drawing: Drawing, size: float) -> int:
-    """Return 2 if two columns of a legend fit into the width of the panel, otherwise 1.
+    """Return the number of columns of a panel's legend: 2 if they fit into the width, else 1.
 
     Args:
         drawing: Plot with the legend.
@@ -255,7 +256,7 @@ def _count_legend_columns(drawing: Drawing, size: float) -> int:
 
 
 def _make_legend(drawing: Drawing) -> list[Artist]:
-    """Create the entries of a legend. A series without a line has a marker as symbol."""
+    """Create the entries of a plot's legend; a series of points without a line has a marker."""
     lines = {
         mark["class"].split()[-1]
         for mark in drawing.marks
@@ -269,10 +270,10 @@ def _make_legend(drawing: Drawing) -> list[Artist]:
 
 
 def _make_handle(name: str, kind: str, *, dot: bool = False) -> Artist:
-    """Create a legend entry with the text ``name``.
+    """Create a legend entry of Matplotlib: a text with a line, a dot or a patch as symbol.
 
     Args:
-        name: Text.
+        name: Text of the entry.
         kind: Class of the style sheet, or a colour; empty for a text without a symbol.
         dot: True if the plot marks points instead of a line.
     """

@@ -1,4 +1,4 @@
-"""Figure of a robot in a stand: skeleton, contact forces, centre of mass and support polygon.
+"""Draw a figure of a robot in a stand: skeleton, contact forces, CoM and support polygon.
 
 Both panels are parallel projections of the same lines: obliquely from the front right, and from
 above.
@@ -93,7 +93,7 @@ class BasePart:
     faces: IntArray | None
 
     def silhouette(self, project: Callable[[Array], Array]) -> shapely.Geometry:
-        """Return the silhouette in a parallel projection, with holes and separate parts.
+        """Compute the outline of the part in a parallel projection, with holes and separate parts.
 
         Args:
             project: Function that projects points, shape (n, 3) [m], from the world into the image,
@@ -115,7 +115,9 @@ class BasePart:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Legs and base of a robot in a configuration, from MuJoCo's kinematics of the MJCF.
+    """Lines and shapes that a figure draws for a robot in a configuration: limbs and base.
+
+    The positions are computed by MuJoCo's kinematics of the MJCF.
 
     Attributes:
         legs: {foot: points of shape (n, 3) [m], in the world frame}. The points are the joints from
@@ -140,7 +142,7 @@ class Skeleton:
 
 
 def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
-    """Compute the legs and the geoms of the base that a figure draws for a configuration.
+    """Compute the lines of the limbs and the shapes of the base that a figure of a robot draws.
 
     Args:
         robot: Robot.
@@ -178,9 +180,10 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
 
 
 def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
-    """Return all meshes as one part, with at most about `_MAX_BASE_FACES` triangles.
+    """Merge the meshes of the base to one part, simplified to about `_MAX_BASE_FACES` triangles.
 
-    The vertices in the same cell of a grid are merged, in each mesh.
+    In each mesh, vertices in the same cell of a grid are merged. Even the coarsest grid
+    (`_COARSEST_CELLS`) may leave more triangles.
     """
     sizes = [float(np.ptp(mesh.vertices, axis=0).max()) for mesh in meshes]
     longest, cells = max(sizes), _FINEST_CELLS
@@ -247,8 +250,8 @@ _CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
 """Number of letters in a row of the caption, and number of rows. Chosen: 120 letters may be wider
 than the figure, and six rows leave two thirds of the height to the panels."""
 _MAX_ARROW_RATIO = 0.35
-"""Length of the arrow of the largest force, relative to the length of the support polygon. Chosen,
-not tuned."""
+"""Length of the arrow of the largest contact force, divided by the longer side of the support
+polygon [1]. Chosen, not tuned."""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 """Colours of the legs on the side of the viewer, and on the other side of the base."""
 _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
@@ -394,7 +397,7 @@ def make_skeleton_figure(
 
 
 def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
-    """Return the lines between successive joints of a robot, and to the contact points.
+    """List the lines that draw the links of a robot: from joint to joint, and to contact points.
 
     The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
     the frames of the bodies without joints on the last link, or at a contact point. Such frames on
@@ -402,7 +405,8 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
     is used.
 
     Returns:
-        (index of the body at the end of the line, line of shape (2, 3) [m] in the world frame).
+        Pairs: MuJoCo id of the body at the end of the line; line, shape (2, 3) [m], in the world
+        frame.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -444,10 +448,10 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
 def _draw_stand(
     axes: Axes, projection: Array, lines: Skeleton, stand: Stand, seen: StandingScene
 ) -> None:
-    """Draw the parts of a stand other than forces, from the world frame [m] into axes.
+    """Draw a stand without its forces into Matplotlib axes, in a parallel projection.
 
-    The parts are the silhouettes of the base, legs, support polygon, feet and centre of mass.
-    ``projection`` is the matrix, shape (2, 3), from the world to the image.
+    Drawn are silhouettes of the base, legs, support polygon, feet and centre of mass. The matrix
+    ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
 
     def line(points: Array, *marks: str, **how: Any) -> None:
@@ -521,9 +525,9 @@ def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> N
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
-    """Draw contact forces as arrows that end at the feet.
+    """Draw contact forces as red arrows that end at the contact points, in a parallel projection.
 
-    ``projection`` is the matrix, shape (2, 3), from the world to the image.
+    The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
     scale = _MAX_ARROW_RATIO * _measure_support(seen) / _find_largest_force(seen)
     arrow = {
@@ -551,9 +555,10 @@ def _measure_support(seen: StandingScene) -> float:
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
-    """Draw a scale bar (one of `_SCALE_LENGTHS`), labelled in mm, below the view from above.
+    """Draw a scale bar with a round length, labelled in mm, below the view from above.
 
-    The lower limit of the y axis is moved to make space for the bar.
+    The length is one of `_SCALE_LENGTHS`. The lower limit of the y axis is moved to make space for
+    the bar.
     """
     limit = 0.6 * _measure_support(seen)
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)

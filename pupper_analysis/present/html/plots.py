@@ -1,4 +1,4 @@
-"""Plots as inline SVG: lines and bars, with values at the mouse pointer.
+"""Convert plots to inline SVG of an HTML page: lines and bars, with values at the mouse pointer.
 
 A mark is a dictionary that the template writes as an SVG element. ``tag`` is the name of the
 element, ``words`` a displayed text, ``points`` positions of shape (n, 2). ``labels`` contains a
@@ -58,14 +58,14 @@ Further series use the same styles again, from the first.
 
 @dataclass(frozen=True)
 class Drawing:
-    """Plot as SVG marks, in the user units of the SVG.
+    """Plot that was converted to SVG elements (marks), in the user units of the SVG.
 
     Attributes:
         title: Title.
-        width: Width.
-        height: Height.
+        width: Width [CSS pixels].
+        height: Height [CSS pixels].
         marks: Lines, points and words, in drawing order.
-        legend: (words, class of the style sheet) pairs.
+        legend: (text of the entry, class of the style sheet) pairs.
         note: Meaning of the notes in the legend; None if absent.
     """
 
@@ -95,12 +95,12 @@ is extended to the bound. Otherwise the tick labels, with six digits, would be e
 
 
 def format_axis_value(axis: Axis, value: float) -> str:
-    """Format a value with the unit of the axis."""
+    """Format a value on an axis of a plot, with the number format and the unit of the axis."""
     return f"{number_cell(value, axis.form).text} {axis.unit}"
 
 
 def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Return about ``count`` round values from ``low`` to ``high``, in ascending order.
+    """Choose about ``count`` round tick values of an axis from ``low`` to ``high``, ascending.
 
     The values are multiples of 1, 2 or 5 times a power of 10.
     """
@@ -214,7 +214,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
-    """Return the legend of lines: (name, class of the style sheet) of each line.
+    """Create the legend of a line plot: (name, class of the style sheet) of each line.
 
     If a series has a note, the name contains the note.
     """
@@ -228,7 +228,7 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
 
 
 def _count_letters(words: Words) -> int:
-    """Return the number of letters of a text in the longer of both languages, or of a name."""
+    """Return the number of letters of a name, or of a text in its longer language (en, zh)."""
     return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
 
@@ -240,7 +240,7 @@ def _shorten_name(words: Words) -> Words:
 
 
 def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.intp]:
-    """Return the indices of the drawn points of a line, among ``points`` of shape (n, 2).
+    """Select the points of a line to draw; return their indices in ``points``, shape (n, 2).
 
     The drawn points are the finite points, thinned to `MAX_LINE_POINTS` including the first and the
     last. The marked point ``marked_index`` is also drawn, if finite.
@@ -253,7 +253,7 @@ def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.
 
 
 def _compute_range(values: Array, margin: float) -> tuple[float, float]:
-    """Return the bounds of an axis: the range of the values, extended by a fraction ``margin``.
+    """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``.
 
     Equal values get a range that is not empty.
     """

@@ -1,4 +1,4 @@
-"""Results as a single HTML file that needs no network and no other file.
+"""Write results as a single HTML file that needs no network and no other file.
 
 The page contains three.js for the 3-D views, taken from the installed package MeshCat, on which
 PlaCo depends. A scene contains the shapes and poses of a robot, and the loads on the robot.
@@ -79,7 +79,7 @@ tuned."""
 
 @singledispatch
 def serialise_scene(scene: object) -> dict[str, Any] | None:
-    """Convert a 3-D scene to JSON data for the viewer of a page.
+    """Convert the content of a 3-D view to JSON data for the viewer of an HTML page.
 
     Returns:
         Robot, motions, contacts and ground; lengths in m, forces in N. Contacts, ground and CoM are
@@ -96,8 +96,9 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
 def _serialise_stand(scene: StandScene) -> dict[str, Any]:
     """Convert the scene of a stand to JSON data, {key: value}, for the viewer of a page.
 
-    The data of `_serialise_robot` are extended by contacts (point [m], force [N]), support polygon,
-    steps, ground, centre of mass [m] and layers, in the world frame.
+    The result contains the data of `_serialise_robot`. Further entries are contacts (point [m],
+    force [N]), support polygon, steps, ground and centre of mass [m], all in the world frame.
+    ``layers`` lists the parts that the reader can show or hide.
     """
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
@@ -337,8 +338,8 @@ def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
 _VIEWER_PACKAGE = "meshcat"
 """Python package from which the script of the 3-D view, three.js, is read."""
 _EXPORT_MARKER = "THREE:()=>"
-"""Text in the script ``main.min.js`` that shows that the script exports three.js. A script without
-this text is not used.
+"""Text in MeshCat's script ``main.min.js`` that shows that the script exports three.js. A script
+without this text is not used.
 """
 
 
@@ -395,7 +396,7 @@ def _collect_licences(folder: Path) -> str:
 
 
 HTML_LANGUAGES = {"en": "en", "zh": "zh-Hans"}
-"""{language: language tag in HTML}."""
+"""{language of a report: value of the HTML attribute ``lang``}."""
 
 Reportable = Result | Table
 """A result of this package, or a table, that a report can show."""
@@ -453,7 +454,7 @@ def write_report(
 def _name_results(
     results: ReportInput,
 ) -> list[tuple[str | None, Reportable]]:
-    """Return (name, result) pairs; the name is None if the caller passed none."""
+    """List results as (name, result) pairs; the name is None if the caller passed no name."""
     if isinstance(results, Result | Table):
         return [(None, results)]
     if isinstance(results, Mapping):
@@ -463,7 +464,7 @@ def _name_results(
 
 
 def render_page(shown: Report, language: str = "en") -> str:
-    """Return a report as a single HTML page.
+    """Convert a report to the text of a single HTML page.
 
     Args:
         shown: Report.
@@ -500,7 +501,7 @@ def render_page(shown: Report, language: str = "en") -> str:
 
 
 def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document:
-    """Return a document whose plots and views are converted for the HTML template.
+    """Convert the plots and 3-D views of a document for the HTML template; return a copy.
 
     The data of the 3-D views are appended to ``scenes``.
     """
@@ -509,7 +510,7 @@ def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document
 
 
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
-    """Convert a block, a part of a document, for the HTML template; plots become SVG.
+    """Convert a block, such as a plot or 3-D view, for the HTML template; plots become SVG.
 
     The data of a 3-D view are appended to ``scenes``. A view without a scene becomes a remark. If
     the scene contains nothing to show, the result is None. Other blocks are unchanged.
@@ -529,7 +530,7 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
 
 
 def _collect_script_words() -> dict[str, dict[str, str]]:
-    """Return {language: {key: word}} of the words that the page's scripts display.
+    """Collect the words that the scripts of a page display, as {language: {key: word}}.
 
     Examples are names of quantities and of joint motions in the 3-D view.
     """
@@ -552,7 +553,7 @@ def _collect_script_words() -> dict[str, dict[str, str]]:
 
 
 def _make_environment() -> jinja2.Environment:
-    """Create the environment of the templates, which escapes all texts."""
+    """Create the Jinja environment of the HTML templates, which escapes all inserted texts."""
     import jinja2
     import markupsafe
 
@@ -575,7 +576,7 @@ def _make_environment() -> jinja2.Environment:
 
 
 def _read_part(name: str) -> object:
-    """Read a file of the package that is inserted into the page without escaping."""
+    """Read a style sheet or script of this package, to insert into the page without escaping."""
     part = files("pupper_analysis.present.html").joinpath("templates", name)
     return _mark_safe(part.read_text(encoding="utf-8"))
 
