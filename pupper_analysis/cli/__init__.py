@@ -1,4 +1,4 @@
-"""Command line: commands of the tools, imported at first use, and the exit status of a run.
+"""Run the command line: find the commands of the tools, and return the exit status of a run.
 
 `group` finds the commands of this package and of installed plug-ins by name, and imports a command
 at its first use. `run` executes a command and ends the process with the exit status; errors become
@@ -41,13 +41,16 @@ from pupper_analysis.cli.shared import (
 
 
 def list_tools() -> list[str]:
-    """Return the sorted names of all tools: tools of this package, and of installed plug-ins."""
+    """Return the names of all tools, which are also the names of their command-line commands.
+
+    The sorted list contains the tools of this package, and of installed plug-ins.
+    """
     return sorted([*own_tools(), *other_tools()])
 
 
 @cache
 def _import_command(name: str) -> click.Command | None:
-    """Return the command of a tool; None if there is no tool of this name."""
+    """Import the command-line command of a tool, and return it; None if there is no such tool."""
     tools = {**other_tools(), **own_tools()}
     if name not in tools:
         return None
@@ -56,10 +59,10 @@ def _import_command(name: str) -> click.Command | None:
 
 
 class LazyGroup(click.Group):
-    """Group of the commands of all tools; the code of a command is imported at its first use."""
+    """Group of the command-line commands of all tools; a command is imported at its first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names of all commands, for click."""
+        """Return the names of all command-line commands; called by click."""
         return list_tools()
 
     def get_command(
@@ -67,13 +70,16 @@ class LazyGroup(click.Group):
         ctx: click.Context | None,  # noqa: ARG002
         cmd_name: str,
     ) -> click.Command | None:
-        """Return the command with a name, for click; None if there is no such command."""
+        """Import the command-line command with a name; None if there is no such command.
+
+        Called by click.
+        """
         return _import_command(cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that the first word of the command line names, for click.
+        """Find the command that the first word of the command line names; called by click.
 
         Args:
             ctx: Context of the group.
@@ -100,7 +106,7 @@ class LazyGroup(click.Group):
         ctx: click.Context,  # noqa: ARG002
         formatter: click.HelpFormatter,
     ) -> None:
-        """Write the list of all commands under headings for ``--help``; import no command."""
+        """Write the list of all commands for ``--help``, under headings, without importing them."""
         tools = {**own_tools(), **other_tools()}
         width = max(map(len, tools))  # common width of the names in all lists
         for heading in HELP_HEADINGS:
@@ -115,7 +121,7 @@ class LazyGroup(click.Group):
 __all__ = ["EXIT_BAD_INPUT", "find_command", "group", "main", "run"]
 
 DEBUG_OPTION = "--debug"
-"""Option of all commands that prints the traceback of an unexpected error."""
+"""Option of all command-line commands that prints the traceback of an unexpected error."""
 
 GC_THRESHOLDS = 200_000, 2, 2
 """Thresholds of Python's garbage collector for the three generations of objects [1]. The thresholds
@@ -124,7 +130,7 @@ collections in 0.17 s (measured once). Chosen, not tuned."""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
-    """Run a command, and end the process with the exit status of the command.
+    """Run a command-line command, and end the process with the exit status of the command.
 
     Errors are printed on standard error, as a single line. The exit status is:
 
@@ -169,9 +175,10 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 
 
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
-    """Run a command, print the error of a failed command, and return the exit status (`EXIT_...`).
+    """Run a command-line command, print its error if it fails, and return the exit status.
 
-    ``debug`` prints the traceback of an unexpected error.
+    The exit status is one of the constants ``EXIT_...``. ``debug`` prints the traceback of an
+    unexpected error.
     """
     try:
         with ensure_run() as run:  # includes parsing, because options read files
@@ -218,7 +225,7 @@ errors are reported as bugs."""
 
 
 def _describe_lack(error: Exception) -> str:
-    """Return the description of a missing system resource; empty for other errors.
+    """Describe the system resource whose lack caused an error; empty for other errors.
 
     Resources are, for example, disk space and memory (`_RESOURCE_ERRORS`), and the current folder.
     """
@@ -243,7 +250,7 @@ def _print_error(text: str, *next_commands: str) -> None:
 
 
 def _disable_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:
-    """Set the environment variable NO_COLOR if the option was typed."""
+    """Set the environment variable NO_COLOR if ``--no-color`` was typed; called by click."""
     if given:
         os.environ["NO_COLOR"] = "1"  # which rich heeds wherever it prints
 
@@ -254,7 +261,7 @@ def main() -> None:
 
 
 COMMAND_NAMES = tuple(own_tools())
-"""Names of the commands, one for each tool of this package (without plug-ins)."""
+"""Names of the command-line commands, one for each tool of this package (without plug-ins)."""
 
 
 @click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT_SETTINGS)
@@ -281,7 +288,7 @@ def group() -> None:
 
 
 def find_command(name: str) -> click.Command:
-    """Return the command of pupper-analysis with a name, which must exist."""
+    """Import and return the command of ``pupper-analysis`` with a name, which must exist."""
     command = group.get_command(None, name)
     assert command is not None
     return command

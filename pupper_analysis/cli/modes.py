@@ -49,13 +49,15 @@ def refuse_idle(mode: str, *idle: str) -> None:
 
 
 def refuse_alone(needed: Collection[str], *idle: str) -> None:
-    """Refuse typed options of the running command that have no effect without another option.
+    """Refuse typed options that have no effect without another option, which was not typed.
 
-    The caller must call this function only if the other option was not typed.
+    The options are those of the running command. The caller must call this function only if the
+    other option was not typed.
 
     Args:
-        needed: Options, of which any makes the typed option effective, such as ``--payload``.
-        *idle: Names of the parameters without effect.
+        needed: Options that were not typed, any of which would give ``idle`` an effect, such as
+            ``--payload``.
+        *idle: Names of the parameters without effect, such as ``payload_at``.
 
     Raises:
         ConfigurationError: If a parameter in ``idle`` was typed.
@@ -66,9 +68,10 @@ def refuse_alone(needed: Collection[str], *idle: str) -> None:
 
 
 def _list_typed_parameters() -> Iterator[tuple[str, str]]:
-    """Yield name and longest spelling of the parameters on the command line.
+    """Yield the parameters that the user typed, as pairs: name, and longest spelling.
 
-    Values from the file of ``--stance`` are not included.
+    An example is ``("payload", "--payload")``. Values from the file of ``--stance`` are not
+    included.
     """
     context = click.get_current_context()
     for parameter in context.command.params:

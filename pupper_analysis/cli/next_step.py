@@ -1,4 +1,4 @@
-"""Command line of the next step that a result suggests.
+"""Create the command line of the next step that a result suggests.
 
 Input is a ``NextStep``: another command with its words. Output is a line that can be pasted into a
 shell: the command, the robot that the user typed, and those of the typed options that the next
@@ -20,14 +20,15 @@ from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath, sort_model_paths
 from pupper_analysis.present.document import NextStep
 
 _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
-"""Names of the arguments of commands that specify a robot or its model files."""
+"""Parameter names of the arguments of command-line commands that specify a robot or its model
+files."""
 
 _OUTPUT_PARAMETERS = ("everything", "style", "force")
 """Parameter names of the options ``--verbose``, ``--format`` and ``--force``, which the next
 command does not get."""
 
 _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
-"""First words of the commands that search for a payload. Only these commands accept
+"""First words of the command lines that compute a payload mass. Only these commands accept
 ``--payload-at`` without ``--payload``."""
 
 
@@ -99,13 +100,13 @@ def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> 
 def _fit_robot_arguments(
     robot: list[str], arguments: Set[str | None], target: click.Command, *, required: bool
 ) -> list[str] | None:
-    """Return the typed words of the robot that the next command accepts as its arguments.
+    """Select the typed words of the robot that the suggested next command accepts as arguments.
 
     Args:
         robot: Typed words of the robot, from `_list_typed_robot`.
         arguments: Names of the arguments of the running command.
-        target: Next command.
-        required: Whether the next command needs the typed robot, because the step names no files.
+        target: Suggested next command.
+        required: True if the next command needs the typed robot, because the step names no files.
 
     Returns:
         Words; None if ``required`` and the next command needs more words than were typed.
@@ -133,7 +134,7 @@ def _fit_robot_arguments(
 
 
 def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[str]:
-    """Return the words of typed options that the next command does not repeat.
+    """Return the words of typed options that the suggested next command does not repeat.
 
     These are the words of the step, the options that the step omits, and ``--payload-at`` if the
     next command would refuse this option without ``--payload``. If the step contains a value for a
@@ -156,13 +157,13 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
 
 
 def complete_relaxed_command(error: StanceUnreachableError) -> str:
-    """Return the running command for the nearest reachable stance: `error.nearest`.
+    """Create the command line that requests the nearest reachable stance, after a refusal.
 
-    Options of the relaxed requirements have the values of the reachable stance. The other typed
-    words are unchanged.
+    The command is that of the running command line. Options of the relaxed requirements have the
+    values of the reachable stance (`error.nearest`). The other typed words are unchanged.
 
     Args:
-        error: Refusal of the requested stance.
+        error: Error that the requested stance is out of reach.
 
     Returns:
         Command line. Empty without a reachable stance, or if a relaxed requirement has no option
@@ -210,7 +211,7 @@ def print_next_step(step: NextStep | None) -> None:
 
 
 def _split_parameter(value: object) -> list[str]:
-    """Return the values of a parameter as words: the items of a list, or a text as a single word.
+    """Convert the value of a parameter to command-line words: items of a list, or a single text.
 
     Empty for a value that is neither, such as a flag or a number.
     """
@@ -225,7 +226,7 @@ def _list_common_options(
     target: click.Command,
     excluded: Sequence[str],
 ) -> Iterator[str]:
-    """Yield the typed options that the next command also has, each followed by its value, if any.
+    """Yield the typed options, with values, that the suggested next command also has.
 
     Options that select the form of the output or a result file, and ``--force``, are left out.
 

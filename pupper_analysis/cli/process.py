@@ -1,4 +1,4 @@
-"""Output and signals of the process of a command: no tracebacks, no lost results.
+"""Handle output errors and signals of a command-line process: no tracebacks, no lost results.
 
 `tolerate_output_errors` replaces standard output and standard error by streams that record the
 first output error and discard later data. The command can then still write its files.
@@ -69,7 +69,7 @@ class TolerantStream(io.RawIOBase):
 
 @contextlib.contextmanager
 def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
-    """Return a context in which printing never raises an error, on standard output and error.
+    """Prevent that printing raises an error, on standard output and error, within a context.
 
     Output errors are recorded, and later output is discarded. A character that the encoding lacks
     is written as a backslash escape. At the end, the original streams are restored.
@@ -122,7 +122,7 @@ def _reopen_closed_streams() -> None:
 
 
 class ProcessEnded(BaseException):
-    """A signal ends the process.
+    """Exception that ends the process after a signal, such as Ctrl-C.
 
     The class is not derived from KeyboardInterrupt, for which click prints an empty line.
     """
@@ -156,7 +156,7 @@ RAISE_INTERVAL = 0.3
 exception. Chosen, not tuned."""
 
 _active_endings: list[ProcessEnding] = []
-"""States of the active contexts of `catch_ending_signals`, the innermost last."""
+"""Records of the signals in the active contexts of `catch_ending_signals`, the innermost last."""
 
 
 def raise_if_ended() -> None:
@@ -171,7 +171,7 @@ def raise_if_ended() -> None:
 
 @contextlib.contextmanager
 def catch_ending_signals() -> Iterator[ProcessEnding]:
-    """Return a context in which signals that end the process raise `ProcessEnded`.
+    """Convert signals that end the process to the exception `ProcessEnded`, within a context.
 
     The signals are SIGINT, SIGTERM and SIGHUP, if they have the default handler. Outside of the
     main thread, no signal is caught. A second signal ends the process at once.

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 Command = Callable[..., None]
-"""Function of a command. The arguments of the function are the values of the command's parameters.
-"""
+"""Function of a command-line command. The arguments of the function are the values of the command's
+parameters."""
 
 VARIANT_OPTIONS = (
     click.option("--base", metavar="BASE", help="Base model of a scaled variant: skeleton or v3."),
@@ -90,12 +90,15 @@ FILE_OPTIONS = (
 
 
 def _is_model_file(path: Path) -> bool:
-    """Return True if a path is an existing file with the suffix ``.urdf`` or ``.xml``."""
+    """Return True if a path is probably a model: an existing file with suffix .urdf or .xml."""
     return path.suffix in (".urdf", ".xml") and path.is_file()
 
 
 class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """Parameter type of a robot: variant, published robot, or file; ``-`` is standard input."""
+    """Type of a command-line word that names a robot: variant, published robot, or file.
+
+    ``-`` is a file on standard input.
+    """
 
     name = "robot"
 
@@ -140,7 +143,7 @@ receives ``words``."""
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Values of the options that select a robot, as typed.
+    """Values of the command-line options that select a robot, as typed.
 
     Each field is the value of the option with this parameter name. The value is None if the command
     does not have the option.
@@ -162,10 +165,11 @@ class RobotOptions:
 
     @staticmethod
     def pop_from(values: dict[str, Any]) -> RobotOptions:
-        """Collect the options that select a robot, and remove them from a command's values.
+        """Move the options that select a robot from the values of a command to an object.
 
         Args:
-            values: {parameter: value} of a command; modified. Missing options become None.
+            values: {parameter: value} of a command-line command; the options are removed in place.
+                Missing options become None.
         """
         return RobotOptions(
             **{field.name: values.pop(field.name, None) for field in fields(RobotOptions)}
@@ -225,7 +229,7 @@ class RobotOptions:
     def _attach_options(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        """Return the selected robots; add the options for files to robots from files.
+        """Add the typed options for files to the selected robots that are loaded from files.
 
         Raises:
             ConfigurationError: If there are such options, and no robot is from files; or if such an
@@ -257,12 +261,12 @@ class RobotOptions:
 
     @property
     def _named_files(self) -> tuple[str, ...] | None:
-        """Files of --urdf and --mjcf; None if both are absent."""
+        """Files of the options --urdf and --mjcf; None if neither option was typed."""
         return tuple(str(path) for path in (self.urdf, self.mjcf) if path is not None) or None
 
     @property
     def _load_options(self) -> dict[str, Any]:
-        """Typed options for files, as {keyword argument of ``load_robot``: value}.
+        """Typed options for loading files, as {keyword argument of ``load_robot``: value}.
 
         Options that were not typed are not included.
 
@@ -290,7 +294,7 @@ class RobotOptions:
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:
-    """Load a robot from files, and show progress; the notes on the robot are not printed.
+    """Load a robot from files, and show the progress on standard error; print no notes.
 
     Args:
         files: Files and options of the user.
@@ -326,7 +330,7 @@ def load_selected_robot(
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
-    """Return robots with unique names, so that results of several robots can be distinguished.
+    """Give robots unique names, so that the results of several robots can be distinguished.
 
     Equal names are extended by the file names, or else by numbers.
 
@@ -349,9 +353,9 @@ def name_uniquely(
 
 
 def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors on a robot; other notes are only counted.
+    """Print the warnings and errors on a robot; only count its other notes.
 
-    The next report prints the count.
+    The next report prints the count (`hide_notes`).
 
     Args:
         robot: Robot.
@@ -363,7 +367,7 @@ def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
 
 
 def print_warnings(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors on a robot that was loaded from files.
+    """Print the warnings and errors of the notes on a robot that was loaded from files.
 
     Args:
         robot: Robot.
@@ -381,11 +385,10 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
 
 def hide_notes(robot: Robot) -> None:
-    """Count the notes on a robot that are not printed, for the line below the next report.
+    """Count the unprinted notes on a robot; the next report states their number.
 
-    Warnings and errors do not count. Commands that print only those (`print_warnings`) call this
-    function. The count is in click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v:
-    3 notes".
+    Warnings and errors do not count. Callers print only warnings and errors (`print_warnings`). The
+    count is in click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v: 3 notes".
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
 
@@ -396,9 +399,10 @@ def hide_notes(robot: Robot) -> None:
 
 
 def pass_robot_options(command: Command) -> Command:
-    """Return a command that receives the options of a robot as first argument, a `RobotOptions`.
+    """Change a command-line command to receive the options of a robot as a `RobotOptions`.
 
-    Options that the command does not have are None.
+    The object is the first argument of the function. Options that the command does not have are
+    None.
     """
 
     @wraps(command)
@@ -412,7 +416,7 @@ def pass_robot_options(command: Command) -> Command:
 def add_options(
     *groups: tuple[Callable[[Command], Command], ...],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds groups of options to a command, in the given order.
+    """Create a decorator that adds groups of options to a command-line command, in this order.
 
     Args:
         *groups: Groups of option decorators, such as `FILE_OPTIONS`.

@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.matching.tolerances import Tolerances
 
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
-"""Type of the function of a command."""
+"""Type of the function of a command-line command."""
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
-"""Exit statuses of all commands. 0: success. 1: a check failed. 2: invalid input. 3: unexpected
-error, a bug."""
+"""Exit statuses of all command-line commands. 0: success. 1: a check failed. 2: invalid input. 3:
+unexpected error, a bug."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-"""Settings of click for all commands: names of the help option, and maximum line width of the help
-[characters].
+"""Settings of click for all command-line commands: names of the help option, and maximum line width
+of the help [characters].
 """
 
 package_option = click.option(
@@ -105,7 +105,7 @@ class OutputPath(click.Path):
         self._holds = holds
 
     def get_kind(self, given: Mapping[str, Any]) -> OutputKind | Folder | None:
-        """Return what the command writes to this path: a file format, or the content of a folder.
+        """Return what a command-line command writes to this path: a file format, or a folder.
 
         Args:
             given: {parameter: value} of the command.
@@ -164,7 +164,7 @@ _FIXED_BASE_CODE = "base-is-fixed"
 
 
 class Command(click.Command):
-    """Command that checks, before the computation, that all results may and can be written.
+    """Command-line command that checks, before computing, that all results can be written.
 
     A command with results also has the option ``--force``.
 
@@ -186,7 +186,7 @@ class Command(click.Command):
 
     @property
     def outputs(self) -> list[click.Parameter]:
-        """Options of this command that take the path of an output file or folder."""
+        """Options of this command-line command whose value is an output file or folder."""
         return [option for option in self.params if isinstance(option.type, OutputPath)]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -311,12 +311,12 @@ class Command(click.Command):
                     raise click.UsageError(str(message), ctx)
 
     def _list_metavars(self, ctx: click.Context) -> dict[str | None, str]:
-        """Return {name of an argument: its form in usage lines}, such as ``URDF``."""
+        """Return {name of an argument: word in usage lines, such as ``URDF``}, for this command."""
         arguments = [one for one in self.params if isinstance(one, click.Argument)]
         return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
-        """Create the error about a missing argument, with its meaning and the form of the command.
+        """Create the error about a missing argument, with its meaning and a usage line.
 
         Args:
             ctx: Context of the command.
@@ -373,7 +373,7 @@ class Command(click.Command):
             raise
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:
-        """Return the typed option whose value an error about an argument of a function concerns.
+        """Find the typed option that set the function argument which an error names.
 
         Args:
             context: Context of the command.
@@ -392,7 +392,8 @@ class Command(click.Command):
 
 
 _SHORT_OPTION_LENGTH = 2
-"""Number of characters of a short option such as ``-o``."""
+"""Number of characters of a short option such as ``-o``. A longer word with a single hyphen may be
+a mistyped long option."""
 
 _OPTIONS_OF_ARGUMENTS = {
     "mass": ("--payload", "--added"),
@@ -402,7 +403,8 @@ _OPTIONS_OF_ARGUMENTS = {
     "xacro_args": ("--xacro-arg",),
     "count": ("--plan",),
 }
-"""{argument of a function: options of commands that specify the argument}, if the names differ."""
+"""{argument of a function: command-line options that set the argument}, if the names differ. With
+the options, an error about an argument names the typed option."""
 
 
 _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
@@ -412,7 +414,9 @@ _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
 
 
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
-    """Return the name to which a value of an option belongs, and the value as typed.
+    """Split a value ``NAME=VALUE`` of an option into the name and the whole text, as typed.
+
+    Two different values with the same name contradict each other. The name is:
 
     - Value ``NAME=VALUE`` of a repeatable option: ``NAME``.
     - Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
@@ -489,9 +493,10 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
-    """Return the error about a word that is no choice, with the most similar choice, if any.
+    """Extend the error about a word that is no choice of a parameter by a similar choice.
 
-    Without a similar choice, the error about an argument states the usage of the command.
+    Without a similar choice, the error about an argument states the usage of the command, and the
+    error about an option is unchanged.
     """
     found = _INVALID_CHOICE.match(error.message)
     typed = "" if found is None else found[1]
@@ -515,11 +520,11 @@ _SYNONYMS = {
     "torque": ("--effort",),
     "out": ("--output",),
 }
-"""{word without hyphens that is no option: options that a user probably means}."""
+"""{mistyped option without hyphens, such as "mass": options that the user probably means}."""
 
 
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
-    """Return the options that a user may mean by an unknown option.
+    """Find options to suggest for an unknown option: synonyms, else similar names.
 
     The first of these lists that is not empty is returned:
 
@@ -544,14 +549,15 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
 
 
 def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
-    """Return the options whose help contains the words of an unknown option, such as ``--impulse``.
+    """Find options to suggest for an unknown option: those whose help contains its words.
 
-    A plural with s is found as well. The result is empty if more than `_MAX_OPTIONS_ABOUT` options
-    contain the words, or if a word is shorter than `_MIN_WORD_LENGTH`.
+    A plural with s is found as well. The result is empty if the help of more than
+    `_MAX_OPTIONS_ABOUT` options contains the words, or if a word is shorter than
+    `_MIN_WORD_LENGTH`.
 
     Args:
-        unknown: Unknown option.
-        parameters: Parameters of the command.
+        unknown: Unknown option, such as ``--impulse``.
+        parameters: Parameters of the command-line command.
     """
     words = unknown.strip("-").lower().split("-")
     if min(map(len, words)) < _MIN_WORD_LENGTH:
@@ -584,7 +590,7 @@ FORCE_HELP: Final = (
 
 
 def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Return a decorator that turns a function into a `Command` of the command line.
+    """Create a decorator that turns a function into a `Command` of the command line.
 
     Args:
         name: Name of the command; None: derived from the name of the function.
@@ -594,7 +600,7 @@ def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., 
 
 
 def _collect_options(command: click.Command, context: click.Context) -> dict[str, Any]:
-    """Return {option: value} of the options that are typed, or set by the file of ``--stance``.
+    """Collect the options that are typed, or set by the file of ``--stance``: {option: value}.
 
     Paths of results and ``--force`` are not included.
     """
@@ -611,7 +617,7 @@ def _collect_options(command: click.Command, context: click.Context) -> dict[str
 
 
 def _list_named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
-    """Yield the paths of files that the parameters may name, and of the files in a named folder."""
+    """Yield the paths of files that the parameters may name as inputs, and of files in folders."""
     for parameter in command.params:
         reads = isinstance(parameter, click.Argument) or isinstance(parameter.type, click.Path)
         if not reads or isinstance(parameter.type, OutputPath):
@@ -663,7 +669,7 @@ def _prepare_outputs(command: Command, context: click.Context) -> None:
 def file_option(
     *names: str, help: str, required: bool = False
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return a decorator that adds an option for the path of an input file to a command.
+    """Create a decorator that adds an option for an input file to a command-line command.
 
     Args:
         *names: Names of the option, such as ``--urdf``.
@@ -680,7 +686,7 @@ def output_option(
     help: str,
     **more: Any,
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return a decorator that adds an option for the path of an output file or folder to a command.
+    """Create a decorator that adds an option for an output file or folder to a command.
 
     Args:
         *names: Names of the option, such as ``--json``.
@@ -745,7 +751,7 @@ all_option = click.option(
 
 
 class ModelFileType(click.Path):
-    """Parameter type of a model file; ``-`` means the content of standard input."""
+    """Type of a command-line parameter that is a model file; ``-`` reads standard input."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -810,7 +816,7 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """Parameter type of a number with or without a unit, such as ``5deg``, ``10cm`` or ``0.1``.
+    """Type of a command-line number with or without a unit, such as ``5deg`` or ``0.1``.
 
     Args:
         kind: Quantity, a key of ``base.units.UNIT_FACTORS``: "length", "angle" and so on.
@@ -937,7 +943,7 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 
 
 def _find_assignment_form(option: str) -> str:
-    """Return the form of an option's value, with the example in its help.
+    """Describe the form ``NAME=VALUE`` of an option for an error, with the example in its help.
 
     For example ``FOOT=LENGTH, e.g. FR=30mm``. The result is ``NAME=VALUE`` if the running command
     has no such option, or if the form of the option has no equals sign.
@@ -954,7 +960,7 @@ def _find_assignment_form(option: str) -> str:
 
 
 def _find_running_option(name: str) -> click.Option | None:
-    """Return an option of the running command; None if there is no such option or no command.
+    """Find an option of the running command-line command by name; None if there is none.
 
     Args:
         name: Name of the option, with or without ``--``.
@@ -968,7 +974,7 @@ def _find_running_option(name: str) -> click.Option | None:
 
 
 def _find_unit(option: click.Parameter | None) -> str:
-    """Return the unit of an option's number, which the help states in parentheses; or empty."""
+    """Return the unit of an option's number, as stated in parentheses in its help; else empty."""
     text = option.help or "" if isinstance(option, click.Option) else ""
     unit = _UNIT_IN_HELP.search(text)
     return "" if unit is None else unit[1]
@@ -1020,13 +1026,16 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
 
 
 def _write_decimal_point(text: str) -> str:
-    """Return a number with a decimal comma (``12,5cm``) with a point; empty for another text."""
+    """Replace the decimal comma of a number (``12,5cm``) by a point; empty for other texts."""
     match = re.fullmatch(r"([+-]?\d+),(\d+)([^\d,]*)", text)
     return "" if match is None else f"{match[1]}.{match[2]}{match[3]}"
 
 
 def _omit_unit(text: str) -> str:
-    """Return the number of a text with a unit of `_UNTYPED_UNITS`; empty for other texts."""
+    """Remove a unit that must not be typed (`_UNTYPED_UNITS`) from a number, to suggest the rest.
+
+    Empty for other texts.
+    """
     match = re.fullmatch(r"([+-]?\d+(?:\.\d+)?)\s*([A-Za-z].*)", text)
     units = [unit.lower() for unit in _UNTYPED_UNITS]
     return match[1] if match is not None and match[2].replace(" ", "").lower() in units else ""
@@ -1068,7 +1077,7 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
 
 
 def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
-    """Return the message about an invalid quantity on the command line.
+    """Create the message about an invalid number with unit on the command line, with the remedy.
 
     Args:
         kind: Kind of the quantity, a key of ``UNIT_FACTORS``.
@@ -1091,7 +1100,7 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
 
 
 def _spell_unit(kind: str, text: str) -> str:
-    """Return a quantity with the unit in the accepted spelling, for example ``12cm`` for ``12CM``.
+    """Correct the spelling of a quantity's unit, for example ``12cm`` for ``12CM``.
 
     Empty if the text is no number with a unit of the quantity.
     """
@@ -1106,7 +1115,7 @@ def _spell_unit(kind: str, text: str) -> str:
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Return a context in which a progress message is shown on standard error.
+    """Show a progress message on standard error while a context is active.
 
     After ``MIN_REPORTED_TIME``, the message contains the elapsed time, or the number of completed
     parts and an estimate of the remaining time. Nothing is shown if standard error is no terminal.
@@ -1119,7 +1128,10 @@ def show_progress(what: str) -> AbstractContextManager[object]:
 
 @contextmanager
 def _display_progress(what: str) -> Iterator[None]:
-    """Display the message ``what`` and the progress on standard error, until the context ends."""
+    """Display a message and the progress on a terminal's standard error, until the context ends.
+
+    ``what`` is the message.
+    """
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.text import Text
@@ -1168,7 +1180,7 @@ def show_results(
     everything: bool = False,
     next_step: NextStep | None = None,
 ) -> None:
-    """Print results of a command on the terminal, or as Markdown.
+    """Print results of a command-line command as text for a terminal, or as Markdown.
 
     Args:
         results: Pairs (name, result); the name may be empty if the result has a name.
@@ -1193,7 +1205,7 @@ def show_report(
     everything: bool = False,
     next_step: NextStep | None = None,
 ) -> None:
-    """Print a report on the terminal, or as Markdown with the version of this package.
+    """Print a report as text for a terminal, or as Markdown with the version of this package.
 
     Args:
         report: Report.
@@ -1283,10 +1295,10 @@ def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] 
 
 
 def finish_command(json_path: Path | None, content: object, *, passed: bool) -> None:
-    """Write results as JSON if a path was typed, and end a failed command with exit status 1.
+    """Finish a command-line command: write results as JSON; exit with status 1 if a check failed.
 
     Args:
-        json_path: Path of the option ``--json``; None if not typed.
+        json_path: Path of the option ``--json``; None if not typed: no file is written.
         content: Results.
         passed: Whether all checks of the command passed. If False, this function does not return.
 
@@ -1422,7 +1434,7 @@ fine_tolerance_option = click.option(
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
-    """Return tolerances of a comparison, changed by the values of ``--tolerance KIND=VALUE``.
+    """Change tolerances of a model comparison by the typed values of ``--tolerance KIND=VALUE``.
 
     Args:
         tolerances: Tolerances of the comparison of two models.

@@ -1,4 +1,4 @@
-"""Options of a stand task on the command line: an option for each field that has a help text.
+"""Create the command-line options of a stand task: one for each field that has a help text.
 
 ``--stance FILE`` reads the same options from a file, as saved by the live page.
 """
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
-"""Function of a command. The arguments of the function are the values of the command's parameters.
-"""
+"""Function of a command-line command. The arguments of the function are the values of the command's
+parameters."""
 
 OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
 """{name of a field of the stand task: field}, for the fields with an option. A command receives the
@@ -37,7 +37,7 @@ value of the option under this name."""
 
 
 def make_option(field: Field) -> Callable[[Command], Command]:
-    """Return a decorator that adds the option of a field of the stand task to a command.
+    """Create a decorator that adds the option of a stand-task field to a command-line command.
 
     Args:
         field: Field; kind, unit and default value determine the form of the option.
@@ -63,7 +63,7 @@ def make_option(field: Field) -> Callable[[Command], Command]:
 def _complete_value(
     field: Field, context: click.Context, _: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Return the values of an option that begin with an incomplete word.
+    """List the completions of an incomplete option value, for a shell.
 
     These are the words that the field accepts, or the names of the robot's feet, joints or links
     with an equals sign. There are none if the robot cannot be loaded.
@@ -91,7 +91,7 @@ def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
 
 
 def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
-    """Return decorators that add the options of the stand task to a command.
+    """Create decorators that add the options of the stand task to a command-line command.
 
     Args:
         *headings: Headings of the sliders on the page of ``live``. If given, only options of fields
@@ -187,7 +187,7 @@ def to_task_value(field: Field, value: Any) -> Any:
 
 
 def _parse_value(field: Field, text: str, given: str) -> Any:
-    """Convert a typed text to a value of a stand field, by the kind of the field.
+    """Parse the typed value of a stand-task field: contact, point, or number with unit.
 
     ``given`` is the whole typed value that contains ``text``, for error messages.
     """
@@ -283,7 +283,10 @@ payload, servos and MuJoCo options."""
 
 
 def _load_defaults(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
-    """Use the values of a stance file as defaults of the options: typed values have priority."""
+    """Use the values of a stance file as defaults of command-line options; called by click.
+
+    Typed values have priority.
+    """
     if path is not None:
         context.default_map = {**(context.default_map or {}), **read_stance_file(path)}
 
@@ -343,7 +346,9 @@ def read_stance_file(path: Path) -> dict[str, Any]:
 
 
 def _format_as_typed(path: Path, key: str, value: Any) -> Any:
-    """Return a value of a stance file as it is typed: points with commas, {foot: value} as a list.
+    """Convert a value of a stance file to the form that is typed on the command line.
+
+    A point becomes a text with commas, and {foot: value} a list of texts ``FOOT=VALUE``.
 
     Raises:
         ConfigurationError: If the value has no such form.

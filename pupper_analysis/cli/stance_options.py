@@ -1,4 +1,4 @@
-"""Options of the robot, the stance and the servos, shared by all commands about stances.
+"""Options of robot, stance and servos, shared by all command-line commands about stances.
 
 The decorators `robot_and_task` and `robot_and_stance` add the options to a command. The command
 receives the values of the options as a `RobotAndTask`. This object loads the robot, applies
@@ -146,7 +146,7 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 
 @dataclass(frozen=True)
 class RobotAndTask:
-    """Values of the options of robot, stance and servos, as typed.
+    """Values of the command-line options of robot, stance and servos, as typed.
 
     Methods load the robot and create the stand task from these values. ``which`` contains the
     options that select the robot, ``stance`` the options of the stand task. The command sets
@@ -215,7 +215,7 @@ class RobotAndTask:
     def robots(
         self, words: tuple[str, ...], *, default: tuple[str, ...], visuals: bool = True
     ) -> list[Robot]:
-        """Load all robots that the user selected, with the typed options applied, and unique names.
+        """Load all robots that the user selected, apply the typed options, and make names unique.
 
         Args:
             words: Words that name the robots.
@@ -239,7 +239,11 @@ class RobotAndTask:
         return name_uniquely(selections, robots)
 
     def _refuse_idle_direction(self) -> None:
-        """Raise a ConfigurationError if ``--uphill`` is typed for ground with slope 0."""
+        """Refuse ``--uphill`` if the ground has slope 0: a direction would have no effect.
+
+        Raises:
+            ConfigurationError: If the option was typed.
+        """
         if self.stance and not self.task().ground.slope:
             refuse_alone(("--slope",), "uphill")
 
@@ -266,7 +270,7 @@ class RobotAndTask:
         return robot
 
     def _apply_options(self, robot: Robot) -> Robot:
-        """Return a robot with the typed effort limits, payload, MuJoCo options and contacts.
+        """Apply the typed effort limits, payload, MuJoCo options and contacts to a robot.
 
         A payload is appended to the name of the robot: mass [kg] and position [mm].
 
@@ -317,7 +321,7 @@ class RobotAndTask:
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
-        """Return the typed gains of the servos: stiffness kp and damping kd.
+        """Parse the typed servo gains (``--kp``, ``--kd``): stiffness kp and damping kd.
 
         Args:
             robot: Robot.
@@ -346,7 +350,12 @@ class RobotAndTask:
 
 
 def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -> None:
-    """Refuse ``--as-is``, an option for files, if only variants are selected."""
+    """Refuse ``--as-is``, an option for model files, if no robot is loaded from files.
+
+    Raises:
+        ConfigurationError: If only variants of the package's own robot are selected, and the option
+            was typed.
+    """
     variants = [selection for selection in selections if not isinstance(selection, RobotFiles)]
     if len(variants) == len(selections):
         names = [
@@ -356,7 +365,7 @@ def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -
 
 
 def _print_first_difference(robot: Robot) -> None:
-    """Print the problem to repair first in the comparison of a robot's two files.
+    """Compare a robot's URDF and MJCF, and print the difference to repair first.
 
     Nothing is printed if the files cannot be compared.
     """
@@ -376,7 +385,7 @@ def _print_first_difference(robot: Robot) -> None:
 
 
 def robot_and_task(command: Command) -> Command:
-    """Add the options of robot, stance, servos and output to a command, and pass them as an object.
+    """Add the options of robot, stance, servos and output to a command that simulates.
 
     Args:
         command: Function that receives a `RobotAndTask`, and the values of further options.
@@ -394,7 +403,7 @@ def robot_and_stance(command: Command) -> Command:
 
 
 def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
-    """Return a command with the options of robot and stance, and with the options ``more``.
+    """Add the options of robot and stance to a command-line command, and the options ``more``.
 
     The function ``command`` receives the options of robot and stance as a `RobotAndTask`.
     """
@@ -424,7 +433,10 @@ def _gather_options(command: Command, more: tuple[Callable[[Command], Command], 
 
 
 def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, float]]:
-    """Return (pattern of joint names, number) of each text [JOINTS=]NUMBER."""
+    """Parse texts ``[JOINTS=]NUMBER`` of an option into pairs (pattern of joint names, number).
+
+    Without ``JOINTS=``, the pattern is ``*``: all joints.
+    """
     return [
         shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
         for text in texts
@@ -432,7 +444,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Find the joints of a robot that a pattern selects.
+    """Find the joints of a robot that a name or pattern of an option selects.
 
     Args:
         option: Name of the command-line option, for the error message.
@@ -517,7 +529,7 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
 def apply_motors(
     texts: tuple[str, ...], robot: Robot, effort: tuple[str, ...]
 ) -> tuple[Robot, dict[str, Motor]]:
-    """Assign motors to the joints of a robot, and return the robot with their effort limits.
+    """Assign the motors of ``--motor`` to joints, and set the effort limits of these joints.
 
     The effort limit of a joint with a motor becomes the largest torque of the motor at rest, unless
     ``--effort`` names the joint.
@@ -606,7 +618,10 @@ def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float
 
 
 def _names_motor(text: str) -> bool:
-    """Return True if a text is the name of a known motor, or ends with ``.toml`` or ``.json``."""
+    """Return True if a text of ``--continuous`` names a motor instead of a torque.
+
+    The text is the name of a known motor, or a file with the suffix ``.toml`` or ``.json``.
+    """
     if text.lower().endswith((".toml", ".json")):
         return True
     if not any(letter.isalpha() for letter in text):
@@ -662,7 +677,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
 def draw_requested_stand(
     robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None
 ) -> None:
-    """Draw a stand to a file and print the path; without a path, draw nothing.
+    """Draw a stand to the file of ``--figure``, and print the path; without a path, draw nothing.
 
     Args:
         robot: Robot.
