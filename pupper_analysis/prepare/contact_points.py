@@ -52,11 +52,11 @@ that spans the smallest triangle with its neighbours is removed first. Chosen, n
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
-    """Find the corners of a sole among the points of a foot.
+    """Find the points of a foot that are corners of its sole, at most 8 (`_MAX_CORNERS`).
 
     The corners are the vertices of the convex hull of the sole, projected along the normal. If
-    there are more than 8 (`_MAX_CORNERS`), the corner that spans the smallest triangle with its
-    neighbours is removed repeatedly.
+    there are more than 8, the corner that spans the smallest triangle with its neighbours is
+    removed repeatedly.
 
     Args:
         points: Points of the foot, shape (n, 3) [m].
@@ -285,7 +285,7 @@ class ContactPoint:
 def find_contact_points(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int], joints: int
 ) -> tuple[ContactPoint, ...]:
-    """Find the contact points of a foot with level ground.
+    """Find the points at which a foot touches level ground, from the shape of its geoms.
 
     The sole is the largest flat part at the lower end of the convex hull of the geoms, if it is
     nearly level in the pose in ``data``. The sole is laid flat, and MuJoCo's contacts with the
@@ -331,10 +331,11 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres whose convex hull is that of a geom, as pairs (centre (3,) [m], radius [m]).
+    """Yield spheres that represent the surface of a geom: their convex hull is that of the geom.
 
-    Centres are in the world frame. Round surfaces are sampled. Nothing is yielded for a shape
-    without extent, such as a plane.
+    A sphere is a pair (centre (3,) [m] in the world frame, radius [m]). The radius is 0 for the
+    vertices of a box or mesh. Round surfaces are sampled. Nothing is yielded for a shape without
+    extent, such as a plane.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -349,10 +350,10 @@ def _sample_surface(
 def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact point at the lowest point of a foot without a sole; () without geoms.
+    """Return the single contact point of a foot without a sole, at its lowest point, in a tuple.
 
     If a mesh is not round at the lower end, the contact point is a ball with radius `BALL_RADIUS`
-    at the centre of the lowest points.
+    at the centre of the lowest points. The tuple is empty without geoms.
     """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
@@ -417,9 +418,10 @@ def _find_end_spheres(
     bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
-        """Return the maximum height [m] of a sphere geom above the lowest geom of the foot.
+        """Compute how much higher [m] than the foot a sphere geom may end and still be a contact.
 
-        Both heights are those of the lowest points of the geoms.
+        The heights of the lowest point of the sphere and of the lowest point of the foot are
+        compared.
         """
         away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
         return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
@@ -462,10 +464,11 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 
 
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
-    """Yield the outward normals (3,) of the facets of a hull with a tilt up to `_MAX_SOLE_TILT`.
+    """Yield the outward normals (3,) of the nearly level facets of a foot: candidates of a sole.
 
-    If all points are on a line, the normal of the line that is nearest to ``down`` is yielded,
-    unless the tilt is too large. Nothing is yielded for a single point.
+    The facets are those of the convex hull, with a tilt up to `_MAX_SOLE_TILT`. If all points are
+    on a line, the normal of the line that is nearest to ``down`` is yielded, unless the tilt is too
+    large. Nothing is yielded for a single point.
 
     Args:
         surface: Points of the hull, shape (n, 3) [m].
@@ -502,10 +505,11 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
 def _find_sole_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact points of a foot with the sole flat, with outward normal ``out`` (3,).
+    """Find the contact points of a foot whose sole lies flat on the ground.
 
-    If the contacts of a mesh change with a small tilt, the contact points are balls at the corners
-    of the sole.
+    ``out`` is the outward normal of the sole, shape (3,), in the frame of the foot's body. If the
+    contacts of a mesh change with a small tilt, the contact points are balls at the corners of the
+    sole.
     """
     found = _find_pressed_contacts(model, body, geoms, out)
     if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):
@@ -522,9 +526,10 @@ def _find_sole_contacts(
 
 
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
-    """Return True if two lists have the same number of contact points, at the same positions.
+    """Return True if the contact points of a sole are the same before and after a small tilt.
 
-    Each point of ``first`` must be within `_SOLE_ATOL` of the nearest point of ``second``.
+    Both lists must have the same length. Each point of ``first`` must be within `_SOLE_ATOL` of the
+    nearest point of ``second``.
     """
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
@@ -536,7 +541,7 @@ def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoin
 def _find_corner_balls(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return contact spheres at the corners of a sole, which touch a common plane.
+    """Create contact points at the corners of a sole: small spheres that touch a common plane.
 
     ``out`` is the outward normal of the sole in the body frame, shape (3,). A common plane is
     needed: if a corner were a tenth of a millimetre off the plane, the foot would rest on three
@@ -564,7 +569,7 @@ def _find_corner_balls(
 def _find_pressed_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact points that MuJoCo finds if a foot is pressed into the floor.
+    """Find the contact points of a sole by MuJoCo's collision detection, pressed into the floor.
 
     The robot is first rotated so that the outward normal ``out`` (3,) of the sole, in the frame of
     the foot's body, points down.
@@ -609,12 +614,12 @@ def _find_pressed_contacts(
 
 
 def _is_lying(data: mujoco.MjData, geom: int) -> bool:
-    """Return True if a cylinder touches the ground with the curved side."""
+    """Return True if a cylinder lies on its curved side, like a wheel: its axis is nearly level."""
     return bool(abs(data.geom_xmat[geom][8]) < _MAX_AXIS_COSINE)
 
 
 def _align_vectors(start: Array, end: Array) -> Array:
-    """Return the quaternion (w, x, y, z) that rotates a unit vector (3,) to another unit vector.
+    """Compute the quaternion (w, x, y, z) that rotates the unit vector ``start`` (3,) to ``end``.
 
     Opposite vectors must be perpendicular to the x axis.
     """

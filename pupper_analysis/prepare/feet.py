@@ -1,4 +1,4 @@
-"""Find the feet of a robot, and add a frame at each contact point to both files.
+"""Find the feet of a robot, and add a frame at each contact point to URDF and MJCF.
 
 Input is a robot model without named contact points. Outputs are the feet, each with one or several
 contact points, and the description with a frame at each point in the URDF and in the MJCF. The feet
@@ -53,10 +53,10 @@ contact shape of the foot. Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
-"""Tolerance [m] with which a link of the URDF is at a contact point of the MJCF. Two positions are
-compared with the link: the contact point, and the contact point shifted by the offset of the last
-joint between both files. If no link is at either position, only the part of the offset
-perpendicular to the joint axis is used. Chosen, not tuned."""
+"""Tolerance [m] with which a link of the URDF counts as at a contact point of the MJCF. Two
+positions are compared with the link: the contact point, and the contact point shifted by the offset
+of the last joint from the MJCF to the URDF. If no link is at either position, only the part of the
+offset perpendicular to the joint axis is used. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Return the number of joints between a body and the base.
+    """Count the joints on the chain from a body to the base.
 
     Args:
         robot: Robot.
@@ -160,10 +160,10 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
 
 
 def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
-    """Find the feet of a robot: the collision geoms at the ends of the lowest limbs.
+    """Detect the feet of a robot: the collision geoms at the ends of the lowest limbs.
 
     The feet are searched in each pose, and the result of the pose with the most feet is returned.
-    In other poses the legs may be folded, or the robot may lie.
+    Reason: in some poses the legs may be folded.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.
@@ -177,7 +177,7 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
-    """Return the feet in a pose: the limbs that end at about the height of the lowest limb.
+    """Find the feet in a pose: the ends of the limbs that reach about as low as the lowest limb.
 
     Args:
         robot: Robot without feet.
@@ -220,7 +220,7 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Return a name for each foot: the name of the only geom, otherwise the name of the body.
+    """Choose a name for each foot: the name of its geom, or of its body if it has several geoms.
 
     If two feet would have the same name, all feet have the names of the bodies. ``feet`` are pairs:
     id of the foot's body, and contact points.
@@ -298,10 +298,11 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Return the sphere nearest to a position, as a list with the geom id; else all geoms.
+    """Select the sphere geom at a foot frame that the user names, else all given geoms.
 
-    All ``geoms`` are returned if no sphere is nearer than `_MAX_SPHERE_DISTANCE`. The position
-    ``place``, shape (3,) [m], is expressed in the world frame.
+    The nearest sphere to the position ``place`` of the frame, shape (3,) [m] in the world frame, is
+    returned as a list with its geom id. All ``geoms`` are returned if no sphere is nearer than
+    `_MAX_SPHERE_DISTANCE`.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
@@ -317,10 +318,10 @@ def _select_sphere(
 def _locate_link(
     robot: Robot, name: str, frames: tuple[str, str], joints: Array
 ) -> tuple[int, Array]:
-    """Return the id of the body that moves a link of the URDF, and the link's position (3,) [m].
+    """Find the MuJoCo body that carries a link of the URDF, and the link's position (3,) [m].
 
-    The body is the base if no joint of the robot moves the link. The position is in the world
-    frame.
+    The result is the id of the body, and the position in the world frame. The body is the base if
+    no joint of the robot moves the link.
 
     Args:
         robot: Robot.
@@ -359,7 +360,7 @@ def _locate_link(
 def add_contact_frames(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
-    """Return the description of a robot with an added frame at each contact point, in both files.
+    """Add a frame at each contact point to URDF and MJCF; return the changed description.
 
     The frame is a link in the URDF and a site in the MJCF. Some contact points are the centre of a
     ball that approximates another collision shape (`is_ball`). If their foot is in ``replaced``, a
@@ -443,10 +444,10 @@ contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
-    """Return True if a contact point has moved by more than 1 um between two versions of the feet.
+    """Return True if a contact point differs by more than 1 um between two fits of the same feet.
 
-    Positions are compared in the frame of the geom's body. The result is False if the versions
-    contain different feet or geoms.
+    Positions are compared in the frame of the geom's body. The result is False if ``before`` and
+    ``after`` contain different feet or geoms.
     """
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip
@@ -479,9 +480,9 @@ def _map_to_urdf(
 ) -> Array:
     """Convert a position on a body of the MJCF to the position of this point in the URDF.
 
-    Both files may have different joint axes. The position is therefore shifted by the perpendicular
-    offset between both axes of the last joint that is no slide. The position of a joint frame along
-    its axis has no meaning.
+    URDF and MJCF may have different joint axes. The position is therefore shifted by the offset
+    between the two axes of the last joint that is no slide. Only the part of the offset
+    perpendicular to the axis counts: the position of a joint frame along its axis has no meaning.
 
     Exception: the URDF may have a link at the unshifted position, or at the same position relative
     to the joint frame. Then the position is that of this link.
@@ -513,25 +514,27 @@ def _map_to_urdf(
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:
-    """Name all geoms without a name, so that the geoms are identified after a compilation."""
+    """Give a name to each geom without a name, to identify the geom in the compiled model."""
     geom_names = {geom.name for geom in spec.geoms}
     for number, geom in enumerate(spec.geoms):
         geom.name = geom.name or make_unique_name(f"geom_{number}", geom_names)
 
 
 def _find_moved_link(robot: Robot, body: int) -> str:
-    """Return the URDF link that the last joint between base and ``body`` moves; else the base link.
+    """Return the URDF link that corresponds to a MuJoCo body: the link of its last joint.
 
-    ``body`` is the id of a MuJoCo body.
+    The last joint is the nearest joint on the chain from ``body`` (id) to the base. Without such a
+    joint, the base link is returned.
     """
     joint = _find_last_joint(robot, body)
     return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the last joint between a body and the base; None without a joint.
+    """Return the name of the joint that is nearest to a body on the chain to the base.
 
-    The result is also None if the search reaches a joint that is not one of the robot's joints.
+    The result is None without such a joint, or if the search reaches a joint that is not one of the
+    robot's joints.
 
     Args:
         robot: Robot.

@@ -1,9 +1,9 @@
-"""Make the joints of both files consistent: joint limits, couplings, a single actuator per joint.
+"""Make the joints of URDF and MJCF consistent: limits, couplings, a single actuator per joint.
 
 Input is a robot with matched joints; output is the robot's description with changes, and notes. The
-joint limits of the URDF [rad, m] are narrowed to those of the MJCF, and continuous joints of closed
-loops get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with several
-actuators are rejected.
+joint limits of the URDF [rad, m] are narrowed to the limits of the MJCF. Continuous joints of
+closed loops get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with
+several actuators are rejected.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Torque limits in verdicts: motors with a limit of zero, overloaded motors, and unknown limits.
 
 Inputs are a robot and the static joint torques of a stance [N m, N]. Outputs are joint names and
-messages. A message about a limit of zero proposes another limit: that of the other file, or that of
-a similar limb. Other messages contain the torque that the motors must hold. A motor counts as
+messages. A message about a limit of zero proposes another limit: that of the other file (URDF or
+MJCF), or that of a similar limb. Other messages contain the torque to hold. A motor counts as
 unloaded if the torque is at most `MIN_TORQUE_PER_MASS` times the robot's mass.
 """
 
@@ -159,8 +159,8 @@ def _find_tendon_drives(
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     """Create the message about motors whose torque limit in a file is zero or negative.
 
-    The message proposes another limit, if available: that of the other file, or that of the same
-    joint of a similar limb.
+    The message proposes another limit, if available: that of the other file (URDF or MJCF), or that
+    of the corresponding joint of a similar limb.
 
     Returns:
         The message. None if no limit of a driven joint is zero or negative. None also if the origin

@@ -80,9 +80,10 @@ def check_simulable(mjcf: MjcfFile) -> None:
 def _list_bounded_values(
     model: mujoco.MjModel,
 ) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
-    """Yield (element, attribute, values, (minimum, maximum)) of the values of a model to check.
+    """Yield the values of a model that are checked, with bounds outside which simulation fails.
 
-    Values and bounds have the unit of the MJCF attribute, for example s, m or kg m^2.
+    Each item is (tag of the element, attribute, values, (minimum, maximum)). Values and bounds have
+    the unit of the MJCF attribute, for example s, m or kg m^2.
     """
     option, length_range, mass_range = model.opt, (-_MAX_LENGTH, _MAX_LENGTH), (0.0, math.inf)
     yield "option", "timestep", [option.timestep], TIMESTEP_RANGE
@@ -102,7 +103,7 @@ def _list_bounded_values(
 
 
 def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Return the name of an element of the model; for an unnamed actuator, that of its joint.
+    """Return the name of an element of the model; for an unnamed actuator, the name of its joint.
 
     Args:
         model: MuJoCo model.
@@ -116,7 +117,7 @@ def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
 
 
 def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
-    """Return the file and line of an element of the model, or of a MuJoCo option.
+    """Find the file and line of an element of the model, or of a MuJoCo option, for an error.
 
     Args:
         mjcf: MJCF.
@@ -133,7 +134,7 @@ def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
 
 
 def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
-    """Convert MuJoCo's error about a moving body without mass to an error with file and line.
+    """Replace MuJoCo's error about a moving body without mass by an error with file and line.
 
     Args:
         error: Error of a compilation.
@@ -158,7 +159,7 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
-    """Raise an error if a joint moves no mass: the acceleration would be undefined.
+    """Raise an error if a joint has no inertia: its acceleration would be undefined.
 
     The inertia of a joint is a diagonal element of Pinocchio's mass matrix at the start pose,
     including rotor inertia.
@@ -228,7 +229,7 @@ Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Return the residual of MuJoCo's constraint solver for a robot, if the residual is too large.
+    """Test if MuJoCo's constraint solver is accurate for a robot; return the residual if not.
 
     The residual is that of `compute_solver_residual` at the start pose, with the feet 1 mm deeper
     in the ground (`_TEST_PENETRATION`).

@@ -356,7 +356,7 @@ def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Check the names of the options of a picture, such as ``size``; return the options.
 
     Raises:
-        ConfigurationError: If there is no option of a name.
+        ConfigurationError: If a name is not that of an option.
     """
     known = ("size", "azimuth", "elevation")
     for name in options:

@@ -1,6 +1,6 @@
 """Express a verdict as sentences in English and Chinese, for terminals and pages.
 
-Input is a ``Verdict``. Outputs are clauses in both languages, sorted by importance, and the
+Input is a ``Verdict``. Outputs are its statements (`Clause`), sorted by importance, and the
 document of a result whose answer is the verdict.
 """
 
@@ -79,8 +79,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     - A remark about an impossible mass or inertia is the first statement of a bad verdict, because
       no simulation of such a file has a meaning.
     - Statements about the simulation of the published file from a keyframe precede the statements
-      about the prepared robot in two cases. In the first, the file's own actuators fail. In the
-      second, the prepared robot stands, but not as predicted.
+      about the prepared robot in two cases. In the first, the actuators of the file do not hold the
+      robot. In the second, the prepared robot stands, but not in the predicted equilibrium.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -159,7 +159,7 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 def _disagrees(verdict: Verdict) -> bool:
-    """Return True if a simulated robot stands, but not as predicted.
+    """Return True if a simulated robot stands, but not in the predicted equilibrium.
 
     The robot is the prepared model or, for `VerdictCode.DIFFERS_AS_PUBLISHED`, the published file.
     """
@@ -653,8 +653,8 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
     The files may explain the failure in three cases:
 
     - The files describe two different robots.
-    - The robot or the published file does not stand as predicted.
-    - A difference of the files is the cause of a deviation.
+    - The prepared robot or the published file does not stand in the predicted equilibrium.
+    - A difference between URDF and MJCF is the cause of a deviation from this equilibrium.
 
     In these cases the command is `crosscheck`; if one model was converted from the other, `audit`.
     In other cases ``otherwise`` is returned.

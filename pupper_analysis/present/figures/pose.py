@@ -50,12 +50,13 @@ the vertices of its meshes are merged. Each further grid has 3/4 of the cells pe
 tuned.
 """
 _MAX_BASE_FACES = 2500
-"""Number of triangles of the base up to which no coarser grid is used. Chosen for speed: the
-silhouettes of 2000 triangles take 0.1 s, those of Go2's 78,000 triangles 5 s.
+"""Upper bound of the number of triangles of the base's meshes. With more triangles, the vertices
+are merged in a coarser grid. Chosen for speed: the silhouettes of 2000 triangles take 0.1 s, those
+of Go2's 78,000 triangles 5 s.
 """
 _MIN_DETAIL = 1 / 80
-"""Width of the gaps and needles that a silhouette of meshes omits, relative to the size of the
-silhouette. Chosen, not tuned: the merging of vertices causes such gaps and needles.
+"""Width of the gaps and needles that a silhouette of meshes omits, divided by the longer side of
+the silhouette [1]. Chosen, not tuned: the merging of vertices causes such gaps and needles.
 """
 
 _NUM_GLOBE_POINTS = 200
@@ -93,14 +94,14 @@ class BasePart:
     faces: IntArray | None
 
     def silhouette(self, project: Callable[[Array], Array]) -> shapely.Geometry:
-        """Compute the outline of the part in a parallel projection, with holes and separate parts.
+        """Compute the outline of this part of the base in a parallel projection, as polygons.
 
         Args:
             project: Function that projects points, shape (n, 3) [m], from the world into the image,
                 shape (n, 2).
 
         Returns:
-            Polygons in the units of the image.
+            Polygons in the units of the image, with holes; separate areas are separate polygons.
         """
         seen = project(self.points)
         if self.faces is None:
