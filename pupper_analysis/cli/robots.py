@@ -127,18 +127,18 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 
 
 robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
-"""Argument of commands that take a single robot: the name of a robot, or one or two model files.
-The command receives ``words``."""
+"""Argument of command-line commands that take a single robot: the name of a robot, or one or two
+model files. The parameter of the command's function is ``words``."""
 
 robot_and_sources_argument = click.argument(
     "words", nargs=-1, type=_RobotWord(), metavar="[ROBOT] [SOURCE]..."
 )
-"""Argument of commands that take a single robot, and the files of a policy (`walk`). The command
-receives ``words``."""
+"""Argument of command-line commands that take a single robot, and the files of a policy (`walk`).
+The parameter of the command's function is ``words``."""
 
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
-"""Argument of commands that take several robots: names of robots, or model files. The command
-receives ``words``."""
+"""Argument of command-line commands that take several robots: names of robots, or model files. The
+parameter of the command's function is ``words``."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ package_option = click.option(
     help="Folder of package://NAME/. Repeatable. By default ROS_PACKAGE_PATH and the folders "
     "above the URDF are searched.",
 )
-"""Option ``--package``: folders of ROS packages. The command receives ``packages``."""
+"""Option ``--package``: folders of ROS packages. The parameter is ``packages``."""
 
 
 XACRO_OPTIONS = (
@@ -77,8 +77,8 @@ XACRO_OPTIONS = (
         help="Argument of a xacro file, with --xacro; e.g. arm=true. Repeatable.",
     ),
 )
-"""Options ``--xacro`` and ``--xacro-arg``: expansion of a xacro file. The command receives
-``xacro`` and ``xacro_args``."""
+"""Options ``--xacro`` and ``--xacro-arg``: expansion of a xacro file. The parameters of the
+command's function are ``xacro`` and ``xacro_args``."""
 
 
 def xacro_options(command: CommandFunction) -> CommandFunction:
@@ -704,18 +704,18 @@ json_option = output_option(
     holds=kinds.RESULTS_KIND,
     help="Write all results as JSON to this file, or to standard output (-).",
 )
-"""Option ``--json``: JSON file of all results. The command receives ``json_path``."""
+"""Option ``--json``: JSON file of all results. The parameter is ``json_path``."""
 report_option = output_option(
     "--report",
     "report_path",
     holds=kinds.PAGE_KIND,
     help="Write an HTML report with tables, plots and a 3-D view to this file.",
 )
-"""Option ``--report``: HTML report. The command receives ``report_path``."""
+"""Option ``--report``: HTML report. The parameter is ``report_path``."""
 figure_option = output_option(
     "--figure", holds=kinds.PICTURE_KIND, help="Draw the result to this PNG file."
 )
-"""Option ``--figure``: PNG file of the result. The command receives ``figure``."""
+"""Option ``--figure``: PNG file of the result. The parameter is ``figure``."""
 format_option = click.option(
     "--format",
     "style",
@@ -725,7 +725,7 @@ format_option = click.option(
     help="Output format: text, Markdown, GitHub annotations, JUnit XML, or SARIF for code "
     "scanning.",
 )
-"""Option ``--format`` with formats for CI services. The command receives ``style``."""
+"""Option ``--format`` with formats for CI services. The parameter is ``style``."""
 text_format_option = click.option(
     "--format",
     "style",
@@ -734,11 +734,11 @@ text_format_option = click.option(
     show_default=True,
     help="Output format: text for a terminal, or Markdown, e.g. for a pull request.",
 )
-"""Option ``--format`` with text and Markdown only. The command receives ``style``."""
+"""Option ``--format`` with text and Markdown only. The parameter is ``style``."""
 verbose_option = click.option(
     "-v", "--verbose", "everything", is_flag=True, help="Print all tables and notes."
 )
-"""Option ``--verbose``: all tables and notes. The command receives ``everything``."""
+"""Option ``--verbose``: all tables and notes. The parameter is ``everything``."""
 all_option = click.option(
     "-v",
     "--verbose",
@@ -747,7 +747,7 @@ all_option = click.option(
     is_flag=True,
     help="Print all findings and all tables.",
 )
-"""Option ``--verbose``, also as ``--all``. The command receives ``everything``."""
+"""Option ``--verbose``, also as ``--all``. The parameter is ``everything``."""
 
 
 class ModelFileType(click.Path):
@@ -1409,7 +1409,7 @@ map_option = click.option(
     metavar="URDF=MJCF",
     help="A joint's or frame's name in the URDF and in the MJCF; e.g. lf_haa=FL_hip. Repeatable.",
 )
-"""Option ``--map``: pairs of names in URDF and MJCF. The command receives ``pairs``."""
+"""Option ``--map``: pairs of names in URDF and MJCF. The parameter is ``pairs``."""
 
 
 frame_option = click.option(
@@ -1420,7 +1420,7 @@ frame_option = click.option(
     help="Compare only this frame; e.g. FL_foot. Repeatable. By default all frames that both "
     "files have are compared.",
 )
-"""Option ``--frame``: names of compared frames. The command receives ``feet``."""
+"""Option ``--frame``: names of compared frames. The parameter is ``feet``."""
 
 
 fine_tolerance_option = click.option(
@@ -1430,7 +1430,7 @@ fine_tolerance_option = click.option(
     metavar="KIND=VALUE",
     help="Largest difference to ignore, as for crosscheck; e.g. mass=1e-3. Repeatable.",
 )
-"""Option ``--tolerance``: ignored differences. The command receives ``changes``."""
+"""Option ``--tolerance``: ignored differences. The parameter is ``changes``."""
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:

@@ -53,8 +53,7 @@ if TYPE_CHECKING:
 AS_IS_OPTION = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
-"""Option ``--as-is``: add no servos, and keep the collision shapes. The command receives ``as_is``.
-"""
+"""Option ``--as-is``: add no servos, and keep the collision shapes. The parameter is ``as_is``."""
 
 PAYLOAD_OPTIONS: tuple[Callable[[Command], Command], ...] = tuple(
     make_option(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")

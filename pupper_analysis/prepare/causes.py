@@ -329,9 +329,10 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield actuators with a negative gear as a single candidate cause of a fall or a deviation.
+    """Yield the actuators with a negative gear, as a single candidate cause of a failed simulation.
 
-    A negative gear is seldom intended.
+    A negative gear is seldom intended: it may cause a fall, or a deviation from the predicted
+    equilibrium.
     """
     model = published.model
     negative = [
@@ -346,8 +347,8 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    A candidate may explain a fall or a deviation. There is a candidate per kind: for example, all
-    springs of joints and tendons are a single candidate.
+    A candidate may explain a fall, or a deviation from the predicted equilibrium. There is a
+    candidate per kind: for example, all springs of joints and tendons are a single candidate.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
@@ -414,8 +415,8 @@ simulation. Chosen as that of rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Upper bound of the time constant of a contact (``solref``) [s]. A contact with a longer time
-constant is tested as the cause of a fall or a deviation: the contact may be too soft by a mistake.
-MuJoCo's default is 0.02 s. Chosen, not tuned."""
+constant is tested as the cause of a fall, or of a deviation from the predicted equilibrium: the
+contact may be too soft by a mistake. MuJoCo's default is 0.02 s. Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
@@ -423,10 +424,11 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield slippery and soft contacts as candidate causes of a fall or a deviation.
+    """Yield slippery and soft contacts as candidate causes of a failed simulation.
 
-    There are at most two candidates. The first contains all slippery geoms and contact pairs, the
-    second all soft geoms and contact pairs (`_select_bad_contacts`).
+    Such contacts may explain a fall, or a deviation from the predicted equilibrium. There are at
+    most two candidates. The first contains all slippery geoms and contact pairs, the second all
+    soft geoms and contact pairs (`_select_bad_contacts`).
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -529,10 +531,11 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the limits of servo commands and forces as candidate causes of a deviation.
+    """Yield the limits of servo commands and forces, which may explain a deviation, as causes.
 
-    There is a candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the robot's
-    joints, and ``actuatorfrcrange`` of these joints.
+    The predicted equilibrium does not consider these limits. There is a candidate per kind:
+    ``ctrlrange`` and ``forcerange`` of the actuators at the robot's joints, and
+    ``actuatorfrcrange`` of these joints.
     """
     model, joints, motors = (
         published.model,

@@ -1,8 +1,8 @@
 """Simulate the published robot file from a keyframe, independently of the computed stand.
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
-pose, and may have disabled contacts. The run of the published file from a keyframe (the "own run")
-shows if the file alone stands in MuJoCo. The file is simulated three times: with a nudge (a small
+pose, and may have disabled contacts. The simulation of the published file from a keyframe (called
+own run) shows if the file alone stands in MuJoCo. It runs three times: with a nudge (a small
 velocity) at the start, with the opposite nudge, and without a nudge. Each simulation lasts 5 s, or
 less with short time steps. A URDF is simulated as MuJoCo's import, with an added free base, floor
 and servos. Results are computed when a verdict is first requested.

@@ -549,7 +549,7 @@ def _set_tendon_commands(
     targets: Array,
     torques: Array,
 ) -> set[int]:
-    """Set the controls of position servos at tendons that drive joints without actuator, in place.
+    """Command position servos at tendons to hold the joints that have no actuator themselves.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -597,7 +597,8 @@ external servo. Actuators without gain get no command. `_has_unequal_gain` descr
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
     """Return True if a joint has a single position servo whose gain on ctrl is not its stiffness.
 
-    Such a servo has no pure position law, but can still be commanded to a position.
+    Its force is gain * ctrl - stiffness * length, so a position command does not hold exactly this
+    position.
     """
     if not drive.has_other_law or len(actuators) != 1:
         return False

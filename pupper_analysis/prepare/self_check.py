@@ -785,7 +785,7 @@ def name_remaining_cause(
 
 
 def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
-    """Return the ball joints of the published MJCF as causes of a deviation.
+    """Return the ball joints of the published MJCF as causes of a failed simulation.
 
     The prepared robot lacks ball joints: the joints are held at rest.
 
@@ -889,7 +889,8 @@ def find_difference_causes(
 
     1. All elements of a group are switched off. The simulation must then agree with the predicted
        equilibrium.
-    2. Each element is switched on again alone. The element is a cause if the agreement is lost.
+    2. Each element is switched on again alone. The element is a cause if the agreement is then
+       lost, both for the group and for the largest set of candidates whose removal restores it.
     3. Only the causes are switched off. If the simulation agrees, these causes are returned.
 
     If switching off repairs the torques, a CoM height error of up to `MAX_REMAINING_SINKAGE` is
@@ -941,7 +942,7 @@ def _test_causes(
     physical: list[CauseCandidate],
     test_model: Callable[[mujoco.MjModel], float | None],
 ) -> tuple[Cause, ...]:
-    """Find the causes of a deviation by switching off candidates in copies of the model.
+    """Find the causes of a failed simulation, by switching off candidates in copies of the model.
 
     A model is sound if ``test_model`` returns a number. Groups of candidates are tested in this
     order: integration and solver; the other candidates; both; both and ``physical``. A group passes

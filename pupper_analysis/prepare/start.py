@@ -414,14 +414,14 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
-        """Compute height errors of the contact points, then the horizontal CoM offset.
+        """Compute how far contact points are off the ground, and the CoM is off their centre.
 
         Args:
             joints: Joint positions, shape (nu,) [rad, m].
 
         Returns:
-            Shape (number of points + 2,) [m]. The offset is that of the CoM from the mean contact
-            point.
+            Shape (number of points + 2,) [m]: height of each contact point above the ground, then x
+            and y of the CoM relative to the mean contact point.
         """
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_centres(points)
@@ -429,7 +429,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
 
     def derivative(joints: Array) -> Array:
-        """Compute the derivatives of ``errors`` with respect to the joint positions.
+        """Compute the Jacobian of the function ``errors`` with respect to the joint positions.
 
         Args:
             joints: Joint positions, shape (nu,) [rad, m].
