@@ -384,7 +384,7 @@ def _print_first_difference(robot: Robot) -> None:
 
 
 def robot_and_task(command: Command) -> Command:
-    """Add the options of robot, stance, servos and output to a command that simulates.
+    """Add the options of robot, stance, servos and output to a command-line command.
 
     Args:
         command: Function that receives a `RobotAndTask`, and the values of further options.
@@ -393,7 +393,7 @@ def robot_and_task(command: Command) -> Command:
 
 
 def robot_and_stance(command: Command) -> Command:
-    """Add the options of robot, stance and output to a command without simulation.
+    """Add the options of robot, stance and output to a command-line command without simulation.
 
     Args:
         command: Function that receives a `RobotAndTask`, and the values of further options.

@@ -95,7 +95,7 @@ def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 
 def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Set the dry friction of the free joints of a spec to 0, in place; return a note per joint.
+    """Set the dry friction of the free joints of a spec to 0, in place; return notes on changes.
 
     Reason: dry friction of a free joint would hold a falling robot in the air.
     """

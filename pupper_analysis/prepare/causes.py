@@ -531,7 +531,7 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the limits of servo commands and forces, which may explain a deviation, as causes.
+    """Yield limits of servo commands and forces as candidate causes of a failed simulation.
 
     The predicted equilibrium does not consider these limits. There is a candidate per kind:
     ``ctrlrange`` and ``forcerange`` of the actuators at the robot's joints, and

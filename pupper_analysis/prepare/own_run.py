@@ -415,9 +415,10 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
 
 
 def _simulate_holding(published: PublishedModel, robot: Robot, data: mujoco.MjData) -> OwnRun:
-    """Simulate a published model from the state ``data``, with its joint positions as commands.
+    """Simulate if a published model holds the joint positions of the state ``data``.
 
-    The published model is compiled from the file of the robot.
+    The servos are commanded to hold these positions. The published model is the user's file as
+    compiled.
     """
     pose = data.qpos[joint_qpos_addresses(published, robot)].copy()
     run = _simulate_commands(

@@ -542,7 +542,11 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add missing torque motors at independent joints of closed loops, to fix the joint order."""
+    """Add missing torque motors to a robot with closed loops, before stands are solved.
+
+    Reason: joints with motors come first in the actuator order. The motors later become servos, so
+    that the order of the joints no longer changes (`add_loop_motors`).
+    """
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
