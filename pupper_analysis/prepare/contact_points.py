@@ -569,7 +569,7 @@ def _find_corner_balls(
 def _find_pressed_contacts(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Find the contact points of a sole by MuJoCo's collision detection, pressed into the floor.
+    """Find the contacts that MuJoCo's collision detection yields for a sole pressed into the floor.
 
     The robot is first rotated so that the outward normal ``out`` (3,) of the sole, in the frame of
     the foot's body, points down.

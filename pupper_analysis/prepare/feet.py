@@ -318,7 +318,7 @@ def _select_sphere(
 def _locate_link(
     robot: Robot, name: str, frames: tuple[str, str], joints: Array
 ) -> tuple[int, Array]:
-    """Find the MuJoCo body that carries a link of the URDF, and the link's position (3,) [m].
+    """Find the MuJoCo body that moves a link of the URDF, and the link's position (3,) [m].
 
     The result is the id of the body, and the position in the world frame. The body is the base if
     no joint of the robot moves the link.

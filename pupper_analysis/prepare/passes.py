@@ -714,8 +714,8 @@ def _store_rest_pose(draft: Draft) -> PassOutput:
     """Replace a searched start pose by the pose in which the robot rests on soft ground.
 
     The pose is the nominal stand (default `StandTask`) with the feet in the ground. The start pose
-    is kept if it is a keyframe of the file, if the stand on soft ground cannot be solved, or if the
-    new keyframe cannot be made.
+    is kept if no search found it, if the stand on soft ground cannot be solved, or if the new
+    keyframe cannot be made.
     """
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)

@@ -146,7 +146,7 @@ def compare_as_published(
     Args:
         robot: Prepared robot.
         stand: Stand whose equilibrium is predicted.
-        servos: Origin of the servos that the verdict uses: file, caller or preparation.
+        servos: Servos that the verdict uses, with their origin: file, caller or preparation.
         kp: Requested servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Requested servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 

@@ -80,7 +80,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
 def _list_bounded_values(
     model: mujoco.MjModel,
 ) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
-    """Yield the values of a model that are checked, with bounds outside which simulation fails.
+    """Yield the values of a model to check, with bounds outside which a simulation has no meaning.
 
     Each item is (tag of the element, attribute, values, (minimum, maximum)). Values and bounds have
     the unit of the MJCF attribute, for example s, m or kg m^2.

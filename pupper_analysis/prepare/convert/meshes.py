@@ -453,7 +453,7 @@ def convert_to_obj(path: Path) -> bytes:
 
 
 def _convert_content(data: bytes, ending: str) -> bytes:
-    """Convert the content of a mesh file to OBJ; ``ending`` is its suffix, such as ``.dae``.
+    """Convert the content of a mesh file to OBJ; ``ending`` is the file's suffix, such as ``.dae``.
 
     Raises:
         UnreadableError: If the mesh is broken, or has too many vertices or parts.
