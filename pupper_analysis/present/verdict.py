@@ -350,7 +350,17 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
     """
     word = text(key)
     good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
-    return text("verdict-from-one-file", word=word) if good else word
+    return (
+        text("verdict-from-one-file", word=word, file=name_only_format(converted)) if good else word
+    )
+
+
+def name_only_format(converted: str) -> str:
+    """Return the format of the only model file, "URDF" or "MJCF"; empty if there are both files.
+
+    ``converted`` is the model that was converted from this file, ``urdf`` or ``mjcf``, or empty.
+    """
+    return {"urdf": "MJCF", "mjcf": "URDF"}.get(converted, "")
 
 
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
@@ -441,7 +451,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     else:
         message = diagnose(
             "holds-in-mujoco",
-            one=bool(verdict.converted),
+            file=name_only_format(verdict.converted),
             both=alone in (None, Ending.HOLDS),
             duration=Quantity(verdict.seconds, "s"),
             torque=_make_error_quantity(verdict.torque_error),

@@ -105,8 +105,8 @@ def test_stand_of_one_file_converts_the_other_in_memory(
 ) -> None:
     status, out, _ = run_command(capfd, "stand", str(file), "-v")
     assert status == 0
-    assert out.startswith("HOLDS (from one file) pupper_v3: ")
-    made = "MJCF" if file is URDF else "URDF"
+    given, made = ("URDF", "MJCF") if file is URDF else ("MJCF", "URDF")
+    assert out.startswith(f"HOLDS ({given} only) pupper_v3: ")
     assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
 
 

@@ -25,6 +25,7 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import (
     judged_document,
+    name_only_format,
     qualify_verdict_word,
     select_step_after_failure,
 )
@@ -121,7 +122,7 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
         peak=not limit.continuous,
         part=bool(count),
         count=count,
-        converted=bool(limit.verdict.converted),
+        file=name_only_format(limit.verdict.converted),
     )
 
 
