@@ -72,7 +72,7 @@ def test_steady_state_of_legs_without_yaw_is_that_of_mujoco_if_soles_pivot(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3, 5, 7, 8, 20])
+@pytest.mark.parametrize("seed", [0, 1, 3, 5, 7, 20])
 def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
     seed: int, load_biped: Load
 ) -> None:
