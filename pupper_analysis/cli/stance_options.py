@@ -457,13 +457,13 @@ def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
     Raises:
         UnknownNameError: If no joint matches.
     """
-    from pupper_analysis.base.arguments import match_names
     from pupper_analysis.base.errors import UnknownNameError
+    from pupper_analysis.robot.joints import find_joints
 
-    selected = match_names(pattern, robot.joint_names)
-    if not selected:
-        unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
-        raise unknown.with_location(f"--{option}")
+    try:
+        selected = find_joints(robot, pattern)
+    except UnknownNameError as error:
+        raise error.with_location(f"--{option}") from None
     return [name in selected for name in robot.joint_names]
 
 

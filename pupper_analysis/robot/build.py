@@ -50,6 +50,7 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.joints import find_joints
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.robot import (
     Robot,
@@ -526,21 +527,23 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
     Args:
         robot: The robot.
-        efforts: {joint: largest absolute torque of the motor at the joint [N m], or force of a
-            slide [N]}.
+        efforts: {joint, or a pattern such as ``*calf*``: largest absolute torque of the motor at
+            the joint [N m], or force of a slide [N]}. If several patterns match a joint, the last
+            counts.
 
     Returns:
         The robot with the limits; the robot itself if ``efforts`` is empty.
 
     Raises:
-        UnknownNameError: If the robot lacks a joint of ``efforts``.
+        UnknownNameError: If the robot lacks a joint of ``efforts``, or a pattern matches no joint.
         ConfigurationError: If an argument has another type, or a limit is below 1e-9 N m or N
             (`MIN_EFFORT`) or not finite.
     """
     old_limits = {limit.joint: limit for limit in robot.efforts}
+    efforts = {
+        joint: effort for name, effort in efforts.items() for joint in find_joints(robot, name)
+    }
     for name, effort in efforts.items():
-        if name not in robot.joint_names:
-            raise UnknownNameError(robot.name, "joint", name, robot.joint_names)
         if isinstance(effort, bool) or not MIN_EFFORT <= effort < math.inf:
             unit = old_limits[name].unit
             stated, least = Quantity(effort, unit), Quantity(MIN_EFFORT, unit)

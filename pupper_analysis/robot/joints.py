@@ -184,6 +184,18 @@ def _foot_joints(robot: Robot) -> set[str]:
     }
 
 
+def find_joints(robot: Robot, pattern: str) -> list[str]:
+    """Return the joints that a name or a pattern selects (`match_names`), in actuator order.
+
+    Raises:
+        UnknownNameError: If the pattern matches no joint.
+    """
+    chosen = match_names(pattern, robot.joint_names)
+    if not chosen:
+        raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
+    return chosen
+
+
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:
@@ -205,11 +217,10 @@ def named_positions(
     """
     positions: dict[str, Position] = {}
     for pattern, value in joints.items():
-        chosen = match_names(pattern, robot.joint_names)
-        if not chosen:
-            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).with_location(
-                argument
-            )
+        try:
+            chosen = find_joints(robot, pattern)
+        except UnknownNameError as error:
+            raise error.with_location(argument) from None
         position = check_finite(f"{argument} {pattern!r}", value)
         for joint in chosen:
             positions[joint] = Position(position, joint_unit(robot, joint))

@@ -42,6 +42,12 @@ def test_requested_efforts_bound_statics_and_simulation(effort: float) -> None:
         assert not model.jnt_actfrclimited[model.joint(name).id] or name not in knees
     assert "efforts-as-asked" in {note.code for note in requested.notes}
     assert with_efforts(robot, {}) is robot
+    by_pattern = with_efforts(robot, {"*": 30.0, "*_3": effort})  # the last pattern counts
+    np.testing.assert_allclose(
+        by_pattern.effort_limits, [effort if name in knees else 30.0 for name in robot.joint_names]
+    )
+    with pytest.raises(UnknownNameError, match=re.escape("*knee*")):
+        with_efforts(robot, {"*knee*": 1.0})
 
 
 _LIFT_URDF = """<robot name="lift"><link name="base"/><link name="arm">
