@@ -80,7 +80,8 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
     """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
-    If the torque limit of a motor is known, the utilisation of the motor is beside the bar.
+    If the torque limit of a motor is known, the utilisation of the motor is beside the bar. The
+    label of the x axis states whether all limits, some limits or no limits are known.
     """
     axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
     torques = statics.joint_torques.tolist()
@@ -91,5 +92,12 @@ def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.margins(x=0.15)
     axes.invert_yaxis()  # the first joint is at the top
-    axes.set_xlabel("torque (N m; slides: N), with the utilisation of the limit")
+    unknown = sum(map(math.isnan, shares))
+    if unknown == len(shares):
+        meaning = "no torque limit is known"
+    elif unknown:
+        meaning = "with the utilisation of each known torque limit"
+    else:
+        meaning = "with the utilisation of the torque limit"
+    axes.set_xlabel(f"torque (N m; slides: N), {meaning}")
     return (axes,)

@@ -15,6 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.results import Result
 from pupper_analysis.present.figures.pose import make_skeleton_figure
 from tests.support.arm import load_arm
+from tests.support.engines import with_efforts
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
@@ -107,6 +108,21 @@ def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == list(robot.joint_names)
     expected = [f"{100 * abs(torque) / 3:.0f} %" for torque in statics.joint_torques]
     assert [text.get_text() for text in axes.texts] == expected
+    assert axes.get_xlabel().endswith("with the utilisation of the torque limit")
+
+
+@pytest.mark.parametrize(
+    ("known", "label"),
+    [(0, "no torque limit is known"), (3, "with the utilisation of each known torque limit")],
+)
+def test_plot_of_statics_states_whether_torque_limits_are_known(known: int, label: str) -> None:
+    """A known limit is 3 N m; the utilisation of a motor with an unknown limit is NaN."""
+    robot, stand = load("v3"), stand_of("v3")
+    limits = np.where(np.arange(robot.nu) < known, 3.0, np.inf)
+    config = pa.Configuration(with_efforts(robot, limits), stand.qpos)
+    (axes,) = pa.gravity_compensation(config).plot()
+    assert axes.get_xlabel().endswith(label)
+    assert sum(bool(text.get_text()) for text in axes.texts) == known
 
 
 def test_missing_robot_and_result_without_plot_are_refused() -> None:
