@@ -24,7 +24,7 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.transmission import Drive, list_tendon_joints, measure_actuator_levers
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.joints import find_footless_joints, force_unit
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, describe_unstated_efforts
 from pupper_analysis.simulation.verdict import find_overloaded_motors
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE, torque_scale
 from pupper_analysis.statics.equilibrium import (
@@ -48,6 +48,13 @@ def list_driven_limits(robot: Robot) -> list[EffortLimit]:
         for index, limit in enumerate(robot.efforts)
         if index not in following and limit.joint not in passive
     ]
+
+
+def report_unstated_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Report, in one diagnostic, the driven joints whose torque limit no file states."""
+    limits = list_driven_limits(robot)
+    joints = [limit.joint for limit in limits if limit.code is EffortCode.UNKNOWN]
+    return (describe_unstated_efforts(joints),) if joints else ()
 
 
 def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:

@@ -56,6 +56,7 @@ from pupper_analysis.prepare.joints import (
     limit_continuous_joints,
     narrow_limits,
 )
+from pupper_analysis.prepare.limits import report_unstated_efforts
 from pupper_analysis.prepare.simulable import (
     check_masses,
     check_simulable,
@@ -963,13 +964,17 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
 
 
 def _add_notes(robot: Robot, runs: Sequence[PassRun]) -> Robot:
-    """Insert the notes of preparation passes before the notes of a robot; return a copy."""
+    """Return a copy of a robot with the notes of preparation passes before the robot's own notes.
+
+    A note about joints without a stated torque limit is appended.
+    """
     notes_by_pass = {run.name: run.done for run in runs}
     # Meshes that were left out are reported with the other parts of the files that were left out.
     left_meshes = notes_by_pass.pop(_CONVERT_MESHES, ())
     notes_by_pass[_MATCH] = (*notes_by_pass[_MATCH], *left_meshes)
     messages = (note for done in notes_by_pass.values() for note in done)
-    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes))))
+    notes = (*messages, *robot.notes, *report_unstated_efforts(robot))
+    return replace(robot, notes=tuple(dict.fromkeys(notes)))
 
 
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -56,6 +56,7 @@ from pupper_analysis.robot.robot import (
     Robot,
     Touching,
     acts_at_rest,
+    describe_unstated_efforts,
     efforts_of,
     report_efforts,
     with_task_friction,
@@ -576,8 +577,22 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     model = robot.pin_model.copy()
     for name, effort in efforts.items():
         model.effortLimit[model.joints[model.getJointId(name)].idx_v] = effort
-    notes = (*robot.notes, diagnose("efforts-as-asked", joints=messages))
+    notes = _without_stated_efforts(robot.notes, efforts)
+    notes = (*notes, diagnose("efforts-as-asked", joints=messages))
     return replace(built, pin_model=model, notes=notes)
+
+
+def _without_stated_efforts(
+    notes: Iterable[Diagnostic], stated: Container[str]
+) -> tuple[Diagnostic, ...]:
+    """Remove joints from the note about unstated torque limits; omit the note without joints."""
+    kept: list[Diagnostic] = []
+    for note in notes:
+        if note.code != "torque-limits-unstated":
+            kept.append(note)
+        elif left := [joint for joint in note.values["joints"] if joint not in stated]:
+            kept.append(describe_unstated_efforts(left))
+    return tuple(kept)
 
 
 def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:

@@ -135,6 +135,14 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     return [message for joints, message in found if joints]
 
 
+def describe_unstated_efforts(joints: Sequence[str]) -> Diagnostic:
+    """Create the message that no file states the torque limit of these joints.
+
+    The message states how to set a limit, in Python and on the command line.
+    """
+    return diagnose("torque-limits-unstated", joints=joints, count=len(joints))
+
+
 def _are_equal_efforts(first: float, second: float) -> bool:
     """Return True if two effort limits are equal up to rounding (`_EFFORT_RTOL`)."""
     return first == second or math.isclose(first, second, rel_tol=_EFFORT_RTOL)

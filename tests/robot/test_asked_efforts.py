@@ -84,6 +84,19 @@ def test_efforts_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
     assert not requested.count("40 N m")
 
 
+def test_a_note_names_joints_without_a_stated_limit_until_limits_are_set() -> None:
+    """Without its ``forcerange``, the limit of a motor is unknown; the other motor has 6 N m."""
+    robot = pa.load_robot(_LIFT_MJCF.replace(' forcelimited="true" forcerange="-40 40"', ""))
+    assert robot.effort_limits.tolist() == [6.0, math.inf]
+    (note,) = [note for note in robot.notes if note.code == "torque-limits-unstated"]
+    assert note.values["joints"] == ("lift",)
+    assert "pa.robot.with_efforts(robot, {joint: N m})" in str(note)
+    assert "--effort [JOINTS=]NM" in str(note)
+    assert note in with_efforts(robot, {"turn": 2.0}).notes
+    limited = with_efforts(robot, {"lift": 30.0})
+    assert "torque-limits-unstated" not in {note.code for note in limited.notes}
+
+
 def test_invalid_efforts_and_joints_are_refused() -> None:
     robot = load("v3")
     for effort in (0.0, -1.0, math.inf, math.nan):
