@@ -8,7 +8,7 @@ of a result (``pa.report.write_report``) shows longer arrays.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from html import escape
 from typing import Any
@@ -49,6 +49,9 @@ TableRow = tuple[str, str, str]
 def render_result(result: object) -> str:
     """Return the HTML table of a result: a row per public field, with value and unit.
 
+    Warnings (`list_warnings`) are the first rows. A field that is a result with a long text is a
+    table in the cell. This table is unfolded if ``result`` has at most `MAX_SHOWN_ROWS` fields.
+
     Args:
         result: Instance of a dataclass. The properties that its class lists in ``_reported`` have
             rows, too.
@@ -57,8 +60,41 @@ def render_result(result: object) -> str:
     units = units_of(kind)
     names = [f.name for f in fields(kind) if not f.name.startswith("_")]
     names += [name for name in getattr(result, "_reported", ()) if name not in names]
-    rows = [(name, format_value(getattr(result, name)), units.get(name, "")) for name in names]
+    rows = [(name, format_value(value), "") for name, value in list_warnings(result)]
+    for name in names:
+        value = getattr(result, name)
+        nested = _is_result(value) and len(_get_text(value)) > MAX_TEXT_LENGTH
+        shown = _fold(value, is_open=len(names) <= MAX_SHOWN_ROWS) if nested else None
+        rows.append((name, shown or format_value(value), units.get(name, "")))
     return render_table(kind.__name__, rows)
+
+
+def list_warnings(result: object) -> list[tuple[str, object]]:
+    """Return (name, value) of each warning of a result, and of the results in its fields.
+
+    A warning is a property that the class lists in ``_warnings``, and whose value is not empty. The
+    name of a warning of a field contains the field, for example ``stand.blocked``.
+    """
+    own = [(name, getattr(result, name)) for name in getattr(result, "_warnings", ())]
+    found: list[tuple[str, object]] = [(name, value) for name, value in own if value]
+    kind: Any = result
+    for field in fields(kind):
+        value = getattr(result, field.name)
+        if _is_result(value):
+            found += [(f"{field.name}.{name}", item) for name, item in list_warnings(value)]
+    return found
+
+
+def _is_result(value: object) -> bool:
+    """Return True for a result: an instance of a dataclass with its own table."""
+    return is_dataclass(value) and hasattr(type(value), "_repr_html_")
+
+
+def _fold(result: object, *, is_open: bool) -> str:
+    """Return the HTML table of a result that the reader can fold and unfold."""
+    state = ' open="open"' if is_open else ""
+    name = escape(type(result).__name__)
+    return f"<details{state}><summary>{name}</summary>{render_result(result)}</details>"
 
 
 def render_table(caption: str, rows: Iterable[TableRow]) -> str:
@@ -172,10 +208,12 @@ def _lines_html(lines: Sequence[str]) -> str:
 
 
 def _summarise(value: object) -> str:
-    """Return the text of an object: ``str(value)`` if the class defines ``__str__``, else ``repr``.
-
-    A text longer than `MAX_TEXT_LENGTH` is cut off.
-    """
-    own_text = type(value).__str__ is not object.__str__
-    text = str(value) if own_text else repr(value)
+    """Return the text of an object (`_get_text`), cut off after `MAX_TEXT_LENGTH` characters."""
+    text = _get_text(value)
     return text if len(text) <= MAX_TEXT_LENGTH else f"{text[:MAX_TEXT_LENGTH]} ..."
+
+
+def _get_text(value: object) -> str:
+    """Return ``str(value)`` if the class of a value defines ``__str__``, else ``repr(value)``."""
+    own_text = type(value).__str__ is not object.__str__
+    return str(value) if own_text else repr(value)

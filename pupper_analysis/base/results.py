@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import FrozenDict, freeze
-from pupper_analysis.base.notebook import zero_rounding_errors
+from pupper_analysis.base.notebook import list_warnings, zero_rounding_errors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,10 +90,12 @@ class Result:
 
     Arrays in a tuple or list are writeable. ``repr`` is short: long arrays and lists are
     represented by their sizes. ``to_json`` returns all public fields, and the properties that the
-    class lists in ``_reported``.
+    class lists in ``_reported``. Properties that the class lists in ``_warnings`` are the first
+    items of ``repr`` and of the table, if their values are not empty.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ()
+    _warnings: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         # The decorator of a dataclass writes a __repr__, unless the class itself has one.
@@ -116,8 +118,10 @@ class Result:
         return f"{type(self).__name__}({text})"
 
     def _format_fields(self) -> list[tuple[str, str]]:
-        """Return (name, short text) of each field, for ``repr``."""
-        return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
+        """Return (name, short text) of each warning and of each field, for ``repr``."""
+        warnings = [(name, _join_texts(value)) for name, value in list_warnings(self)]
+        kind: Any = self
+        return [*warnings, *((f.name, shorten(getattr(self, f.name))) for f in fields(kind))]
 
     def _repr_html_(self) -> str:
         """Return a table of fields, values and units, for notebooks."""
@@ -256,6 +260,11 @@ def shorten(value: object, other: object = None) -> str:
         return f"{type(value).__name__}(...)"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _join_texts(value: object) -> str:
+    """Return the text of a warning, or the texts of several, separated by semicolons, in quotes."""
+    return repr("; ".join(map(str, value)) if isinstance(value, tuple) else str(value))
 
 
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 from weakref import ref
 
 import numpy as np
@@ -93,6 +93,8 @@ class Stand(Pictured, Tabular):
         iterations: Number of solved or attempted quadratic programs.
         robot: ``fingerprint`` of the robot.
     """
+
+    _warnings: ClassVar[tuple[str, ...]] = ("blocked",)
 
     task: StandTask
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,25 @@ def test_robot_configuration_stand_and_statics_have_tables() -> None:
     assert (len(torques.split(", ")), unit) == (robot.nu, "N m or N")
     # The stand is symmetric: joint positions and tangential forces are zero up to rounding.
     assert "e-" not in rows_of(config)["joint positions"][0] + statics["foot_loads"][0]
+
+
+def test_tables_and_reprs_start_with_the_violations_of_a_stand() -> None:
+    """The required clearance, 0.2 m, is larger than the height of each part of v3."""
+    robot, stand = load("v3"), stand_of("v3")
+    posture = pa.solve_posture(robot, [pa.stance.CoMTask((0, 0, 0.1))], start=stand)
+    assert posture.stand is not None
+    assert "blocked" not in posture._repr_html_() + repr(posture) + repr(stand)
+    near = posture.stand.for_task(replace(posture.stand.task, ground_clearance=0.2))
+    (message,) = near.blocked
+    blocked = replace(posture, stand=near)
+    (name, (text, _)), *rest = rows_of(blocked).items()
+    assert (name, text) == ("stand.blocked", str(message))
+    assert repr(blocked).startswith(f"SolvedPosture(stand.blocked='{message}', ")
+    assert repr(near).startswith(f"Stand(blocked='{message}', ")
+    # The stand is a table in the cell.
+    shown = dict(rest)["stand"][0]
+    assert "foot_error" in shown
+    assert shown.count(str(message)) == 1
 
 
 def test_the_repr_of_a_configuration_states_robot_and_base() -> None:
