@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -148,6 +148,10 @@ def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> 
     )
     for x, y, _ in pa.Configuration(robot, stand.qpos).foot_positions().values():
         assert np.linalg.norm(drawn / 1e3 - [-y, x], axis=1).min() < 1e-9
+    near = stand.for_task(replace(stand.task, ground_clearance=0.2))
+    (message,) = near.blocked
+    title = replace(posture, stand=near).plot(robot)[0].figure.get_suptitle()
+    assert " ".join(title.split()) == f"v3: stance, {message}"
     arm = load_arm(tmp_path)
     posture = pa.solve_posture(arm, [pa.stance.JointsTask({arm.joint_names[0]: 0.3})])
     axes = posture.plot()

@@ -250,6 +250,9 @@ _PROJECTIONS = (
 _CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
 """Number of letters in a row of the caption, and number of rows. Chosen: 120 letters may be wider
 than the figure, and six rows leave two thirds of the height to the panels."""
+_TITLE_LETTERS, _TITLE_ROW_HEIGHT = 80, 0.045
+"""Number of letters in a row of the title, and height of a row relative to the figure [1]. Chosen
+for the bold font of the title: 80 letters are narrower than the figure."""
 _MAX_ARROW_RATIO = 0.35
 """Length of the arrow of the largest contact force, divided by the longer side of the support
 polygon [1]. Chosen, not tuned."""
@@ -294,6 +297,12 @@ def write_pose_figure(
     drawing.save_figure(make_pose_figure(robot, stand, statics), path)
 
 
+def _make_title(robot: Robot, stand: Stand) -> str:
+    """Return the title of the figure: robot, and the clearances and margins that are violated."""
+    violations = "; ".join(map(str, stand.blocked))
+    return f"{robot.name}: stance{violations and f', {violations}'}"
+
+
 def make_pose_figure(
     robot: Robot,
     stand: Stand,
@@ -312,11 +321,13 @@ def make_pose_figure(
             notebooks.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    title, height = f"{robot.name}: stance", 0.6 * drawing.PAGE_WIDTH
-    figure = drawing.make_page_figure(title, height, create=create)
+    title = textwrap.wrap(_make_title(robot, stand), _TITLE_LETTERS)
+    height = 0.6 * drawing.PAGE_WIDTH
+    figure = drawing.make_page_figure("\n".join(title), height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     rows = textwrap.wrap(text, _CAPTION_LETTERS, max_lines=_MAX_CAPTION_ROWS, placeholder=" ...")
-    caption = figure.text(0.012, 0.925, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
+    top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
+    caption = figure.text(0.012, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
                           parse_math=False)  # fmt: skip
     bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
