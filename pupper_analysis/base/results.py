@@ -115,13 +115,12 @@ class Result:
         text = ", ".join(f"{name}={value}" for name, value in self._format_fields())
         if len(text) > _MAX_REPR_LENGTH:
             text = f"{text[:_MAX_REPR_LENGTH].rpartition(', ')[0]}, ..."
-        return f"{type(self).__name__}({text})"
+        warnings = "".join(f"{name}={_join_texts(value)}, " for name, value in list_warnings(self))
+        return f"{type(self).__name__}({warnings}{text})"
 
     def _format_fields(self) -> list[tuple[str, str]]:
-        """Return (name, short text) of each warning and of each field, for ``repr``."""
-        warnings = [(name, _join_texts(value)) for name, value in list_warnings(self)]
-        kind: Any = self
-        return [*warnings, *((f.name, shorten(getattr(self, f.name))) for f in fields(kind))]
+        """Return (name, short text) of each field, for ``repr``."""
+        return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def _repr_html_(self) -> str:
         """Return a table of fields, values and units, for notebooks."""
