@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +31,7 @@ from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
 from pupper_analysis.prepare.limits import list_driven_limits, list_overloaded_joints
 from pupper_analysis.robot.joints import find_footless_joints
-from pupper_analysis.robot.robot import Robot, borrow
+from pupper_analysis.robot.robot import Robot, borrow, describe_unstated_efforts
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, with_payload
@@ -239,6 +240,8 @@ class PayloadLimit(Result):
             are additional.
     """
 
+    _warnings: ClassVar[tuple[str, ...]] = ("unknown_reasons",)
+
     name: str
     mass: float = field(metadata={"unit": "kg"})
     upper_bound: float = field(metadata={"unit": "kg"})
@@ -281,6 +284,18 @@ class PayloadLimit(Result):
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
         return dict(sorted(bounds.items(), key=lambda item: item[1].mass))
+
+    @property
+    def unknown_reasons(self) -> tuple[Diagnostic, ...]:
+        """Reasons why ``mass`` is not a number: torque limits or link masses that no file states.
+
+        Empty if ``mass`` is known.
+        """
+        if not math.isnan(self.mass):
+            return ()
+        limits = self.unknown_limits
+        remarks = (note for note in self.verdict.remarks if note.code == "link-masses-unknown")
+        return (*((describe_unstated_efforts(limits),) if limits else ()), *remarks)
 
     @property
     def failure(self) -> Failure:

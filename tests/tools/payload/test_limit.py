@@ -173,6 +173,12 @@ def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
     assert math.isnan(limit.mass)
     assert limit.upper_bound == limit.servos.mass
     assert not limit.passed
+    (reason,) = limit.unknown_reasons
+    assert reason.values["joints"] == robot.joint_names
+    assert repr(limit).startswith(f"PayloadLimit(unknown_reasons='{reason}', name=")
+    assert limit._repr_html_().index("with_efforts") < limit._repr_html_().index("upper_bound")
+    known = replace(limit, mass=1.0)
+    assert not known.unknown_reasons
 
 
 @pytest.mark.slow
