@@ -588,9 +588,10 @@ def _without_stated_efforts(
     """Remove joints from the note about unstated torque limits; omit the note without joints."""
     kept: list[Diagnostic] = []
     for note in notes:
-        if note.code != "torque-limits-unstated":
+        joints = note.values.get("joints")
+        if note.code != "torque-limits-unstated" or not isinstance(joints, tuple):
             kept.append(note)
-        elif left := [joint for joint in note.values["joints"] if joint not in stated]:
+        elif left := [str(joint) for joint in joints if joint not in stated]:
             kept.append(describe_unstated_efforts(left))
     return tuple(kept)
 
