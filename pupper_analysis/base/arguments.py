@@ -31,6 +31,8 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.runs import is_command_line
+from pupper_analysis.base.units import find_untyped_degrees
 
 _P = ParamSpec("_P")
 """Parameters of a function whose arguments `check_arguments` checks."""
@@ -214,6 +216,25 @@ def check_length(name: str, value: object) -> float:
         )
         raise ConfigurationError(name, message)
     return number
+
+
+def suggest_degrees(angle: float, low: float, high: float) -> str | None:
+    """Write an angle that is out of range in degrees, as its user must write the angle.
+
+    The text is ``5deg`` on the command line, and ``math.radians(5)`` in Python.
+
+    Args:
+        angle: Angle that is out of range [rad].
+        low: Lower limit of the angle [rad].
+        high: Upper limit of the angle [rad].
+
+    Returns:
+        The text; None if the user has probably not meant degrees (`find_untyped_degrees`).
+    """
+    degrees = find_untyped_degrees(angle, low, high)
+    if degrees is None:
+        return None
+    return f"{degrees:g}deg" if is_command_line() else f"math.radians({degrees:g})"
 
 
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:

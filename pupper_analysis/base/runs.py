@@ -106,6 +106,16 @@ def current_run() -> RunFiles | None:
     return _current_run.get()
 
 
+def is_command_line() -> bool:
+    """Return True during a command of the command line, False in a Python program.
+
+    Error messages use the result to write a remedy as an option, or as Python code. In another
+    thread or process than the command's, the result is False.
+    """
+    run = _current_run.get()
+    return run is not None and bool(run.command)
+
+
 @contextmanager
 def ensure_run() -> Iterator[RunFiles]:
     """Yield the file record of the current run; without a run, start one for the ``with`` block."""

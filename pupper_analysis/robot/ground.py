@@ -20,13 +20,13 @@ from pupper_analysis.base.arguments import (
     check_fields,
     check_finite,
     check_length,
+    suggest_degrees,
 )
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.units import find_untyped_degrees
 from pupper_analysis.robot.plane import Plane, describe_surface, slope_normal
 
 Point = tuple[float, float]
@@ -273,8 +273,8 @@ def _check_slope(name: str, value: float) -> float:
     """
     angle = check_finite(name, value)
     if not 0 <= angle < math.pi / 2:
-        degrees = find_untyped_degrees(angle, 0.0, math.pi / 2)
-        message = diagnose("slope-not-valid", slope=Quantity(angle, "rad"), degrees=degrees)
+        written = suggest_degrees(angle, 0.0, math.pi / 2)
+        message = diagnose("slope-not-valid", slope=Quantity(angle, "rad"), written=written)
         raise ConfigurationError(name, message)
     return angle
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.arguments import check_finite, match_names
+from pupper_analysis.base.arguments import check_finite, match_names, suggest_degrees
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
@@ -21,7 +21,6 @@ from pupper_analysis.base.units import (
     JointUnits,
     Position,
     combine_joint_units,
-    find_untyped_degrees,
     select_joint_units,
 )
 from pupper_analysis.models.attributes import known_positions
@@ -355,7 +354,7 @@ def check_in_range(
             subject=("joint", joint),
             position=Quantity(round(position, 9), unit),
             bonds=bonds or None,
-            degrees=find_untyped_degrees(position, low, high) if may_be_degrees else None,
+            written=suggest_degrees(position, low, high) if may_be_degrees else None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )

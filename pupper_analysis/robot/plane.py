@@ -19,11 +19,12 @@ from pupper_analysis.base.arguments import (
     check_length,
     check_type,
     check_vector,
+    suggest_degrees,
 )
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
+from pupper_analysis.base.units import READ_IN, UNIT_FACTORS
 
 Position3 = tuple[float, float, float]
 """Point or vector (x, y, z), three floats."""
@@ -542,7 +543,7 @@ def _check_slope_angle(value: float) -> float:
             angle=Quantity(angle, "rad"),
             low=Quantity(low, "rad"),
             high=Quantity(high, "rad"),
-            degrees=find_untyped_degrees(angle, low, high),
+            written=suggest_degrees(angle, low, high),
         )
         raise ConfigurationError(name, problem)
     return angle

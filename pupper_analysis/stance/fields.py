@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.base.arguments import check_finite, check_length
+from pupper_analysis.base.arguments import check_finite, check_length, suggest_degrees
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.units import Position, find_untyped_degrees
+from pupper_analysis.base.units import Position
 
 UNIT_BY_KIND = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),
@@ -236,7 +236,7 @@ class Field:
                 angle=given,
                 low=Quantity(low, "rad"),
                 high=Quantity(high, "rad"),
-                degrees=find_untyped_degrees(number, low, high),
+                written=suggest_degrees(number, low, high),
             )
         elif number < low:
             message = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))

@@ -113,7 +113,7 @@ def test_degrees_are_proposed_only_for_a_typed_number_in_range_as_degrees(
 @pytest.mark.parametrize(
     ("task", "hint"),
     [
-        ({"pitch": -5}, "-5deg"),
+        ({"pitch": -5}, "math.radians(-5)"),
         ({"contacts": {"FR": pa.Slope(0.1)}, "roll": 200}, ""),
         ({"pitch": math.radians(200)}, ""),
     ],
@@ -121,7 +121,7 @@ def test_degrees_are_proposed_only_for_a_typed_number_in_range_as_degrees(
 def test_an_angle_out_of_range_is_refused_with_degrees_if_they_are_in_range(
     task: dict[str, object], hint: str
 ) -> None:
-    """The hint is the value as a user types it in degrees."""
+    """The hint is the value as a user writes it in Python, where the text -5deg is refused."""
     with pytest.raises(pa.ConfigurationError) as caught:
         pa.StandTask(**task)
     assert ("for degrees write" in str(caught.value)) == bool(hint)
@@ -130,7 +130,7 @@ def test_an_angle_out_of_range_is_refused_with_degrees_if_they_are_in_range(
 
 def test_a_slope_without_unit_is_refused_with_the_value_in_degrees() -> None:
     """8 rad is 458 deg; 8 deg is a slope."""
-    with pytest.raises(pa.ConfigurationError, match="for degrees write 8deg"):
+    with pytest.raises(pa.ConfigurationError, match=r"for degrees write math\.radians\(8\)"):
         pa.Slope(8)
 
 

@@ -59,6 +59,13 @@ def test_error_of_a_time_without_unit_suggests_milliseconds(command: str, option
     assert "4 without a unit is in seconds, which is too long; write 4ms" in message
 
 
+def test_error_of_an_angle_in_degrees_without_unit_suggests_the_option_with_unit() -> None:
+    """In Python, the same message suggests ``math.radians(5)`` (tests/base/test_units.py)."""
+    message = run_refused("stand", "v3", "--pitch", "5")
+    assert "--pitch: 286.479 deg is not from" in message
+    assert "(for degrees write 5deg)" in message
+
+
 def test_error_of_a_mass_without_unit_suggests_grams() -> None:
     message = run_refused("stand", "v3", "--payload", "500")
     assert "500 without a unit is in kg, which is too heavy; write 500g or 500kg" in message
