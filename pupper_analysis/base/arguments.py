@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import reprlib
 import sys
 import types
@@ -100,7 +101,10 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     try:
         array = np.asarray(values)
         if array.dtype.kind == "O" and not all(map(_is_real_number, array.flat)):
-            raise ConfigurationError(name, diagnose("array-of-other-things"))
+            attribute = _suggest_attribute(values, name)
+            raise ConfigurationError(name, diagnose("array-of-other-things", attribute=attribute))
+        if not array.ndim and array.dtype.kind in "SU":
+            raise ConfigurationError(name, diagnose("text-no-array", given=reprlib.repr(values)))
         if array.dtype.kind not in "iufO":
             message = diagnose("array-of-another-type", type=str(array.dtype))
             raise ConfigurationError(name, message)
@@ -110,6 +114,18 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     except (TypeError, ValueError, OverflowError) as error:
         message = diagnose("no-array", problem=str(error))
         raise ConfigurationError(name, message) from error
+
+
+def _suggest_attribute(value: object, name: str) -> str | None:
+    """Return the text of an attribute that an array argument needs in place of its object.
+
+    For example, the text for a `Stand` in place of ``qpos`` is ``stand.qpos``. None if the object
+    is of another package, or has no attribute with the name of the argument.
+    """
+    kind = type(value)
+    if not kind.__module__.startswith("pupper_analysis.") or not hasattr(value, name):
+        return None
+    return f"{re.split(r'(?=[A-Z])', kind.__name__)[-1].lower()}.{name}"
 
 
 def _is_real_number(value: object) -> bool:
@@ -303,9 +319,18 @@ def check_type(name: str, value: object, hint: Any) -> None:
     member = next((option for option in names if option in _UNION_CODES), None)
     if member is not None:
         raise ConfigurationError(name, diagnose(_UNION_CODES[member], value=given))
-    remedy = next((_REMEDIES[name] for name in names if name in _REMEDIES), None)
+    required = next((name for name in names if name in _REMEDIES), "")
+    remedy = _REMEDIES.get(required)
+    if required == "StandTask" and isinstance(value, Mapping) and all(map(_is_identifier, value)):
+        stated = ", ".join(f"{field}={reprlib.repr(value[field])}" for field in value)
+        remedy = " ".join(f"pa.StandTask({stated})".split())
     message = diagnose("of-another-type", value=given, wanted=wanted, remedy=remedy)
     raise ConfigurationError(name, message)
+
+
+def _is_identifier(key: object) -> bool:
+    """Return True for a text that can be the name of an argument."""
+    return isinstance(key, str) and key.isidentifier()
 
 
 @cache
@@ -330,8 +355,10 @@ numbers of NumPy. Booleans, and integers beyond `_MAX_DOUBLE` for a float, are r
 separately."""
 
 _REMEDIES = {
+    "Configuration": "pa.Configuration(robot, stand.qpos)",
     "Robot": "pa.load_robot",
     "Stand": "pa.solve_stand (or posture.stand of a solved posture)",
+    "StandTask": "pa.StandTask(height=0.12)",
 }
 """{name of a required class: text that names functions which return an object of this class}."""
 

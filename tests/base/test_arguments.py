@@ -156,6 +156,21 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
     [
         (lambda: pa.analyze_variant("v3"), "robot: 'v3' is not a Robot; use pa.load_robot"),
         (lambda: pa.solve_stand(load("v3"), 0.12), "task: 0.12 is not a StandTask or None"),
+        (lambda: pa.solve_stand(load("v3"), {"height": 0.1}), "use pa.StandTask(height=0.1)"),
+        (lambda: pa.solve_stand(load("v3"), {5: 1}), "use pa.StandTask(height=0.12)"),
+        (
+            lambda: pa.Configuration(load("v3"), stand_of("v3")),
+            "qpos: not an array of numbers; use stand.qpos",
+        ),
+        (
+            lambda: pa.gravity_compensation(stand_of("v3")),
+            "use pa.Configuration(robot, stand.qpos)",
+        ),
+        (
+            lambda: pa.gravity_compensation(load("v3"), stand_of("v3")),
+            "use pa.Configuration(robot, stand.qpos)",
+        ),
+        (lambda: pa.Configuration(load("v3"), "x"), "qpos: 'x' is a text, not an array of numbers"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
         (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each element a StandTask"),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
