@@ -181,7 +181,7 @@ def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
         ConfigurationError: If the values are no real numbers (`real_array`), not three, not finite,
             or all zero.
     """
-    vector = real_array(name, values)
+    vector = np.zeros(0) if isinstance(values, str) else real_array(name, values)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         given = " ".join(reprlib.repr(values).split())
         raise ConfigurationError(name, diagnose("direction-not-a-vector", given=given))
@@ -318,7 +318,9 @@ def check_type(name: str, value: object, hint: Any) -> None:
     names = [getattr(option, "__name__", "") for option in options]
     member = next((option for option in names if option in _UNION_CODES), None)
     if member is not None:
-        raise ConfigurationError(name, diagnose(_UNION_CODES[member], value=given))
+        raise ConfigurationError(
+            name, diagnose(_UNION_CODES[member], value=given, text=isinstance(value, str))
+        )
     required = next((name for name in names if name in _REMEDIES), "")
     remedy = _REMEDIES.get(required)
     if required == "StandTask" and isinstance(value, Mapping) and all(map(_is_identifier, value)):
@@ -362,7 +364,7 @@ _REMEDIES = {
 }
 """{name of a required class: text that names functions which return an object of this class}."""
 
-_UNION_CODES = {"UrdfObject": "no-robot"}
+_UNION_CODES = {"UrdfObject": "no-robot", "Tool": "no-frame-point"}
 """{name of a class in a union: code of the message that lists all types of the union}, for unions
 that are too long for a list of class names."""
 

@@ -288,7 +288,9 @@ class AxisAlignTask(PostureTask):
         check_fields(self)
         _freeze_array(self, "axis", check_direction("axis", self.axis))
         if (self.direction is None) == (self.point is None):
-            raise ConfigurationError("direction", diagnose("direction-or-point"))
+            raise ConfigurationError(
+                "direction", diagnose("direction-or-point", both=self.point is not None)
+            )
         if self.direction is not None:
             _freeze_array(self, "direction", check_direction("direction", self.direction))
         else:

@@ -171,6 +171,16 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
             "use pa.Configuration(robot, stand.qpos)",
         ),
         (lambda: pa.Configuration(load("v3"), "x"), "qpos: 'x' is a text, not an array of numbers"),
+        (lambda: pa.stance.AxisAlignTask("x", (1, 0, 0)), "a point; neither is given"),
+        (
+            lambda: pa.stance.AxisAlignTask("x", "x", point=(1, 0, 0)),
+            "axis: 'x' is not a direction",
+        ),
+        (
+            lambda: pa.payload_limit(load("v3"), point="base_link"),
+            "('base_link', 0, 0, 0.08), in m",
+        ),
+        (lambda: pa.payload_limit(load("v3"), point=5), "('base', 0, 0, 0.08), in m"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
         (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each element a StandTask"),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
