@@ -9,7 +9,7 @@ compensation, wind ...), because a URDF does not contain such forces.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import mujoco
 import numpy as np
@@ -25,8 +25,11 @@ from pupper_analysis.base.results import Pictured
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.structure import Workspace
 
-Reference = Literal["local", "world", "local_world_aligned"]
+ReferenceName = Literal["local", "world", "local_world_aligned"]
 """Name of the reference frame of a Jacobian: the names of ``pin.ReferenceFrame`` in lower case."""
+
+Reference: TypeAlias = ReferenceName | pin.ReferenceFrame
+"""Reference frame of a Jacobian: the name, or Pinocchio's constant such as ``pin.LOCAL``."""
 
 _REFERENCE_FRAMES = {
     "local": pin.LOCAL,
@@ -151,7 +154,8 @@ class Configuration(Pictured):
             reference: Velocity that J qvel returns. "local_world_aligned": velocity of the point,
                 in world axes. "local": velocity of the point, in the axes of the link. "world":
                 velocity of the material point of the link at the world origin, in world axes;
-                ``offset`` then has no effect, and is not checked.
+                ``offset`` then has no effect, and is not checked. Pinocchio's constants, such as
+                ``pin.LOCAL``, are accepted as well.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -159,12 +163,12 @@ class Configuration(Pictured):
                 finite numbers.
         """
         frame = self._frame_index(name)
-        if isinstance(reference, str) and reference == "local_world_aligned":
+        reference, frame_type = _check_reference(reference)
+        if reference == "local_world_aligned":
             jacobian = self._jacobian(frame)
             if offset is not None:
                 jacobian[:3] -= pin.skew(check_vector("offset", offset, 3)) @ jacobian[3:]
             return jacobian
-        frame_type = _check_reference(reference)
         columns = pin.getFrameJacobian(self._model, self._data, frame, frame_type)
         jacobian = self._structure.sort_columns(columns)
         if offset is not None and reference == "local":
@@ -196,7 +200,8 @@ class Configuration(Pictured):
             ConfigurationError: If ``reference`` is unknown, or ``offset`` is no vector of three
                 finite numbers.
         """
-        frame, frame_type = self._frame_index(name), _check_reference(reference)
+        frame = self._frame_index(name)
+        reference, frame_type = _check_reference(reference)
         workspace = self._structure.acquire_workspace()
         data = workspace.data
         pin.computeJointJacobiansTimeVariation(self._model, data, self._q, self._v)
@@ -833,12 +838,14 @@ class Configuration(Pictured):
         return self.frame_rotation(self.robot.base)
 
 
-def _check_reference(reference: str) -> pin.ReferenceFrame:
-    """Return Pinocchio's constant of a reference frame; ConfigurationError if it is unknown."""
+def _check_reference(reference: Reference) -> tuple[ReferenceName, pin.ReferenceFrame]:
+    """Return name and Pinocchio's constant of a reference frame; ConfigurationError if unknown."""
+    if isinstance(reference, pin.ReferenceFrame):
+        reference = reference.name.lower()
     if not isinstance(reference, str) or reference not in _REFERENCE_FRAMES:
         problem = diagnose("not-one-of", given=str(reference), known=list(_REFERENCE_FRAMES))
         raise ConfigurationError("reference", problem)
-    return _REFERENCE_FRAMES[reference]
+    return reference, _REFERENCE_FRAMES[reference]
 
 
 _DIFFERENCE_STEP = 1e-6

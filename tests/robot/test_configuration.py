@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -296,6 +297,19 @@ def test_unknown_contact_points_are_refused_by_all_methods() -> None:
         config.static_load_derivative({"tail": np.zeros(6)})
     with pytest.raises(pa.UnknownNameError):
         config.imu(np.zeros(18), "")  # an empty name is not the default
+
+
+@pytest.mark.parametrize("constant", [pin.LOCAL, pin.WORLD, pin.LOCAL_WORLD_ALIGNED])
+def test_reference_is_a_name_or_the_constant_of_pinocchio(constant: pin.ReferenceFrame) -> None:
+    """The names are those of Pinocchio, in lower case."""
+    robot = load("v3")
+    config = pa.Configuration(robot, robot.neutral(), 0.1 * np.ones(robot.nv))
+    name, offset = constant.name.lower(), (0.1, 0.0, 0.0)
+    for jacobian in (config.frame_jacobian, config.frame_jacobian_time_variation):
+        np.testing.assert_array_equal(
+            jacobian("leg_front_r_3", offset, reference=constant),
+            jacobian("leg_front_r_3", offset, reference=name),
+        )
 
 
 def test_vectors_of_methods_are_checked() -> None:
