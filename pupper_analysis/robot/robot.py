@@ -25,6 +25,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.runs import is_command_line
 from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.attributes import known_positions
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
@@ -755,7 +756,8 @@ class Robot(EngineModels):
         if not self.floating:
             reasons = (note for note in self.notes if note.code == "base-kept-in-the-world")
             why = next((note.values["why"] for note in reasons), None)
-            raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
+            problem = diagnose("base-is-fixed", robot=self.name, why=why, option=is_command_line())
+            raise ConfigurationError("robot", problem)
 
     def check_bodies(self) -> None:
         """Raise an error if a moving body has a negative mass or principal moment of inertia.

@@ -231,8 +231,13 @@ def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "hand.xml"
     equality = '<equality><joint joint1="left" joint2="right"/></equality>'
     path.write_text(mjcf_text(parts, free=False, extra=equality))
-    with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand"):
-        pa.solve_stand(pa.load_robot(path))
+    robot = pa.load_robot(path)
+    with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand") as caught:
+        pa.solve_stand(robot)
+    assert "; pa.hold_posture computes" in str(caught.value)
+    assert "pass contacts={'base': pa.Weld()} to pa.StandTask" in str(caught.value)
+    assert "--contact" not in str(caught.value)
+    pa.solve_stand(robot, pa.StandTask(contacts={"base": pa.Weld()}))
 
 
 def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Path) -> None:
