@@ -25,11 +25,9 @@ from pupper_analysis.base.results import Pictured
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.structure import Workspace
 
-ReferenceName = Literal["local", "world", "local_world_aligned"]
-"""Name of the reference frame of a Jacobian: the names of ``pin.ReferenceFrame`` in lower case."""
-
-Reference: TypeAlias = ReferenceName | pin.ReferenceFrame
-"""Reference frame of a Jacobian: the name, or Pinocchio's constant such as ``pin.LOCAL``."""
+Reference: TypeAlias = Literal["local", "world", "local_world_aligned"] | pin.ReferenceFrame
+"""Reference frame of a Jacobian: Pinocchio's constant such as ``pin.LOCAL``, or its name in lower
+case."""
 
 _REFERENCE_FRAMES = {
     "local": pin.LOCAL,
@@ -838,7 +836,7 @@ class Configuration(Pictured):
         return self.frame_rotation(self.robot.base)
 
 
-def _check_reference(reference: Reference) -> tuple[ReferenceName, pin.ReferenceFrame]:
+def _check_reference(reference: Reference) -> tuple[str, pin.ReferenceFrame]:
     """Return name and Pinocchio's constant of a reference frame; ConfigurationError if unknown."""
     if isinstance(reference, pin.ReferenceFrame):
         reference = reference.name.lower()
