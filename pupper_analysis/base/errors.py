@@ -8,8 +8,9 @@ alternatives.
 from __future__ import annotations
 
 import difflib
+import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from os import PathLike
 from typing import Any, Self, TypeAlias, TypeVar
@@ -148,8 +149,30 @@ tuned.
 """
 
 
+_BASE_NAMES = ("base", "base_link", "body", "pelvis", "root", "torso", "trunk")
+"""Usual names of the base link of a robot, in lower case. A user who writes one of these names for
+a robot with another name of the base means the base. Source: names in public robots."""
+
+
+_WORD = re.compile(r"[^\W_]+")
+"""Pattern of a word of a name: letters and digits without underscores."""
+
+
 class UnknownNameError(ModelError):
     """Name that a model, or another list of valid names, does not contain.
+
+    The message lists first the valid names that contain the unknown name, then the valid names
+    whose words are all in the unknown name. If the list is too long, the names that are most
+    similar by edit distance follow, and the number of the omitted names; otherwise all other names
+    follow.
+
+    Args:
+        source: File or model.
+        kind: Kind of element.
+        name: Unknown name.
+        known: Valid names.
+        base: Valid name of the robot's base link. The message lists this name first if the unknown
+            name is a usual name of a base, such as "base" or "trunk".
 
     Attributes:
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
@@ -158,17 +181,23 @@ class UnknownNameError(ModelError):
     """
 
     def __init__(
-        self, source: str | PathLike[str], kind: str, name: str, known: Iterable[str]
+        self,
+        source: str | PathLike[str],
+        kind: str,
+        name: str,
+        known: Iterable[str],
+        *,
+        base: str | None = None,
     ) -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
-        listed = self.known
         given = name if isinstance(name, str) else reprlib.repr(name)
-        if len(listed) > MAX_LISTED_NAMES:
-            folded = {known.lower(): known for known in reversed(listed)}
-            close = difflib.get_close_matches(given.lower(), folded, NUM_CLOSE_NAMES, cutoff=0.0)
-            listed = tuple(folded[known] for known in close)
+        listed = _sort_by_words(given, self.known)
+        if base is not None and given.lower() in _BASE_NAMES:
+            listed = tuple(dict.fromkeys((base, *listed)))
+        if len(self.known) > MAX_LISTED_NAMES:
+            listed = listed[:NUM_CLOSE_NAMES]
         problem = diagnose(
             "name-unknown",
             kind=Term(kind),
@@ -177,6 +206,28 @@ class UnknownNameError(ModelError):
             others=len(self.known) - len(listed),
         )
         super().__init__(source, problem)
+
+
+def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Sort valid names by their similarity to an unknown name; upper and lower case are equal.
+
+    1. Names that contain the unknown name, such as ``FR_foot_collision`` for ``FR_foot``.
+    2. Names whose words are all in the unknown name, such as ``FR`` for ``FR_foot``.
+    3. Other names. Of more than `MAX_LISTED_NAMES` valid names, the most similar name by edit
+       distance (`difflib`) is first.
+    """
+    wanted = unknown.lower()
+    words = set(_WORD.findall(wanted))
+    containing = [name for name in known if wanted in name.lower()]
+    contained = [
+        name for name in known if (own := set(_WORD.findall(name.lower()))) and own <= words
+    ]
+    others: Iterable[str] = known
+    if len(known) > MAX_LISTED_NAMES:
+        folded = {name.lower(): name for name in reversed(known)}
+        close = difflib.get_close_matches(wanted, folded, NUM_CLOSE_NAMES, cutoff=0.0)
+        others = (folded[name] for name in close)
+    return tuple(dict.fromkeys((*containing, *contained, *others)))
 
 
 class ConfigurationError(PupperAnalysisError):

@@ -337,14 +337,16 @@ def _locate_link(
         (index for index, pin_frame in enumerate(model.frames) if pin_frame.name == link), None
     )
     if number is None:
-        sites = [robot.mj_model.site(index).name for index in range(robot.mj_model.nsite)]
-        bodies = [robot.mj_model.body(index).name for index in range(1, robot.mj_model.nbody)]
-        links = [pin_frame.name for pin_frame in model.frames]
+        mj_model, files = robot.mj_model, robot.description
+        geoms = [mj_model.geom(index).name for index in range(mj_model.ngeom)]
+        sites = [mj_model.site(index).name for index in range(mj_model.nsite)]
+        bodies = [mj_model.body(index).name for index in range(1, mj_model.nbody)]
+        links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
         unknown = UnknownNameError(
-            f"{robot.description.urdf_source}, {robot.description.mjcf_source}",
+            ", ".join(dict.fromkeys((str(files.urdf_source), str(files.mjcf_source)))),
             "link, geom, site or body",
             frame,
-            list(dict.fromkeys([*links, *sites, *bodies])),
+            tuple(filter(None, dict.fromkeys([*links, *geoms, *sites, *bodies]))),
         )
         raise unknown.with_location(diagnose("of-foot", subject=("foot", name)))
     joint = model.names[model.frames[number].parentJoint]

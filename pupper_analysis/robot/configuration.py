@@ -275,7 +275,7 @@ class Configuration(Pictured):
         index = self._structure.links.get(name) if isinstance(name, str) else None
         if index is None:
             links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]
-            raise UnknownNameError(self.robot.name, "link", name, links)
+            raise UnknownNameError(self.robot.name, "link", name, links, base=self.robot.base)
         return index
 
     def _jacobian(self, frame: int) -> Array:

@@ -174,7 +174,7 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
             return Tool(name, link, position, _find_chain(robot, link)), rotation
     sites = [model.site(index).name for index in range(model.nsite)]
     known = dict.fromkeys([*robot.structure.links, *filter(None, sites)])
-    raise UnknownNameError(robot.name, "frame", name, tuple(known))
+    raise UnknownNameError(robot.name, "frame", name, tuple(known), base=robot.base)
 
 
 def find_place(robot: Robot, point: FramePoint) -> Tool:
@@ -204,7 +204,8 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
             return tool.translated(rotation @ check_point(at))
         return Tool(robot.base, robot.base, check_point(at), ())
     if point.link not in robot.structure.links:
-        raise UnknownNameError(robot.name, "link", point.link, tuple(robot.structure.links))
+        links = tuple(robot.structure.links)
+        raise UnknownNameError(robot.name, "link", point.link, links, base=robot.base)
     return point
 
 

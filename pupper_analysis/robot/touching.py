@@ -198,7 +198,9 @@ def _find_frame(robot: Robot, name: str) -> Tool:
         if name == "base":
             return find_tool(robot, robot.base)
         known = dict.fromkeys((*robot.feet, "base", *error.known))
-        raise UnknownNameError(error.source, "foot or frame", name, known) from None
+        raise UnknownNameError(
+            error.source, "foot or frame", name, known, base=robot.base
+        ) from None
 
 
 def _make_base_free(robot: Robot) -> Robot:

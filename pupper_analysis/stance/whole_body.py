@@ -407,7 +407,8 @@ def _check_task_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
     for task in tasks:
         for frame in task.frames:
             if frame not in robot.structure.links:
-                raise UnknownNameError(robot.name, "link", frame, tuple(robot.structure.links))
+                links = tuple(robot.structure.links)
+                raise UnknownNameError(robot.name, "link", frame, links, base=robot.base)
         for joint in task.positions if isinstance(task, JointsTask) else ():
             if joint not in robot.joint_names:
                 raise UnknownNameError(robot.name, "joint", joint, robot.joint_names)

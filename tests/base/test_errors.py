@@ -42,6 +42,34 @@ def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
 
 
 @pytest.mark.parametrize(
+    ("unknown", "first"),
+    [
+        ("FR_foot", ["FR_foot_collision", "FR"]),
+        ("fr", ["FR_foot_collision", "FR_calf", "FR"]),
+        ("base", ["trunk"]),
+        ("pelvis", ["trunk"]),
+        ("trnk", ["trunk"]),
+    ],
+)
+def test_names_with_the_same_words_come_before_similar_names(
+    unknown: str, first: list[str]
+) -> None:
+    """Reference: names of a Go1. By edit distance, ``FR_calf`` is nearest to ``FR_foot``."""
+    legs = [
+        f"{leg}{part}"
+        for leg in ("FL", "FR", "RR", "RL")
+        for part in ("_foot_collision", "_calf", "", "_thigh", "_hip")
+    ]
+    known = ["imu", "head", *legs, "trunk"]
+    error = pa.UnknownNameError("as if", "link", unknown, known, base="trunk")
+    listed = error.diagnostic.values["problem"].values["known"]  # type: ignore[union-attr]
+    assert list(listed)[: len(first)] == first  # type: ignore[arg-type]
+    assert len(listed) == 5  # type: ignore[arg-type]
+    feet = [name for name in known if name.endswith("collision")]
+    assert "there are: FR_foot_collision, FL_" in str(pa.UnknownNameError("", "foot", "FR", feet))
+
+
+@pytest.mark.parametrize(
     ("error", "words"),
     [
         (
