@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, check_length, real_array
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import ModelTree
@@ -177,6 +177,33 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
     raise UnknownNameError(robot.name, "frame", name, tuple(known), base=robot.base)
 
 
+MAX_DISTANCE_RATIO = 10.0
+"""Largest distance of a point from the origin of its frame, relative to the robot's size
+(`measure_size`) [1]. A point that is farther away is rejected as a length in mm: from 1 % of the
+size, a coordinate in mm exceeds the bound. Chosen, not tuned: no payload is carried at a distance
+of ten sizes."""
+
+
+def measure_size(robot: Robot) -> float:
+    """Return the largest distance [m] of a point of the robot from the origin of its base.
+
+    The joints are in the neutral configuration. The points are origins and CoMs of the bodies, and
+    the bounding spheres of the geoms. The result is computed once for each robot.
+    """
+    return robot.compute_once(_compute_size)
+
+
+def _compute_size(robot: Robot) -> float:
+    """Return the result of `measure_size`; zero for a robot with all points at the base."""
+    model, data = robot.mj_model, robot.compute_kinematics()
+    bodies = model.body_weldid > 0
+    geoms = bodies[model.geom_bodyid]
+    centres = np.vstack([data.xpos[bodies], data.xipos[bodies], data.geom_xpos[geoms]])
+    radii = np.r_[np.zeros(2 * int(bodies.sum())), model.geom_rbound[geoms]]
+    distances = np.linalg.norm(centres - data.body(robot.mj_base).xpos, axis=1) + radii
+    return float(distances.max(initial=0.0))
+
+
 def find_place(robot: Robot, point: FramePoint) -> Tool:
     """Convert a position on a robot to a `Tool`, which names the link of the position.
 
@@ -193,16 +220,28 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
             - A `Tool`, which is returned unchanged.
 
     Raises:
-        ConfigurationError: If the coordinates are not three finite numbers, or too large.
+        ConfigurationError: If the coordinates are not three finite numbers, or too large; or if
+            the distance from the frame exceeds ``MAX_DISTANCE_RATIO`` sizes of the robot.
         UnknownNameError: If the robot has no such frame, or no link with the name of the tool's
             link.
     """
     if not isinstance(point, Tool):
         frame, at = split_place(point)
+        place = check_point(at)
+        distance, size = float(np.linalg.norm(place)), measure_size(robot)
+        if 0 < MAX_DISTANCE_RATIO * size < distance:
+            problem = diagnose(
+                "point-too-far",
+                distance=Quantity(distance, "m"),
+                frame=frame or robot.base,
+                ratio=MAX_DISTANCE_RATIO,
+                size=Quantity(size, "m"),
+            )
+            raise ConfigurationError("point", problem)
         if frame:
             tool, rotation = _find_frame(robot, frame)
-            return tool.translated(rotation @ check_point(at))
-        return Tool(robot.base, robot.base, check_point(at), ())
+            return tool.translated(rotation @ place)
+        return Tool(robot.base, robot.base, place, ())
     if point.link not in robot.structure.links:
         links = tuple(robot.structure.links)
         raise UnknownNameError(robot.name, "link", point.link, links, base=robot.base)
@@ -322,6 +361,11 @@ def _find_end_link(robot: Robot) -> str:
     )
 
 
+MAX_MASS_RATIO = 20.0
+"""Mass of a payload, relative to the mass of the robot [1], above which the loaded robot has a
+note. Chosen, not tuned: legged robots carry up to a few times their mass, and a mass in g is 1000
+times the mass in kg. The payload is not rejected, because searches for limits try large masses."""
+
 _PAYLOAD_NAME = "payload"
 """Name of the link and of the body of a payload; underscores are appended if the name is in use."""
 
@@ -345,7 +389,8 @@ def with_payload(
             ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
-        The loaded robot; the robot itself if the mass is zero.
+        The loaded robot; the robot itself if the mass is zero. If the mass exceeds
+        ``MAX_MASS_RATIO`` times the robot's mass, the loaded robot has a note in ``notes``.
 
     Raises:
         ConfigurationError: If the mass or the point is not valid; or if the base is fixed, and no
@@ -381,7 +426,12 @@ def with_payload(
     welded = frame.placement.act(pin.Inertia(mass, offset, np.zeros((3, 3))))
     model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
 
-    return replace(built, pin_model=model, fingerprint=robot.fingerprint)
+    notes = built.notes
+    if mass > MAX_MASS_RATIO * robot.total_mass:
+        own = Quantity(robot.total_mass, "kg")
+        note = diagnose("payload-heavy", mass=Quantity(mass, "kg"), ratio=MAX_MASS_RATIO, own=own)
+        notes = (*notes, note)
+    return replace(built, pin_model=model, fingerprint=robot.fingerprint, notes=notes)
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.robot.tool import measure_size, with_payload
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.arm import URDF, arm, load_arm
@@ -43,6 +43,40 @@ def test_payload_force_is_the_gradient_of_its_potential_energy(name: str) -> Non
     more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
     less = pa.Configuration(robot, qpos).gravity()
     np.testing.assert_allclose(more - less, slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_size_of_a_robot_bounds_its_frames(name: str) -> None:
+    """Reference: distances of Pinocchio's frames from the base."""
+    robot = load(name)
+    config = pa.Configuration(robot, robot.neutral())
+    base = config.frame_position(robot.base)
+    distances = [
+        np.linalg.norm(config.frame_position(link) - base) for link in robot.structure.links
+    ]
+    assert max(distances) <= measure_size(robot) < 3 * max(distances)
+
+
+@pytest.mark.parametrize("frame", [(), ("leg_front_r_3",)])
+def test_point_in_millimetres_is_refused(frame: tuple[str, ...]) -> None:
+    """80 m is farther than ten sizes of a robot of 0.24 m; 80 mm is accepted."""
+    robot = load("v3")
+    for call in (
+        lambda point: pa.payload_limit(robot, point=point),
+        lambda point: with_payload(robot, 1.0, point),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=r"point: 80 m from .* lengths are in m"):
+            call((*frame, 0, 0, 80))
+    assert with_payload(robot, 1.0, (*frame, 0, 0, 0.08)).total_mass > robot.total_mass
+
+
+def test_payload_in_grams_adds_a_note() -> None:
+    """500 kg is more than 20 times the mass of v3; 3 kg is not."""
+    robot = load("v3")
+    assert with_payload(robot, 3.0).notes == robot.notes
+    (note,) = set(with_payload(robot, 500.0).notes) - set(robot.notes)
+    assert note.code == "payload-heavy"
+    assert "masses are in kg" in str(note)
 
 
 @pytest.mark.slow
