@@ -17,8 +17,13 @@ from pupper_analysis.base.runs import register_input
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from, read_mjcf
 from pupper_analysis.models.objects import ModelObject, check_model, is_object, read_objects
-from pupper_analysis.models.places import Place, forget_lines, make_element_error
-from pupper_analysis.models.published import expand_xacro, find_file, is_xacro
+from pupper_analysis.models.places import (
+    Place,
+    forget_lines,
+    make_element_error,
+    make_file_error,
+)
+from pupper_analysis.models.published import expand_xacro, find_file, is_uri, is_xacro
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xacro_declarations import remove_declarations
@@ -107,7 +112,8 @@ class FormatReader(Protocol):
 def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
     """Return the reader for a file of another format than URDF and MJCF, selected by suffix.
 
-    None for URDF, MJCF, files with an unknown suffix, and robots in memory.
+    None for URDF, MJCF, files with an unknown suffix, addresses (``package://``, ``https://``), and
+    robots in memory.
 
     Raises:
         ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory.
@@ -115,6 +121,8 @@ def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
     if is_object(path):
         return None
     check_model("path", path)
+    if is_uri(str(path)):
+        return None
     model_format = find_format(Path(cast(str | Path, path)))
     return (
         None
@@ -161,6 +169,8 @@ def read_model(
         text = expand_xacro(path, packages, xacro)
         root = parse_file_text(path, text)
         forget_lines(root)
+        if root.tag in ("mujoco", "mujocoinclude"):
+            raise make_file_error(Place(path), diagnose("xacro-of-mjcf"))
         return urdf_from(path, text, root, packages)
     text, root = parse_xml(path)
     if root.tag in ("mujoco", "mujocoinclude"):

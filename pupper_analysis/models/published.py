@@ -126,7 +126,7 @@ _PACKAGE_START: Final = re.compile(r"package:(//?|$)")
 slash at the end."""
 
 
-_WEB_ADDRESS: Final = re.compile(r"(https?|ftp|ssh|git)://?")
+_WEB_ADDRESS: Final = re.compile(r"(https?|ftp|ssh|git)://?", re.IGNORECASE)
 """Pattern of the start of a web address; ``Path`` merges the slashes."""
 
 

@@ -44,7 +44,7 @@ def free_base(
 
     The base is the child body of the world with the most joints in its subtree. The base gets a
     free joint if it has no joint, and if at least two limbs (subtrees with joints) are attached to
-    the base.
+    the base, or if the URDF has a free base (`states_free_base`).
 
     Some MJCFs move the base by several slides and hinges, or by a ball joint. If the URDF lacks
     these joints, the free joint replaces them, and all keyframes are deleted (`join_free_base`).
@@ -76,10 +76,19 @@ def free_base(
     base = max(bodies, key=lambda body: size[body.name], default=None)
     if base is None or list(base.joints):
         return spec, []
-    if len(list(_yield_limbs(base))) < 2:
+    if len(list(_yield_limbs(base))) < 2 and not states_free_base(urdf):
         return spec, []
     base.add_freejoint()
     return spec, [diagnose("free-joint-added", subject=("body", base.name))]
+
+
+def states_free_base(urdf: UrdfFile) -> bool:
+    """Return True if a massless root link has a single joint, and this joint is floating.
+
+    For example, a URDF of a ``pin.Model`` with a free flyer.
+    """
+    joints = urdf.tree.child_joints.get(urdf.tree.base.name, [])
+    return not urdf.tree.base.mass and [joint.kind for joint in joints] == ["floating"]
 
 
 def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:

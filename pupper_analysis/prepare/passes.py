@@ -40,7 +40,12 @@ from pupper_analysis.prepare import (
     start,
     touching,
 )
-from pupper_analysis.prepare.base import free_base, place_base_frame, remove_free_joint_friction
+from pupper_analysis.prepare.base import (
+    free_base,
+    place_base_frame,
+    remove_free_joint_friction,
+    states_free_base,
+)
 from pupper_analysis.prepare.feet import (
     Foot,
     add_contact_frames,
@@ -182,9 +187,7 @@ class Draft:
 
         For example, a URDF of a ``pin.Model`` with a free flyer.
         """
-        tree = self.urdf.tree
-        joints = tree.child_joints.get(tree.base.name, [])
-        return not tree.base.mass and [joint.kind for joint in joints] == ["floating"]
+        return states_free_base(self.urdf)
 
     @property
     def match(self) -> Match:
@@ -308,9 +311,12 @@ def _may_be_altered(draft: Draft) -> bool:
 def _may_get_servos(draft: Draft) -> bool:
     """Return True if servos may be added to the robot.
 
-    The robot must have feet or a fixed base, and the user must permit changes (no ``as_is``).
+    The robot must have feet, a fixed base, or a URDF with a free base, and the user must permit
+    changes (no ``as_is``).
     """
-    return _may_be_altered(draft) or (_has_fixed_base(draft) and not draft.request.as_is)
+    if draft.request.as_is:
+        return False
+    return _stands_on_feet(draft) or _has_fixed_base(draft) or draft.urdf_is_free
 
 
 def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:

@@ -651,15 +651,16 @@ def _find_shaken_state(
     base = int(published.model.body_dofadr[published.base_body])
     for axis in range(3):
         for speed in (LARGE_NUDGE_SPEED, -LARGE_NUDGE_SPEED):
-            data, deviation = copy.copy(rest), np.inf
+            data, deviations = copy.copy(rest), list[float]()
             data.qvel[base + axis] += speed
             for _ in range(_MAX_BASE_NUDGE_WINDOWS):
                 low, high = simulate_published(published, data, hold, FORCE_WINDOW)
-                previous, deviation = deviation, find_deviation(low, high)
-                if deviation <= TORQUE_RTOL:
+                deviations.append(find_deviation(low, high))
+                if deviations[-1] <= TORQUE_RTOL:
                     break
-            if deviation > max(TORQUE_RTOL, _MAX_APPROACH_RATIO * previous):
-                return data, low, high
+            else:  # the extremes of chatter vary: intervals of `_APPROACH_INTERVAL` are compared
+                if not max(deviations[-2:]) < _MAX_APPROACH_RATIO * max(deviations[-4:-2]):
+                    return data, low, high
     return None
 
 

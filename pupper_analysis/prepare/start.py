@@ -24,12 +24,13 @@ import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Subject, diagnose
 from pupper_analysis.base.errors import (
     PupperAnalysisError,
     StanceUnreachableError,
     UnknownNameError,
 )
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.additions import StartKeyframe
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec, list_free_joints, silence_mujoco
@@ -891,7 +892,9 @@ def _list_objections(
     names = [robot.joint_names[joint] for joint in beyond]
     worst = int(np.argmax(excess))
     most = Quantity(float(excess[worst]), joint_unit(robot, robot.joint_names[worst]))
-    return (diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=most),)
+    return (
+        diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=most, used=False),
+    )
 
 
 def find_start_pose(
@@ -948,7 +951,7 @@ def find_start_pose(
         notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
         notes += [
             note
-            for note in against
+            for note in _mark_used_keyframe(against, name)
             if note.subject == notes[0].subject and note.code != "keyframe-without-stand"
         ]
         if tried.nominal.any():
@@ -966,10 +969,24 @@ def find_start_pose(
             home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
             at_home = _set_start_pose(robot, home, sunk.get(name, 0.0))
             kept = _copy_start_pose(whole, replace(at_home, nominal=home))
+            against = _mark_used_keyframe(against, name)
         return kept, [diagnose("no-start-pose"), *against, *report_sideways_limbs(whole)]
     height = Quantity(searched.stand_height, "m")
     notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
     return _copy_start_pose(whole, searched), [*notes, *against]
+
+
+def _mark_used_keyframe(notes: Iterable[Diagnostic], name: str) -> list[Diagnostic]:
+    """Return notes, of which that on joints beyond limits states that the start pose is clipped.
+
+    ``name`` is the keyframe of the start pose; notes on other keyframes are not changed.
+    """
+    return [
+        replace(note, values=FrozenDict({**note.values, "used": True}))
+        if note.code == "keyframe-beyond-limits" and note.subject == Subject("keyframe", name)
+        else note
+        for note in notes
+    ]
 
 
 def _find_keyframe_stand(

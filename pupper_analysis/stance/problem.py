@@ -527,7 +527,9 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     """
     robot.check_floating()
     if not (robot.contact_points or robot.fixed_parts):
-        raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
+        notes = (note for note in robot.notes if note.code == "base-free-without-feet")
+        why = next((note.values["why"] for note in notes), None)
+        raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name, why=why))
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
         raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))

@@ -155,9 +155,11 @@ def test_file_of_ros_package_is_found(
     assert parse_robot_word(word) == (word,)
 
 
-@pytest.mark.parametrize("model", ["https://x.org/a.urdf", Path("http://x.org/a.xml")])
+@pytest.mark.parametrize(
+    "model", ["https://x.org/a.urdf", Path("http://x.org/a.xml"), "HTTPS://x.org/a.usd"]
+)
 def test_web_address_is_refused(model: str | Path) -> None:
-    with pytest.raises(ModelError, match=r"https?://x\.org/a.*: nothing is downloaded"):
+    with pytest.raises(ModelError, match=r"(?i:https?)://x\.org/a.*: nothing is downloaded"):
         load_robot(model)
 
 

@@ -117,6 +117,8 @@ def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -
     robot = pa.load_robot(*pair)
     codes = {note.code for note in robot.notes}
     assert codes >= {"start-pose-is-keyframe", "keyframe-beyond-limits"}
+    (beyond,) = [note for note in robot.notes if note.code == "keyframe-beyond-limits"]
+    assert "the start pose has them at their limits" in str(beyond)
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)

@@ -407,6 +407,45 @@ def test_free_flyer_without_shapes_stays_free(feet: list[str] | None) -> None:
     assert ("base-free-without-feet" in codes) == (feet is None)
 
 
+def build_free_limbs(count: int) -> pin.Model:
+    """Return a free base with limbs of two hinges, without shapes."""
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial>'
+    )
+    parts = [f'<link name="base">{inertial}</link>']
+    for limb in range(count):
+        parent = "base"
+        for number in range(2):
+            name = f"limb{limb}_{number}"
+            parts.append(
+                f'<link name="{name}">{inertial}</link><joint name="{name}_joint" type="revolute">'
+                f'<parent link="{parent}"/><child link="{name}"/><axis xyz="0 1 0"/>'
+                f'<origin xyz="0.1 {0.1 * limb} -0.1"/>'
+                '<limit lower="-1" upper="1" effort="50" velocity="9"/></joint>'
+            )
+            parent = name
+    text = f'<robot name="limbs">{"".join(parts)}</robot>'
+    return pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+
+
+def test_free_flyer_of_a_serial_chain_stays_free() -> None:
+    """Reference: Pinocchio's model of two hinges on a free flyer, with 6 + 2 degrees of freedom."""
+    robot = pa.load_robot(build_free_limbs(1))
+    assert robot.floating
+    assert robot.pin_model.nv == robot.mj_model.nv == 8
+    assert "base-free-without-feet" in [note.code for note in robot.notes]
+
+
+def test_free_base_without_feet_holds_on_a_weld_with_added_servos() -> None:
+    """Without weld, the refusal states why there are no feet, and what computes motor torques."""
+    robot = pa.load_robot(build_free_limbs(2))
+    task = pa.StandTask(contacts={"base": pa.Weld()})
+    assert pa.verify_stand(robot, pa.solve_stand(robot, task)).passed
+    with pytest.raises(pa.ConfigurationError, match=r"cannot stand: .*pa\.hold_posture"):
+        pa.solve_stand(robot)
+
+
 TWO_ROBOTS = ARM_MJCF.replace(
     "</worldbody>",
     """<body name="other"><body name="lower"><joint name="elbow"/><geom size="0.1"/></body></body>
