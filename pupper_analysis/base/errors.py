@@ -326,6 +326,10 @@ class StanceUnreachableError(PupperAnalysisError):
 class PostureUnreachableError(PupperAnalysisError):
     """Posture for whose tasks no solution within the joint limits was found.
 
+    Args:
+        written: Python code of the target in rad, if the user has probably written degrees.
+        far: Whether the target is so far away that the user has probably written mm.
+
     Attributes:
         task: Required task with the largest residual in the best configuration found.
         residual: The residual of this task, in ``unit``.
@@ -354,6 +358,8 @@ class PostureUnreachableError(PupperAnalysisError):
         out_of_reach: bool,
         units: Mapping[str, str],
         qpos: Any,
+        written: str | None = None,
+        far: bool = False,
     ) -> None:
         self.task, self.residual, self.unit = task, residual, unit
         self.residuals, self.conflicting = dict(residuals), tuple(conflicting)
@@ -375,6 +381,8 @@ class PostureUnreachableError(PupperAnalysisError):
                 conflicting=self.conflicting,
                 joints=joints,
                 stretched=out_of_reach,
+                written=written,
+                far=far,
             )
         )
 

@@ -20,7 +20,7 @@ import numpy as np
 import placo
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import check_arguments, check_type
+from pupper_analysis.base.arguments import check_arguments, check_type, suggest_degrees
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
@@ -30,9 +30,9 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import joint_unit
+from pupper_analysis.robot.joints import joint_ranges, joint_unit
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.tool import MAX_DISTANCE_RATIO, find_tool, measure_size
 from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, ClearanceShapes
 from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.posture_conflict import find_conflict
@@ -382,12 +382,17 @@ class _Problem:
             weights.tolist(),
             worst,
         )
-        task, unit = tasks[worst], tasks[worst].unit
+        task, unit, written = tasks[worst], tasks[worst].unit, None
         if isinstance(task, JointsTask):
             joints = qpos[robot.nq - robot.nu :].tolist()
             positions = dict(zip(robot.joint_names, joints, strict=True))
             gaps = {name: abs(positions[name] - at) for name, at in task.positions.items()}
-            unit = joint_unit(robot, max(gaps, key=gaps.__getitem__))
+            joint = max(gaps, key=gaps.__getitem__)
+            unit = joint_unit(robot, joint)
+            if unit == "rad":
+                low, high = joint_ranges(robot)[robot.joint_names.index(joint)].tolist()
+                written = suggest_degrees(task.positions[joint], low, high)
+        max_distance = MAX_DISTANCE_RATIO * measure_size(robot)
         return PostureUnreachableError(
             names[worst],
             float(residuals[worst]),
@@ -399,6 +404,8 @@ class _Problem:
             out_of_reach=conflict.out_of_reach,
             units={name: joint_unit(robot, name) for name in conflict.at_limit},
             qpos=qpos,
+            written=written,
+            far=unit == "m" and 0 < max_distance < residuals[worst],
         )
 
 

@@ -302,6 +302,23 @@ def test_unit_of_an_unreachable_joint_position_is_that_of_the_joint() -> None:
     with pytest.raises(pa.PostureUnreachableError) as turned:
         pa.solve_posture(robot, [JointsTask({"b_slide": 0.1, "elbow": 0.1})])
     assert (turned.value.residual, turned.value.unit) == (pytest.approx(0.1, abs=1e-6), "rad")
+    assert "for degrees" not in str(turned.value)
+
+
+@pytest.mark.parametrize(
+    ("task", "hint"),
+    [
+        (JointsTask({"leg_front_r_3": -90}), r"deg \(for degrees write math.radians\(-90\)\)"),
+        (PositionTask("base_link", (0, 0, 120)), r"by 120 m \(lengths are in m\)"),
+    ],
+    ids=["degrees", "millimetres"],
+)
+def test_error_of_a_target_in_another_unit_names_the_unit(
+    task: pa.stance.PostureTask, hint: str
+) -> None:
+    """-90 deg is within the range of the knee, and 120 m is 500 sizes of the robot."""
+    with pytest.raises(pa.PostureUnreachableError, match=hint):
+        pa.solve_posture(load("v3"), [task], start=stand_of("v3"))
 
 
 def test_self_clearance_keeps_links_apart_that_touch_without_the_task() -> None:
