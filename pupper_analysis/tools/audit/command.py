@@ -82,7 +82,7 @@ def command(
       pupper-analysis audit robot.urdf --fix         a patch, then the question
       pupper-analysis audit v3                       both files of a variant
       pupper-analysis audit --list-rules
-      pupper-analysis audit robot.urdf.xacro --xacro --xacro-arg arm=true
+      pupper-analysis audit robot.urdf.xacro --xacro --xacro-arg camera=true
 
     Exit status: 0 no finding as severe as --fail-on, 1 there is such a finding, 2 bad input.
     """  # noqa: D301 - click reads the \b

@@ -97,7 +97,7 @@ def command(
       pupper-analysis convert robot.urdf -o new.xml
       pupper-analysis convert robot.urdf -o new.xml --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
-      pupper-analysis convert robot.urdf.xacro -o new.xml --xacro
+      pupper-analysis convert robot.urdf.xacro -o expanded.xml --xacro
       pupper-analysis convert robot.xml -o new.urdf
       pupper-analysis convert v3-long-leg -o long-leg.xml
 
