@@ -1420,3 +1420,15 @@ def test_frame_of_a_hinge_along_its_axis_is_no_difference_of_the_sides(
     path.write_bytes(etree.tostring(tree))
     found = [f.element for f in audit_model(path).findings if f.rule.startswith("mirror")]
     assert found == (["joint 'FR_HFE'"] if is_found else [])
+
+
+def test_displacement_of_a_shank_along_its_axis_is_found(tmp_path: Path) -> None:
+    """The shank and its CoM move by 2 mm with the joint: less than the tolerance of a CoM."""
+    place = r'(<joint name="FR_KFE".*?<origin xyz="\S+ )(\S+)'
+    text = OWN["urdf"].read_text()
+    (found,) = re.findall(place, text, flags=re.DOTALL)
+    moved = rf"\g<1>{float(found[1]) + 0.002}"
+    path = tmp_path / "robot.urdf"
+    path.write_text(re.sub(place, moved, text, flags=re.DOTALL))
+    names = [f.element for f in find_findings(audit_model(path), "mirror-position")]
+    assert names == ["joint 'FR_KFE'"]

@@ -198,7 +198,9 @@ def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, sec
         link.pose.point(inertial.com)
         for link, inertial in ((first, first.inertial), (second, second.inertial))
     )
-    if _measure_asymmetry(mirror, first_com, second_com) > _get_com_tolerance(second_com):
+    # A CoM that moves with the frame is a displacement, also below the tolerance of the CoM.
+    most = min(_get_com_tolerance(second_com), float(np.linalg.norm(gap)) / 2)
+    if _measure_asymmetry(mirror, first_com, second_com) > most:
         return False
     names = [{child.name for child in robot.children(link.name)} for link in (first, second)]
     return all(
