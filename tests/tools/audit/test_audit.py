@@ -1379,21 +1379,33 @@ def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
     assert messages == [[], [("joint 'j4'", "note", said)], [], []]
 
 
-@pytest.mark.parametrize(("legs", "is_found"), [(LEGS, False), (LEGS[1:], False), (("FL",), True)])
+@pytest.mark.parametrize(
+    ("legs", "height", "is_found"),
+    [
+        (LEGS, -0.06, False),
+        (LEGS[1:], -0.06, False),
+        (("FL",), -0.06, True),
+        (LEGS, 0.0, True),  # the thigh draws the shape, but its joint is elsewhere
+    ],
+)
 def test_shape_that_the_next_link_draws_is_accepted_if_several_legs_are_alike(
-    legs: tuple[str, ...], is_found: bool, tmp_path: Path
+    legs: tuple[str, ...], height: float, is_found: bool, tmp_path: Path
 ) -> None:
     """As the hips of Go1, whose collision shapes are at the shoulders that the thighs draw.
 
-    The ball of each hip moves 60 mm down, into the drawn thigh, which is 80 mm long. If a hip has a
-    defect, the shapes of the other hips remain accepted.
+    The ball of each hip moves 60 mm down, into the drawn thigh, which is 80 mm long. The joint of
+    the thigh is there as well. If a hip has a defect, the shapes of the other hips remain accepted.
     """
-    edits = tuple(
+    edits = [
         Edit(f'<link name="{leg}_hip">', r'(?s)(<collision>\s*)<origin xyz="0 0 0"/>',
              r'\g<1><origin xyz="0 0 -0.06"/>')
         for leg in legs
-    )  # fmt: skip
-    audit = audit_model(write_model(tmp_path, "urdf", edits))
+    ]  # fmt: skip
+    edits += [
+        Edit(f'<joint name="{leg}_HFE"', r'<origin xyz="0 0 0"/>', f'<origin xyz="0 0 {height}"/>')
+        for leg in LEGS
+    ]
+    audit = audit_model(write_model(tmp_path, "urdf", tuple(edits)))
     names = {finding.element for finding in find_findings(audit, "collision-off-visual")}
     assert names == ({f"link '{leg}_hip'" for leg in legs} if is_found else set())
 

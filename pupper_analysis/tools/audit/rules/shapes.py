@@ -482,8 +482,8 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
     """Return the links of several limbs with the same gap, whose next links draw the shapes.
 
-    The next link must have visual shapes where the link has collision shapes, in more than half of
-    the corresponding links with a gap. The gap of a link must be within `POSITION_TOLERANCE` of the
+    The next link must draw the collision shapes of the link (`_is_drawn_by_next_link`), in more
+    than half of the corresponding links with a gap. The gap of a link must be within `POSITION_TOLERANCE` of the
     median of these links. A single link with a defect, such as a missing mesh, changes neither.
 
     Args:
@@ -531,19 +531,24 @@ def _measure_box_gap(first: Array, second: Array) -> float:
 
 
 def _is_drawn_by_next_link(robot: UrdfModel, body: Link) -> bool:
-    """Return True if a moving child has visual shapes where a link has collision shapes.
+    """Return True if a link has collision shapes at the joint of a moving child that draws them.
 
-    The bounding boxes, along the axes of the link, are compared at zero angles.
+    The bounding box of the collision shapes, along the axes of the link at zero angles, contains
+    the joint, and overlaps the visual shapes of the child.
     """
     solid = list_extent_points([_select_shapes(body, collides=True)], body)
-    drawn = [
-        list_extent_points([_select_shapes(child, collides=False)], body)
-        for child in robot.children(body.name)
-        if child.moving
-    ]
-    return solid is not None and any(
-        visual is not None and _measure_box_gap(visual, solid) < 0 for visual in drawn
-    )
+    if solid is None:
+        return False
+    for child in robot.children(body.name):
+        visual = list_extent_points([_select_shapes(child, collides=False)], body)
+        joint = body.pose.inverse().point(child.pose.position)
+        if (
+            child.moving
+            and visual is not None
+            and all(_measure_box_gap(points, solid) < 0 for points in (visual, joint[None]))
+        ):
+            return True
+    return False
 
 
 @rule
