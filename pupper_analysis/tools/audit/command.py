@@ -110,15 +110,12 @@ def command(
     named = is_variant(file)
     if fix and (named or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
+    arguments = shared.parse_xacro_args(xacro_args)
     with shared.show_progress("checking the model against the rules"):
         models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
         results = [
             audit_model(
-                model,
-                packages=folders,
-                disabled=disabled,
-                xacro=xacro,
-                xacro_args=shared.parse_xacro_args(xacro_args),
+                model, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
             )
             for model in models
         ]
@@ -137,7 +134,11 @@ def command(
     if fix and (
         count := _fix_files(results, confirmed=confirmed, force=force, prints_patch=is_text)
     ):
-        results = [audit_model(file, packages=folders, disabled=disabled)]
+        results = [
+            audit_model(
+                file, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
+            )
+        ]
         left = audit_report.describe_counts(results[0])
         click.echo(text("repairs-written", count=count, left=left).en, err=True)
     least = Severity(fail_on).rank

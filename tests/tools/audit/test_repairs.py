@@ -192,6 +192,8 @@ def test_repair_of_a_value_from_a_xacro_macro_is_named_and_not_written(tmp_path:
     added = [line for line in shown.stdout.splitlines() if line.startswith("+<")]
     assert added
     assert all(line.count('lower="-1.5708"') == line.count('lower="-90"') == 1 for line in added)
+    fixed = CliRunner().invoke(group, ["audit", str(path), "--xacro", "--fix", "--yes"])
+    assert " written; left: " in fixed.stderr
 
 
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
