@@ -1361,22 +1361,29 @@ def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
 
 
 def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
-    """With another opposite axis, or a second hinge at a link, the sign may be a choice."""
+    """With another opposite axis, a second hinge at a link or two arms, the sign may be a choice.
+
+    The two arms have two and three hinges, and the second begins with a slide on a rail.
+    """
     path = write_chain(tmp_path, {}, '<box size="0.1 0.04 0.04"/>')
     text = path.read_text()
     axes = {"j2": '<child link="l2"/><axis xyz="0 ', "j4": '<child link="l4"/><axis xyz="0 '}
     once = text.replace(f"{axes['j4']}1", f"{axes['j4']}-1")
     twice = once.replace(f"{axes['j2']}1", f"{axes['j2']}-1")
     branched = once.replace('<parent link="l4"/>', '<parent link="l3"/>')
+    rail = '<link name="rail"/><joint name="slide" type="prismatic"><parent link="l0"/><child '
+    limit = 'link="rail"/><limit lower="0" upper="1" effort="2" velocity="9"/></joint></robot>'
+    arms = once.replace('<parent link="l2"/>', '<parent link="rail"/>')
+    arms = arms.replace("</robot>", f"{rail}{limit}")
     messages = []
-    for changed in (text, once, twice, branched):
+    for changed in (text, once, twice, branched, arms):
         path.write_text(changed)
         found = find_findings(audit_model(path), "axis-sign-odd")
         messages.append([(f.element, str(f.severity), f.message) for f in found])
     said = (
         "its axis is (0, -1, 0) in its frame, opposite to those of the 4 other joints of the chain"
     )
-    assert messages == [[], [("joint 'j4'", "note", said)], [], []]
+    assert messages == [[], [("joint 'j4'", "note", said)], [], [], []]
 
 
 @pytest.mark.parametrize(

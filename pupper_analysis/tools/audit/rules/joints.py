@@ -130,7 +130,9 @@ def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
     hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and j.raw_axis.any()]
     if len(hinges) < MIN_CHAIN_HINGES:
         return
-    if len({robot.find_moving_body(joint.parent) for joint in hinges}) < len(hinges):
+    last = max(hinges, key=lambda joint: len(list(robot.ancestors(joint.child))))
+    chain = {last.child, *robot.ancestors(last.child)}
+    if any(joint.child not in chain for joint in hinges):
         return
     axes = np.array([joint.raw_axis / np.linalg.norm(joint.raw_axis) for joint in hinges])
     for joint, axis in zip(hinges, axes, strict=True):
