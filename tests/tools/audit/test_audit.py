@@ -1341,11 +1341,23 @@ def test_hinge_beside_its_links_is_found_in_an_mjcf_on_the_world(tmp_path: Path)
     assert found.message == "its axis passes 30 mm beside the shapes of link 'l2'"
 
 
-@pytest.mark.parametrize(("bare", "names"), [((5,), ["l5"]), ((4, 5), []), ((), [])])
+@pytest.mark.parametrize(
+    ("bare", "place", "kind", "names"),
+    [
+        ((5,), 0.12, "revolute", ["l5"]),
+        ((4, 5), 0.12, "revolute", []),
+        ((), 0.12, "revolute", []),
+        ((5,), 0.05, "revolute", []),  # the fixed link has the collision shape of the link
+        ((5,), 0.12, "continuous", []),  # as the rotor of a lidar
+    ],
+)
 def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
-    bare: tuple[int, ...], names: list[str], tmp_path: Path
+    bare: tuple[int, ...], place: float, kind: str, names: list[str], tmp_path: Path
 ) -> None:
-    """As the last wrist link of UR5: 1 % of the mass, with a fixed tool that collides."""
+    """As the last wrist link of UR5: 1 % of the mass, with a fixed tool that collides.
+
+    ``place`` is the centre of the tool on the x axis of the link, which is drawn from 0 to 0.1 m.
+    """
     shape = '<box size="0.1 0.04 0.04"/>'
     path = write_chain(tmp_path, {}, shape)
     visual, solid = "</visual></link>", f"<collision><geometry>{shape}</geometry></collision>"
@@ -1354,8 +1366,10 @@ def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
         f"</visual>{'' if n in bare else solid}</link>{link}"
         for n, link in enumerate([*links, tail])
     )
+    text = text.replace('"j5" type="revolute"', f'"j5" type="{kind}"')
     tool = f'<link name="tool">{solid}</link><joint name="fixed" type="fixed"><parent link="l5"/>'
-    path.write_text(text.replace("</robot>", f'{tool}<child link="tool"/></joint></robot>'))
+    origin = f'<origin xyz="{place} 0 0"/><child link="tool"/></joint></robot>'
+    path.write_text(text.replace("</robot>", f"{tool}{origin}"))
     found = find_findings(audit_model(path), "moving-link-without-collision")
     assert [finding.element for finding in found] == [f"link {name!r}" for name in names]
 

@@ -309,8 +309,8 @@ has 1.2, the lightest foam 10, the lightest published link 8.8."""
 MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density is
 checked. Lighter links do not count for the median density, since the shapes of a light link may be
-markers instead of the real geometry. The density of a free base is checked with any mass. Chosen,
-not tuned.
+markers instead of the real geometry. The density of a free base is checked with any mass. Lighter
+rotors need no collision shapes. Chosen, not tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5
@@ -438,8 +438,9 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
 def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only drawn moving link of a URDF without collision shapes.
 
-    If a link has visual shapes itself, the link must have collision shapes itself. Otherwise, the
-    shapes of all fixed links count. Robots with fewer than `MIN_OTHER_LINKS` other drawn moving
+    If a link has visual shapes itself, the link must have collision shapes itself, or a fixed link
+    must have collision shapes at the same place. Otherwise, the shapes of all fixed links count.
+    Light rotors, for example of a lidar, need no collision shapes (`_is_light_rotor`). Robots with fewer than `MIN_OTHER_LINKS` other drawn moving
     links are skipped. No link of 170 public URDFs is such an exception.
     """
     collides: dict[str, bool] = {}
@@ -449,12 +450,46 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
             s for part in robot.fixed_group(body.name) for s in part.shapes if s.kind != "none"
         ]
         shapes = own if any(not shape.collides for shape in own) else group
-        if body.moving and any(not shape.collides for shape in shapes):
-            collides[body.name] = any(shape.collides for shape in shapes)
+        is_drawn = any(not shape.collides for shape in shapes)
+        if body.moving and is_drawn and not _is_light_rotor(robot, body):
+            collides[body.name] = any(shape.collides for shape in shapes) or (
+                _is_covered_by_fixed_link(robot, body)
+            )
     bare = [name for name in collides if not collides[name]]
     if len(bare) == 1 and len(collides) > MIN_OTHER_LINKS:
         message = diagnose("moving-link-without-collision", others=len(collides) - 1)
         yield CheckFinding("link", bare[0], message)
+
+
+def _is_light_rotor(robot: UrdfModel, body: Link) -> bool:
+    """Return True for a light link (`MIN_MASS_FRACTION`) on a hinge without limits, at the end.
+
+    The mass includes all fixed links. At the end means that no link moves relative to the link.
+    """
+    group = robot.fixed_group(body.name)
+    return (
+        all(joint.kind == HINGE_JOINT and np.isinf(joint.lower) for joint in body.joints)
+        and not any(child.moving for part in group for child in robot.children(part.name))
+        and sum(part.mass for part in group) < MIN_MASS_FRACTION * robot.total_mass
+    )
+
+
+def _is_covered_by_fixed_link(robot: UrdfModel, body: Link) -> bool:
+    """Return True if a fixed link has collision shapes where a link has visual shapes.
+
+    The bounding box of the collision shapes contains the centre of the bounding box of the visual
+    shapes, along the axes of the link.
+    """
+    visual = list_extent_points([_select_shapes(body, collides=False)], body)
+    if visual is None:
+        return False
+    centre = (visual.min(axis=0) + visual.max(axis=0))[None] / 2
+    solids = [
+        list_extent_points([_select_shapes(part, collides=True)], body)
+        for part in robot.fixed_group(body.name)
+        if part is not body
+    ]
+    return any(solid is not None and _measure_box_gap(centre, solid) < 0 for solid in solids)
 
 
 @rule
