@@ -36,6 +36,7 @@ from pupper_analysis.tools.audit.registry import (
 )
 from pupper_analysis.tools.audit.rules.mirror import (
     MIN_SIBLINGS,
+    POSITION_TOLERANCE,
     find_mirror_plane,
     list_joint_pairs,
     select_deviating_pairs,
@@ -829,6 +830,9 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
       the joint that deviates from these coordinates is repaired. If both joints or neither deviate,
       there is no repair.
     - Fewer joints in other limbs, or different origins: both joints are candidates.
+
+    There is no repair if both positions are mirror images within `POSITION_TOLERANCE`. Then the
+    shapes or the axis are wrong, not the origin.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -840,6 +844,9 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
         None,
     )
     if not isinstance(robot, UrdfModel) or mirror is None or partner is None:
+        return
+    places = [robot.joints[name].position for name in (found.name, partner)]
+    if np.linalg.norm(mirror.reflect_point(places[0]) - places[1]) <= POSITION_TOLERANCE:
         return
     kind = strip_sides(found.name)
     origins = {

@@ -532,3 +532,35 @@ def test_repairs_of_one_tensor_do_not_contradict_each_other(tmp_path: Path) -> N
     assert repairs_of(audit, "triangle-inequality") == [{"izz": "0.001676359"}]
     assert {finding.rule for finding in audit.findings} >= {"inertia-implausible"}
     assert repairs_of(audit, "inertia-implausible") == []
+
+
+@pytest.mark.parametrize(
+    ("place", "shapes", "number"), [("0.1002 0 0", "0.05 0 0.2", 0), ("0.1 0 0.2", "0.05 0 0", 2)]
+)
+def test_origin_of_a_joint_beside_its_links_is_repaired_if_the_sides_differ(
+    place: str, shapes: str, number: int, tmp_path: Path
+) -> None:
+    """Two arms of three bars of 0.1 m: the shapes or the origin of a wrist are 0.2 m too high."""
+    trimesh.creation.box((0.1, 0.04, 0.04)).export(tmp_path / "bar.stl")
+    inertia = '<inertia ixx="4e-5" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/>'
+    link = (
+        f'<link name="{{}}"><inertial><mass value="0.1"/>{inertia}</inertial><visual>'
+        '<origin xyz="{}"/><geometry><mesh filename="bar.stl"/></geometry></visual></link>'
+    )
+    parts = [link.format("torso", "0 0 0")]
+    for side, shoulder in (("left", "0.04 0.03 0"), ("right", "0.04 -0.03 0")):
+        names = ["torso", *(f"{side}_{part}" for part in ("shoulder", "elbow", "wrist"))]
+        is_wrong = side == "left"
+        origins = [shoulder, "0.1 0 0", place if is_wrong else "0.1 0 0"]
+        for parent, name, origin in zip(names, names[1:], origins, strict=False):
+            moved = is_wrong and name.endswith("wrist")
+            parts.append(link.format(name, shapes if moved else "0.05 0 0"))
+            parts.append(
+                f'<joint name="{name}_joint" type="revolute"><origin xyz="{origin}"/>'
+                f'<parent link="{parent}"/><child link="{name}"/><axis xyz="0 1 0"/>'
+                '<limit lower="-1" upper="1" effort="2" velocity="9"/></joint>'
+            )
+    path = tmp_path / "arms.urdf"
+    path.write_text(f'<robot name="arms">{"".join(parts)}</robot>')
+    (found,) = (f for f in audit_model(path).findings if f.rule == "joint-off-links")
+    assert (found.element, len(found.repairs)) == ("joint 'left_wrist_joint'", number)
