@@ -7,6 +7,7 @@ describe large meshes, are refused before they are read (`mesh_limits`).
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -96,11 +97,16 @@ def read_collada_asset(data: bytes) -> ColladaAsset:
     """Return the conventions of a COLLADA file; without a statement 1 m and Y_UP (COLLADA 1.4.1).
 
     Only the first <asset> counts, which precedes all meshes: the rest of the file is not parsed.
+
+    Raises:
+        ValueError: If the length of the unit is not a finite positive number.
     """
     for _, asset in etree.iterparse(
         io.BytesIO(data), tag="{*}asset", resolve_entities=False, no_network=True, huge_tree=True
     ):
         unit = asset.find("{*}unit")
         meter = 1.0 if unit is None else float(unit.get("meter", "1"))
+        if not 0 < meter < math.inf:
+            raise ValueError(meter)
         return ColladaAsset(meter, str(asset.findtext("{*}up_axis") or "Y_UP").strip())
     return ColladaAsset(1.0, "Y_UP")

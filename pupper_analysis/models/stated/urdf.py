@@ -293,9 +293,10 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     Raises:
         UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
         InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
-        ValueError: If the z axis of a COLLADA file does not point up. Some programs turn such a
-            mesh, others do not: the published iCub needs the turn; Tiago, Borinot and HexTilt are
-            right without the turn.
+        ValueError: If the z axis of a COLLADA file does not point up, or the length of the unit is
+            not a finite positive number. Some programs turn a mesh with another axis, others do
+            not: the published iCub needs the turn; Tiago, Borinot and HexTilt are right without the
+            turn.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 

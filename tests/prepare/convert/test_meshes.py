@@ -187,6 +187,16 @@ def test_instances_of_collada_nodes_are_all_converted_to_metres(
     assert converted.volume == pytest.approx(8 * BOX.volume * unit**3)
 
 
+@pytest.mark.parametrize("unit", ["0", "-1", "nan", "1e400"])
+def test_a_collada_unit_without_a_finite_positive_length_is_refused(
+    tmp_path: Path, unit: str
+) -> None:
+    stated = f'<unit name="u" meter="{unit}"/><up_axis>'
+    (tmp_path / "eight.dae").write_text(nest_nodes(3).replace("<up_axis>", stated))
+    with pytest.raises(UnreadableError, match="broken"):
+        convert_to_obj(tmp_path / "eight.dae")
+
+
 def test_a_collada_node_that_contains_itself_is_refused(tmp_path: Path) -> None:
     text = nest_nodes(3).replace('<node id="n0">', '<node id="n0"><instance_node url="#n3"/>')
     (tmp_path / "endless.dae").write_text(text)
