@@ -218,6 +218,13 @@ policy:
 """
 
 
+def make_stacked(order: str = "oldest") -> str:
+    """Return a file of legged_rl_deploy with gains that differ by joint."""
+    kp = [5.0, 6.0, 7.0] * 2 + [8.0, 9.0, 10.0] * 2
+    reference = [-angle / 2 for angle in ANGLES]
+    return STACKED.format(kp=kp, kd=[0.25] * 12, angles=ANGLES, reference=reference, order=order)
+
+
 @pytest.mark.parametrize("order", ["oldest", "newest"])
 def test_terms_in_frames_are_read_as_legged_rl_deploy_reads_them(
     tmp_path: Path, order: str
@@ -227,9 +234,7 @@ def test_terms_in_frames_are_read_as_legged_rl_deploy_reads_them(
     """
     policy, deploy = write_policy(tmp_path), tmp_path / "config.yaml"
     kp = [5.0, 6.0, 7.0] * 2 + [8.0, 9.0, 10.0] * 2
-    reference = [-angle / 2 for angle in ANGLES]
-    text = STACKED.format(kp=kp, kd=[0.25] * 12, angles=ANGLES, reference=reference, order=order)
-    deploy.write_text(text)
+    deploy.write_text(make_stacked(order))
     contract = Policy.load(
         policy, deployment=read_deployment(load("v3"), [deploy], policy)
     ).contract
@@ -246,6 +251,58 @@ def test_terms_in_frames_are_read_as_legged_rl_deploy_reads_them(
     assert contract.offset == pytest.approx(ANGLES)
     assert contract.kp == pytest.approx(kp)
     assert contract.rate == pytest.approx(50.0)
+
+
+ANGULAR = "base_ang_vel_B: {process_order: [scale, clip], "
+COMMANDS = "process_order: [clip, scale], min: -1, max: 1"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "term", "scale", "clip"),
+    [
+        (ANGULAR, "base_ang_vel_B: {process_order: [clip], ", 0, 1.0, (-2.0, 2.0)),
+        (ANGULAR, "base_ang_vel_B: {", 0, 1.0, (-math.inf, math.inf)),
+        (COMMANDS, COMMANDS.replace("-1", "[-1, -1, -1]"), 2, [2.0, 2.0, 0.25], (-1.0, 1.0)),
+        (COMMANDS, f"offset: 0.3, {COMMANDS}", 2, [2.0, 2.0, 0.25], (-1.0, 1.0)),
+        (COMMANDS, COMMANDS.replace("[clip", "[offset, clip"), 2, [2.0, 2.0, 0.25], (-1.0, 1.0)),
+    ],
+)
+def test_only_operations_of_the_process_order_are_applied(
+    tmp_path: Path, old: str, new: str, term: int, scale: float, clip: tuple[float, float]
+) -> None:
+    """Reference: ``Processor::TryLoad`` of legged_rl_deploy."""
+    policy, deploy = write_policy(tmp_path), tmp_path / "config.yaml"
+    deploy.write_text(make_stacked().replace(old, new))
+    contract = Policy.load(
+        policy, deployment=read_deployment(load("v3"), [deploy], policy)
+    ).contract
+    assert np.array_equal(contract.terms[term].scale, scale)
+    assert contract.terms[term].clip == clip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            COMMANDS,
+            f"offset: 0.3, {COMMANDS.replace('[clip', '[offset, clip')}",
+            "offset of .*velo",
+        ),
+        (COMMANDS, COMMANDS.replace("-1", "[-1, -1, -2]"), "clip of .*velocity_commands"),
+        ("[scale, clip], scale: 0.25", "[scale, clip], scale: [1, 2, 3]", "clip of .*base_ang_vel"),
+        ("[scale, clip], scale: 0.25", "[scale, clip], scale: '0.25'", "scale of .*base_ang_vel"),
+        ("pos: {process_order: [", "pos: {process_order: [clip, ", "offset of .*joint_pos"),
+    ],
+)
+def test_operation_that_a_contract_cannot_contain_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    deploy = tmp_path / "config.yaml"
+    text = make_stacked()
+    assert old in text
+    deploy.write_text(text.replace(old, new))
+    with pytest.raises(ModelError, match=rf"config.yaml:\d+: {message}"):
+        read_deployment(load("v3"), [deploy])
 
 
 def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> None:

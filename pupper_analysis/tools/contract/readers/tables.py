@@ -332,7 +332,7 @@ def _read_view(
         observations=(*named_terms, *_list_view_observations(view)),
         notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
-        unread=_describe_unread_values(view),
+        unread=_describe_unread_values(view) | _describe_unread_terms(view),
     )
 
 
@@ -484,8 +484,8 @@ def _list_view_observations(view: _View) -> Iterator[ObservedTerm]:
     """Yield the observation terms of a deployment.
 
     In files of legged_rl_deploy, ``terms`` contains the terms, and ``stack`` the number and order
-    of the frames. Each frame contains all terms. A term without a table is neither scaled nor
-    clipped.
+    of the frames. Each frame contains all terms. Only operations in ``process_order`` are applied
+    (``Processor::TryLoad``). A term without a table is neither scaled nor clipped.
     """
     terms, stack = view.get("observations", "terms"), view.get("observations", "stack")
     if not terms.table or terms.get("func").is_present:
@@ -493,34 +493,81 @@ def _list_view_observations(view: _View) -> Iterator[ObservedTerm]:
         return
     frames, order = stack.get("length").number, str(stack.get("order").value)
     for name, term in terms.table.items():
-        operations = term.get("process_order").texts
-        scales = tuple(item.number for item in term.get("scale").items)
-        known = tuple(number for number in scales if number is not None)
-        is_known = not scales or len(known) == len(scales)
+        is_read = _find_unread_operation(str(name), term) is None
         yield ObservedTerm(
             str(name),
-            (known or (1.0,)) if is_known else None,
+            _read_scales(term) if is_read else None,
             term.place,
             int(frames or 0),
-            _read_bounds(term, known or (1.0,), operations),
+            _read_bounds(term) if is_read else None,
             order.replace("_", " ") if stack.table else "",
         )
 
 
-def _read_bounds(
-    term: LocatedValue, scales: Sequence[float], operations: Sequence[str]
-) -> tuple[float, float] | None:
+def _describe_unread_terms(view: _View) -> dict[str, Diagnostic]:
+    """Return {quantity: message} of the terms with an operation that is not read."""
+    unread = dict[str, Diagnostic]()
+    for name, term in view.get("observations", "terms").table.items():
+        operation = _find_unread_operation(str(name), term)
+        if operation is not None:
+            quantity = f"observation {ObservedTerm(str(name), None, term.place).common_name}"
+            place = term.get("process_order").place
+            unread[quantity] = diagnose(
+                "contract-term-unread",
+                file=str(place),
+                term=str(name),
+                operation=operation,
+                sources=place.source,
+            )
+    return unread
+
+
+def _find_unread_operation(name: str, term: LocatedValue) -> str | None:
+    """Return the first operation of a term that `ObservedTerm` cannot contain; None without.
+
+    Such operations are a scale that is no number, bounds that differ by element, and an offset
+    other than 0. The offset of joint positions as first operation is a default angle, and is read
+    (`_list_reference_angles`).
+    """
+    operations = term.get("process_order").texts
+    is_angle = _is_position(name) and operations[:1] == ("offset",)
+    offsets = [item.number for item in term.get("offset").items]
+    bounds = (term.get("min"), term.get("max"))
+    if "scale" in operations and any(item.number is None for item in term.get("scale").items):
+        return "scale"
+    if "offset" in operations and not is_angle and any(offset != 0 for offset in offsets):
+        return "offset"
+    is_bounded = "clip" in operations and any(bound.is_present for bound in bounds)
+    return "clip" if is_bounded and _read_bounds(term) is None else None
+
+
+def _read_scales(term: LocatedValue) -> tuple[float, ...]:
+    """Return the factors of an observation term; 1 if no factor is applied."""
+    if "scale" not in term.get("process_order").texts:
+        return (1.0,)
+    numbers = (item.number for item in term.get("scale").items)
+    return tuple(number for number in numbers if number is not None) or (1.0,)
+
+
+def _read_bounds(term: LocatedValue) -> tuple[float, float] | None:
     """Return the bounds ``min`` and ``max`` of an observation term, before scaling.
 
-    None if the bounds are not numbers or not applied, or if the scale before the bounds differs by
-    element.
+    None if the bounds are not applied, or differ by element. Also if the scale before the bounds
+    differs by element, or is not positive.
     """
-    low, high = term.get("min").number, term.get("max").number
-    if low is None or high is None or "clip" not in operations:
+    operations, scales = term.get("process_order").texts, set(_read_scales(term))
+    lows, highs = ({item.number for item in term.get(key).items} for key in ("min", "max"))
+    if "clip" not in operations or len(lows) != 1 or len(highs) != 1:
         return None
-    if "scale" not in operations[: operations.index("clip")]:
-        return low, high
-    return (low / scales[0], high / scales[0]) if len(set(scales)) == 1 and scales[0] > 0 else None
+    low, high = lows.pop(), highs.pop()
+    is_scaled = "scale" in operations[: operations.index("clip")]
+    factor = 1.0 if not is_scaled else min(scales) if len(scales) == 1 else 0.0
+    return None if low is None or high is None or factor <= 0 else (low / factor, high / factor)
+
+
+def _is_position(name: str) -> bool:
+    """Return True for the name of an observation term of joint positions."""
+    return OBSERVATION_ALIASES.get(name, name) == "joint_pos"
 
 
 def _list_reference_angles(terms: LocatedValue) -> Iterator[Statement]:
@@ -529,9 +576,8 @@ def _list_reference_angles(terms: LocatedValue) -> Iterator[Statement]:
     In files of legged_rl_deploy, the offset is added, so a default angle is the negative offset.
     """
     for name, term in terms.table.items():
-        is_position = OBSERVATION_ALIASES.get(str(name), name) == "joint_pos"
         # An offset that is added after the scale is no angle.
-        if is_position and term.get("process_order").texts[:1] == ("offset",):
+        if _is_position(str(name)) and term.get("process_order").texts[:1] == ("offset",):
             for statement in term.get("offset").make_statements("default angle", ()):
                 if statement.value is not None:
                     value = -statement.value
