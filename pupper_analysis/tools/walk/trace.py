@@ -158,6 +158,7 @@ def read_trace(path: str | Path) -> Trace:
         if name not in arrays:
             raise ModelError(path, diagnose("trace-lacks", name=name))
     for name, array in arrays.items():
+        array = np.atleast_1d(array)
         bad = np.argwhere(~(np.abs(array) <= _MAX_MAGNITUDE))
         if len(bad):
             sample, column = int(bad[0][0]), int(bad[0][1]) if array.ndim == 2 else 0

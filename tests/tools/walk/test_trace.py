@@ -253,6 +253,9 @@ def test_csv_and_npz_give_equal_results(
     [
         ({"observations": None}, "no observations"),
         ({"time": np.zeros(120)}, "sample 1 is at 0 s after 0 s"),
+        ({"time": np.array(math.nan)}, "column 0 of time is nan at sample 0"),
+        ({"time": np.array(0.0)}, "at least 20 samples, and has 1"),
+        ({"gravity": np.array(math.inf)}, "column 0 of gravity is inf at sample 0"),
         ({"time": np.zeros(3)}, "at least 20 samples, and has 3"),
         ({"actions": np.zeros((120, 11))}, "numbers in an observation"),
         ({"positions": np.full((120, 12), math.nan)}, "column 0 of positions is nan at sample 0"),
