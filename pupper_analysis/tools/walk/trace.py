@@ -216,12 +216,13 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
     The joint names are those of the columns ``q_JOINT``; empty if the columns are numbered, or
     absent. Numbered columns of a signal are sorted by their numbers. Separators are commas,
-    semicolons or tabs. Blank lines are left out.
+    semicolons or tabs. Blank lines are left out, and comments: lines below the names that start
+    with ``#``. Only columns of signals and of the time must have distinct names.
 
     Raises:
-        ModelError: If the file is no table of numbers, a column is repeated, or signals have
-            different joints. Also if ``time`` is missing, or the columns of another signal are not
-            numbered consecutively.
+        ModelError: If the file is no table of numbers, a used column is repeated, or signals
+            have different joints. Also if ``time`` is missing, or the columns of another signal
+            are not numbered consecutively.
         InputError: If the text cannot be decoded.
     """
     lines = [
@@ -229,6 +230,7 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
         for line, text in enumerate(decode_input(path, data).splitlines(), 1)
         if text.strip()
     ]
+    lines = lines[:1] + [(line, text) for line, text in lines[1:] if text.strip()[0] != "#"]
     if len(lines) < 2:
         raise ModelError(path, diagnose("trace-unreadable", problem="no numbers"))
     header, separator = Place(path, lines[0][0]), max(",;\t", key=lines[0][1].count)
@@ -237,8 +239,9 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
     )
     if "time" not in names:
         raise make_file_error(header, diagnose("trace-lacks", name="time"))
+    prefixes = tuple(f"{prefix}_" for prefix in _SIGNALS.values())
     for name in names:
-        if names.count(name) > 1:
+        if names.count(name) > 1 and (name == "time" or name.startswith(prefixes)):
             raise make_file_error(header, diagnose("trace-column-twice", name=name))
     table = np.array([_parse_numbers(Place(path, line), names, cells) for line, cells in samples])
     arrays = {"time": table[:, names.index("time")]}

@@ -301,6 +301,7 @@ CSV_COLUMNS = ("time", *(f"obs_{k}" for k in range(12)), "action_0", "q_a", "v_a
     [
         (1, "time,", "t,", "the trace has no time"),
         (1, "obs_1,", "obs_0,", "two columns obs_0"),
+        (1, "q_a", "time", "two columns time"),
         (1, "obs_7,", "obs_12,", "no obs_7"),
         (1, "obs_7,", f"obs_{'9' * 5000},", "no obs_7"),
         (1, "v_a", "v_b", "no v_a"),
@@ -326,6 +327,18 @@ def test_refusal_of_a_csv_file_names_the_line(
     with pytest.raises(ModelError, match=message) as caught:
         read_trace(path)
     assert f"trace.csv:{line}: " in str(caught.value)
+
+
+def test_comments_and_repeated_unused_columns_of_a_csv_file_are_left_out(tmp_path: Path) -> None:
+    rows = [f"{sample},1,2,{sample},8,9" for sample in range(30)]
+    rows.insert(3, " # second run, 3 samples")
+    path = tmp_path / "trace.csv"
+    path.write_text("\n".join(["time,obs_0,action_0,q_a,note,note", *rows, "# end"]))
+    trace = read_trace(path)
+    assert trace.arrays["positions"][:, 0].tolist() == [*range(30)]
+    path.write_text(path.read_text().replace("5,1,2", "5,1,x"))
+    with pytest.raises(ModelError, match=r"trace.csv:8: 'x' in column action_0"):
+        read_trace(path)
 
 
 def test_numbered_columns_of_joints_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
