@@ -309,7 +309,7 @@ CSV_COLUMNS = ("time", *(f"obs_{k}" for k in range(12)), "action_0", "q_a", "v_a
         (4, "2,", "nan,", "column 0 of time is nan at sample 2"),
         (4, ",7,", ",inf,", "column 7 of observations is inf at sample 2"),
         (4, ",7,", ",seven,", "'seven' in column obs_7 is no number"),
-        (4, ",7,", ",7,7,", "the line has 17 cells, the header 16"),
+        (4, ",7,", ",7,7,", "the line has 17 cells, the header 16; write a cell per"),
         (4, "2,", "1,", "sample 2 is at 1 s after 1 s"),
         (4, "2,", "-5,", "sample 2 is at -5 s after 1 s"),
     ],

@@ -358,7 +358,7 @@ def _describe_unread_values(view: _View) -> dict[str, Diagnostic]:
                     "contract-value-unread",
                     file=str(place),
                     what=Term(rule.quantity) if rule.quantity in QUANTITIES else rule.quantity,
-                    value=quote_short(value),
+                    value=quote_short(value) if item.is_present else "null",
                     sources=place.source,
                 )
                 break
