@@ -74,6 +74,8 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     if len(outcome.table) < outcome.designs:
         remaining = outcome.designs - len(outcome.table)
         findings.append(text("count-more-are-not-measured", count=remaining))
+    # A design with a failure may have values of some metrics.
+    is_measured = failed < len(outcome.table) or any(one.designs for one in outcome.measured)
     blocks = (
         _make_metric_table(outcome),
         *_make_failure_table(outcome),
@@ -85,7 +87,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         text("study-of-designs"),
         doc.Name(outcome.robot),
         blocks,
-        verdict=text("designs-measured"),
+        verdict=text("designs-measured" if is_measured else "no-design-measured"),
         findings=tuple(findings),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,12 +14,12 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import LinePlot, Report, Table
+from pupper_analysis.present.document import LinePlot, Report, Table, get_english
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
-from pupper_analysis.tools.study.outcome import compute_main_effects
+from pupper_analysis.tools.study.outcome import Failures, MetricSummary, compute_main_effects
 from tests.present.test_html import EVIL
 from tests.support.commands import answer
 from tests.support.html_page import Page, read_text
@@ -186,6 +187,26 @@ def test_markup_in_the_names_of_a_study_is_escaped() -> None:
     assert not [a for _, a in page.strict.tags for name in a if name.startswith("on")]
     for name in EVIL[:3]:
         assert name in page.shown()
+
+
+@pytest.mark.parametrize(
+    ("failed", "values", "verdict"),
+    [(2, 0, "NONE MEASURED"), (1, 1, "MEASURED"), (2, 1, "MEASURED"), (0, 2, "MEASURED")],
+)
+def test_verdict_of_a_study_states_whether_a_design_has_values(
+    failed: int, values: int, verdict: str
+) -> None:
+    """A failed design may have values of metrics that need no servos."""
+    table = pd.DataFrame({"design": ["a", "b"], "kp": [1.0, 2.0], "m": [math.nan] * 2})
+    summary = MetricSummary("m", "1", 0.0, 0.0, 0.0, values, {}, None)
+    failures = (Failures("unreachable", None, failed, failed / 2, "far", None),) * bool(failed)
+    found = pa.study.StudyOutcome(
+        "v3", "", (), {"kp": {"values": [1.0, 2.0]}}, table, {}, 2, (summary,), failures, {},
+        table[:0], {}, 0,
+    )  # fmt: skip
+    title = study_document(found).verdict
+    assert title is not None
+    assert get_english(title) == verdict
 
 
 @pytest.mark.slow
