@@ -133,11 +133,15 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
 
 
 def _format_range(gains: Iterable[float], unit: str) -> str:
-    """Return the smallest and the largest positive gain with three digits, and the unit."""
+    """Return the smallest and the largest positive gain with three digits, and the unit.
+
+    Gains that are equal in three digits are a single number.
+    """
     used = sorted(gain for gain in gains if gain > 0)
     if not used:
         return f"0 {unit}"
-    return f"{format_number(used[0], '.3g')} to {format_number(used[-1], '.3g')} {unit}"
+    texts = dict.fromkeys(format_number(gain, ".3g") for gain in (used[0], used[-1]))
+    return f"{' to '.join(texts)} {unit}"
 
 
 def _describe_controller(study: GainStudy) -> doc.Words:

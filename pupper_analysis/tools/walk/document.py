@@ -330,9 +330,8 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Return the range of some values as text, such as ``2-5``; a single value if equal."""
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g}-{high:g}"
+    """Return the range of some values as text, such as ``2-5``; a single value if the texts are equal."""
+    return "-".join(dict.fromkeys(f"{float(value):g}" for value in (values.min(), values.max())))
 
 
 def _describe_outcome(gait: Gait) -> doc.Words:

@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.document import Number, Table, get_english
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.tools.gains.document import gains_document
+from pupper_analysis.tools.gains.document import _format_range, gains_document
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
     GainStudy,
@@ -23,6 +23,19 @@ from pupper_analysis.tools.gains.gains import (
 from tests.support.legged import quadruped_with_slides
 from tests.support.printing import printed
 from tests.support.variants import load, stand_of
+
+
+@pytest.mark.parametrize(
+    ("gains", "text"),
+    [
+        ([5.0, 5.0], "5 N m/rad"),
+        ([5.0, 5.0 + 1e-9], "5 N m/rad"),
+        ([0.0, 7.5, 5.0], "5 to 7.5 N m/rad"),
+        ([0.0], "0 N m/rad"),
+    ],
+)
+def test_range_of_gains_with_equal_digits_is_a_single_number(gains: list[float], text: str) -> None:
+    assert _format_range(gains, "N m/rad") == text
 
 
 @cache

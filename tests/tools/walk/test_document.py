@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.present.document import text
 from pupper_analysis.tools.walk import document
-from pupper_analysis.tools.walk.document import _max_over_runs, orders_document
+from pupper_analysis.tools.walk.document import _format_range, _max_over_runs, orders_document
 from pupper_analysis.tools.walk.orders import Candidate, Orders
 from tests.support.printing import printed
 
@@ -92,3 +92,8 @@ def test_verdict_of_orders_depends_on_the_tracked_commands(
     step = orders_document(orders).next_step
     assert step is not None
     assert (step.command, step.words) == following
+
+
+def test_range_of_values_with_equal_digits_is_a_single_number() -> None:
+    assert _format_range(np.array([5.0, 5.0 + 1e-9])) == "5"
+    assert _format_range(np.array([2.0, 5.0, 3.0])) == "2-5"
