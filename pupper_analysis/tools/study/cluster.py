@@ -24,10 +24,19 @@ _MAX_LOCAL_WORKERS: Final = 1024
 """Largest number of worker processes on this machine. Chosen, not tuned."""
 
 _SCHEDULER_ADDRESS: Final = re.compile(
-    r"(?:(?:tcp|tls|ucx|wss?)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):([0-9]+)(?:/\S*)?"
+    r"(?:(?!https?:|inproc:)[a-z][a-z0-9+.-]*://)?"
+    r"(?:\[[0-9a-f:.]+(?:%\w+)?\]|[^\s:/\[\]]+):([0-9]{1,5})(?:/\S*)?",
+    re.ASCII | re.IGNORECASE,
 )
-"""Pattern of the address of a scheduler: protocol of Dask, host and port, as in
-``tcp://host:8786``. The group is the port."""
+"""Pattern of the address of a scheduler: protocol, host and port, as in ``tcp://host:8786``.
+
+The group is the port. Packages can add protocols to Dask, for example ``ucxx`` and ``gateway``.
+Addresses of web pages, and of schedulers within a process, are refused.
+"""
+
+_LOCAL_NUMBER: Final = re.compile(r"[0-9]{1,4}")
+"""Pattern of a number of worker processes on this machine, up to the digits of
+`_MAX_LOCAL_WORKERS`."""
 
 _MAX_PORT: Final = 65535
 """Largest number of a TCP port."""
@@ -63,7 +72,7 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
         raise ConfigurationError("dask", diagnose("no-cluster-address", given=address))
     if address.startswith(LOCAL_PREFIX):
         number = address.removeprefix(LOCAL_PREFIX)
-        if not number.isdecimal() or not 1 <= int(number) <= _MAX_LOCAL_WORKERS:
+        if not _LOCAL_NUMBER.fullmatch(number) or not 1 <= int(number) <= _MAX_LOCAL_WORKERS:
             raise ConfigurationError("dask", diagnose("no-cluster-address", given=address))
         # Port 0: any free port. Without an address Dask uses port 8787, and warns if another
         # cluster of this machine uses it.

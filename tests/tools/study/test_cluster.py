@@ -6,6 +6,7 @@ The table is that of a serial run.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -217,13 +218,35 @@ def test_module_that_workers_lack_is_named_with_a_remedy(tmp_path: Path) -> None
             "tcp://host",
         ),
         *("tcp://:8786", "tcp://host:x", "tcp://host:0", "tcp://host:65536", "tcp://a b:1"),
-        *("inproc://", "http://host:80", "scheduler.json"),
+        *("inproc://", "http://host:80", "scheduler.json", "HTTPS://host:80", "inproc://host:1"),
+        *(f"local:{'1' * 5000}", f"tcp://host:{'1' * 5000}", "tcp://[fe80::1%]:8786"),
     ],
 )
 def test_invalid_address_of_workers_is_refused(address: str) -> None:
     """Nothing is contacted: Dask would wait for an answer, or raise exceptions of its own."""
     with (
         pytest.raises(ConfigurationError, match=r"local:4.*tcp://host:8786"),
+        connect_dask(address),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        *("host:8786", "tcp://host:8786", "TCP://host:8786", "ucxx://host:8786"),
+        *("gateway://host:8786/c", "tcp://[::1]:8786", "tcp://[fe80::1%eth0]:8786"),
+    ],
+)
+def test_address_of_a_scheduler_is_passed_to_dask(
+    monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    def refuse(given: str, **_: Any) -> None:
+        raise OSError(f"contacted {given}")
+
+    monkeypatch.setattr("distributed.Client", refuse)
+    with (
+        pytest.raises(ConfigurationError, match=re.escape(f"contacted {address}")),
         connect_dask(address),
     ):
         pass
