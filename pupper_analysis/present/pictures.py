@@ -376,7 +376,7 @@ def _check_size(size: Any, frames: int) -> None:
         ConfigurationError: If the size is no pair of whole numbers from 1 to `_MAX_SIDE`, or all
             frames have more than `_MAX_PIXELS` pixels.
     """
-    given = [*size] if isinstance(size, Sequence | np.ndarray) else []
+    given = [*size] if isinstance(size, Sequence) or np.ndim(size) == 1 else []
     whole = all(isinstance(side, int | np.integer) and type(side) is not bool for side in given)
     if len(given) != 2 or not whole or not all(1 <= side <= _MAX_SIDE for side in given):
         text = " ".join(reprlib.repr(size).split())

@@ -104,7 +104,18 @@ def test_picture_of_a_result_without_view_is_refused(
     stand = stand_of("v3")
     with pytest.raises(pa.ConfigurationError, match=r"result\.show\(robot\)"):
         pickle.loads(pickle.dumps(stand)).show()
-    for size in ((0, 10), (-1, 9), (9,), (1, 2, 3), 3, "ab", (1.5, 2), (True, 2), (9, 8193)):
+    for size in (
+        (0, 10),
+        (-1, 9),
+        (9,),
+        (1, 2, 3),
+        3,
+        "ab",
+        (1.5, 2),
+        (True, 2),
+        (9, 8193),
+        np.array(3),
+    ):
         for draw in (stand.show, stand.animate):
             with pytest.raises(pa.ConfigurationError, match="two whole numbers from 1 to 8192"):
                 draw(size=size)
