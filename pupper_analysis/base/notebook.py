@@ -7,6 +7,7 @@ of a result (``pa.report.write_report``) shows longer arrays.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -35,7 +36,8 @@ NUMBER_FORMAT = ".4g"
 
 ROUNDING_RTOL = 1e-12
 """Relative threshold up to which a table cell shows a number of an array, a mapping or a sequence
-of numbers as 0. The reference is the largest absolute number of these, or 1 if this is larger.
+of numbers as 0. The reference is the largest absolute number of the array or sequence, or 1 if 1 is
+larger. The reference of an entry of a mapping is 1, since entries may have different units.
 Smaller numbers are rounding errors of double precision. Chosen, not tuned.
 """
 
@@ -132,10 +134,10 @@ def format_value(value: object) -> str:
     if isinstance(value, np.ndarray):
         return _array_html(value)
     if isinstance(value, Mapping):
-        items = _zero_rounding_errors_of_items([*value.values()])
+        # Entries may have different units, so that each entry is its own reference.
         lines = [
-            f"{escape(str(name))}: {format_value(item)}"
-            for name, item in zip(value, items, strict=True)
+            f"{escape(str(name))}: {format_value(*_zero_rounding_errors_of_items([item]))}"
+            for name, item in value.items()
         ]
         return _lines_html(lines)
     if isinstance(value, Sequence):
@@ -149,12 +151,22 @@ def zero_rounding_errors(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return np.where(np.abs(values) <= ROUNDING_RTOL * scale, 0.0, values)
 
 
+def _is_real_number(value: object) -> bool:
+    """Return True for an int or float that a float can represent; bools are no numbers."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) <= sys.float_info.max
+    return isinstance(value, float | np.floating | np.integer)
+
+
 def _zero_rounding_errors_of_items(items: Sequence[object]) -> Sequence[object]:
-    """Return items with 0 for rounding errors, if each item is a float; otherwise the items."""
-    if not items or not all(isinstance(item, float) for item in items):
+    """Return items with 0 for rounding errors of floats, if each item is a float or an int."""
+    if not items or not all(map(_is_real_number, items)):
         return items
-    kept: list[float] = zero_rounding_errors(np.array(items, dtype=float)).tolist()
-    return kept
+    kept = zero_rounding_errors(np.array(items, dtype=float)).tolist()
+    return [
+        number if isinstance(item, float | np.floating) else item
+        for item, number in zip(items, kept, strict=True)
+    ]
 
 
 def _number_text(value: float) -> str:

@@ -53,7 +53,12 @@ def test_names_in_a_mapping_are_escaped() -> None:
 def test_rounding_noise_is_shown_as_zero() -> None:
     assert format_value(np.array([1e-17, 2.0, -3e-18])) == "0, 2, 0"
     assert format_value({"knee": -1e-16, "hip": 2.0}) == "knee: 0<br>hip: 2"
+    assert format_value({"mass": 2e6, "inertia": 1e-6}) == "mass: 2000000<br>inertia: 0.000001"
     assert format_value((-1e-16, 2.0)) == "0, 2"
+    assert format_value([1e-17, 2]) == "0, 2"
+    assert format_value([1e-17, np.int64(2)]) == "0, 2"
+    assert format_value([3e-17, 10**400]).endswith(f", {10**400}")
+    assert format_value([1e-17, True]).endswith(", True")
     assert format_value(np.append(np.full(20, -1e-17), 3.0)) == "array of 21, 0 to 3"
     assert repr(FootLoad(np.array([-1e-17, 0.0, 7.5]), np.zeros(3), 0.0)).startswith(
         "FootLoad(force=[0, 0, 7.5]"
