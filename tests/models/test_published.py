@@ -115,6 +115,9 @@ def test_description_without_prefix_is_found_unless_a_file_has_its_name(
         ("go2", ["unitree_go2"]),
         ("mujoco_menagerie/unitree_g02", ["unitree_go2"]),
         ("nobody", []),
+        ("robot", []),
+        ("hand", []),
+        ("robot_arm", []),
     ],
 )
 def test_error_about_a_name_proposes_similar_published_names(

@@ -396,7 +396,11 @@ default_joint_pos: {format_list(ANGLES)}
         ("[5.0", "['5.0'", "bad.yaml:3: kp is '5.0', which is no finite number, and was not read"),
         ("[5.0", "[5.0 Nm", "bad.yaml:3: kp is '5.0 Nm'"),
         ("[5.0", "[true", "bad.yaml:3: kp is 'True'"),
-        ("[5.0", "[null", "bad.yaml:3: kp is null, .*, and was not read; write a number without quot"),
+        (
+            "[5.0",
+            "[null",
+            "bad.yaml:3: kp is null, .*, and was not read; write a number without quot",
+        ),
         ("[5.0", "[[5.0]", r"bad.yaml:3: kp is '\[...\]'"),
         ("0.26", ".nan", "bad.yaml:4: default angle is '.nan'"),
         ("0.02", "'0.02'", "bad.yaml:2: policy step is '0.02'"),
@@ -419,7 +423,11 @@ def test_value_that_is_no_number_is_a_warning_if_another_source_states_it(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("leg_front_r_2", "leg_front_r_1", "order of the numbers is not known; list each joint once"),
+        (
+            "leg_front_r_2",
+            "leg_front_r_1",
+            "order of the numbers is not known; list each joint once",
+        ),
         ("joint_names: [", "joint_names: [3, ", "the joint names are no list of names"),
     ],
 )

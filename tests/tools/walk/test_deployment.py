@@ -315,7 +315,11 @@ def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("5.0,", "'5.0',", "deploy.yaml:3: kp is '5.0', which is no finite number; write a .* and unit$"),
+        (
+            "5.0,",
+            "'5.0',",
+            "deploy.yaml:3: kp is '5.0', which is no finite number; write a .* and unit$",
+        ),
         ("'0.02'", "0.02 s", "deploy.yaml:2: policy step is '0.02 s'"),
         ("leg_front_r_2", "leg_front_r_1", "deploy.yaml:1: the list of joints names leg_front_r_1"),
     ],
