@@ -330,7 +330,7 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Return the range of some values as text, such as ``2-5``; a single value if the texts are equal."""
+    """Return a range of values as text, such as ``2-5``; one value if both texts are equal."""
     return "-".join(dict.fromkeys(f"{float(value):g}" for value in (values.min(), values.max())))
 
 

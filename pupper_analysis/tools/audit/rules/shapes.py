@@ -440,8 +440,9 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
     If a link has visual shapes itself, the link must have collision shapes itself, or a fixed link
     must have collision shapes at the same place. Otherwise, the shapes of all fixed links count.
-    Light rotors, for example of a lidar, need no collision shapes (`_is_light_rotor`). Robots with fewer than `MIN_OTHER_LINKS` other drawn moving
-    links are skipped. No link of 170 public URDFs is such an exception.
+    Light rotors, for example of a lidar, need no collision shapes (`_is_light_rotor`). Robots with
+    fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped. No link of 170 public URDFs
+    is such an exception.
     """
     collides: dict[str, bool] = {}
     for body in robot.links.values():
@@ -518,8 +519,9 @@ def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]
     """Return the links of several limbs with the same gap, whose next links draw the shapes.
 
     The next link must draw the collision shapes of the link (`_is_drawn_by_next_link`), in more
-    than half of the corresponding links with a gap. The gap of a link must be within `POSITION_TOLERANCE` of the
-    median of these links. A single link with a defect, such as a missing mesh, changes neither.
+    than half of the corresponding links with a gap. The gap of a link must be within
+    `POSITION_TOLERANCE` of the median of these links. A single link with a defect, such as a
+    missing mesh, changes neither.
 
     Args:
         robot: Model of the robot.
