@@ -14,7 +14,7 @@ from pupper_analysis.base.errors import ConfigurationError
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
     """Refuse options that the user typed, and that the selected mode of the command does not use.
 
-    The options are those of the running command.
+    The options are those of the running command; arguments are refused in the same way.
 
     Args:
         mode: Option that selects the mode, such as ``--plan``.

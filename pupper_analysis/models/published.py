@@ -94,7 +94,7 @@ def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
     """Yield the folders that may contain a ROS package: a given folder, or its subfolder.
 
     ``folder`` is yielded if its name, or the name in its ``package.xml``, is ``package``. The
-    subfolder ``folder / package`` is yielded if it exists, in both cases.
+    subfolder ``folder / package`` is yielded if it exists, whatever the name of ``folder``.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder

@@ -142,7 +142,8 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
     added. An attribute that the file states is kept. The model is returned unchanged if the robot
-    has no MJCF or no added servos, or if at most half of the joints lack a position servo.
+    has no published MJCF (`PublishedFile.file`) or no added servos, or if at most half of the
+    joints of ``published`` lack a position servo.
 
     Args:
         published: Published model: the user's file as compiled.

@@ -318,7 +318,8 @@ class ControlledStand:
             kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
 
         Returns:
-            Damping ratio [1], at most 1; 1 if no mode oscillates.
+            Damping ratio [1], at most 1; 1 if no mode oscillates. Modes with a negative real
+            eigenvalue, which change sign in each control period, are not considered.
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd))
         values = values[(np.abs(values) > _DELAY_TOLERANCE) & (values.imag > _DELAY_TOLERANCE)]

@@ -276,9 +276,10 @@ def verify_stand(
 
     1. The robot settles, and stands still only on its feet.
     2. With feed-forward, settled torques, foot forces and joint positions agree with the
-       prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height.
+       prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
+       feed-forward, the robot does not collapse (`StandVerification.collapses`).
     3. The robot comes to rest again after a nudge: a velocity of all coordinates (``NUDGE_SPEED``
-       of ``robot.fall``).
+       of ``robot.fall``). No joint moves by ``MAX_JOINT_DISPLACEMENT`` (0.01 rad or m) or more.
     4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s).
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
@@ -294,8 +295,8 @@ def verify_stand(
         stand: Stand.
         feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
             ctrl = q*.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time [s], 2 to 600.
         nudged: Part of the duration after the nudge [s], at most ``duration`` minus 1 s. Default:

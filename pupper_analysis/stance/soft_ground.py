@@ -54,10 +54,10 @@ after which the fixed-point iteration fails. Example: a sole that is loaded at i
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Upper bound of the ratio of two successive changes of the feet's penetration depths with which
-the fixed-point iteration takes full steps. With a larger ratio, steps are scaled by a relaxation
-factor. Chosen, not tuned: with this ratio, the iteration without relaxation needs 20 rounds from 1
-mm to `DEPTH_TOLERANCE`."""
+"""Upper bound of the ratio of two successive changes of the feet's penetration depths up to which
+the fixed-point iteration takes full steps. From a larger ratio on, steps are scaled by a relaxation
+factor, until this factor is 1 again. Chosen, not tuned: with this ratio, the iteration without
+relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
 """Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's

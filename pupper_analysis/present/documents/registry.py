@@ -47,8 +47,8 @@ enough for the joints of a humanoid without hands.
 """
 
 MAX_CELL_LENGTH = 600
-"""Largest number of characters of a value in a table cell. The cell of a longer list or array
-contains the size or shape instead. Chosen, not tuned.
+"""Largest number of characters of a value in a table cell. A longer value is replaced by the text
+of `shorten`, for example the size of a list or the shape of an array. Chosen, not tuned.
 """
 
 

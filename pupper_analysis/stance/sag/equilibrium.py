@@ -918,7 +918,7 @@ class Welds:
 
         Args:
             config: Configuration of the robot.
-            balance: Generalised force, shape (nv,) [N, N m].
+            balance: Generalised force that the wrenches must exert, shape (nv,) [N, N m].
 
         Returns:
             Jacobian of each weld or grip, shape (w, 6, nv), and wrenches, shape (w, 6) [N, N m].

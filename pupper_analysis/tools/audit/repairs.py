@@ -395,8 +395,8 @@ the shapes. At a larger distance the CoM is replaced together with the tensor. C
 
 _MIRROR_RTOL = 0.02
 """Relative tolerance between a moment with moved decimal point and the same moment of the mirror
-image of the tensor on the other side. Within the tolerance, only the moved decimal point is
-proposed. Chosen, not tuned.
+image of the tensor on the other side. If exactly one moved decimal point is within the tolerance,
+only this repair is proposed. Chosen, not tuned.
 """
 
 

@@ -227,8 +227,9 @@ class StanceSearch:
 
         Returns:
             Evaluated stance, even if it violates a constraint (``allowed`` is False). None if no
-            stand is found, its task is rejected, no contact forces balance it, or the servos do not
-            hold it without payload.
+            stand is found, its task is rejected, or the objective cannot be computed: except for
+            the margin, if no contact forces balance the stand; for the payload, also if the servos
+            do not hold the stand without payload.
         """
         key = tuple(coordinates.tolist())
         if key not in self.known:

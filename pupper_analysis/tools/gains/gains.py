@@ -671,8 +671,8 @@ class _Gains:
     def find_largest_damping(self, stiffness: float) -> float:
         """Return the largest stable factor on kd if kp is multiplied by the factor ``stiffness``.
 
-        Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is
-        stable.
+        Infinite if, from the first stable factor that is found, all doubled factors up to
+        `MAX_FACTOR` are stable; NaN if no tried factor is stable.
         """
         kp, _ = self.scale_gains(stiffness, 1.0)
         return find_largest_damping_factor(self.loop, kp, self.kd)

@@ -638,7 +638,7 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return a copy for one stand, with the known masses and the heading of the stand.
+        """Return the values for one stand, with its known masses and heading; self without both.
 
         Known masses are added to the Pinocchio model. Gravity is expressed in axes that are rotated
         by the heading of the stand.

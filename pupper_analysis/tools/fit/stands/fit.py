@@ -193,8 +193,8 @@ def check_scale(
     - logarithm of the total mass
     - load: force on the feet in excess of the weight of the masses, as a fraction of this weight
 
-    The load is not tested if ``level`` is False, or if a known mass was added in some stands:
-    `check_surroundings` then tests the load.
+    The load is not tested if ``level`` is False, or if a known mass was added in some stands. With
+    a known mass, `check_surroundings` tests the load.
 
     Args:
         robot: Robot.
