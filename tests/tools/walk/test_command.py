@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.tools.walk import intervals
 from tests.support import legged
 from tests.support.commands import check_refusal, run_command
 from tests.support.repository import ROOT
@@ -119,6 +122,25 @@ def test_payload_and_pushes_are_printed_in_kilograms_and_newton_seconds(
     assert f"{forward:.3g} N s forward" in out
     assert f"{left:.3g} N s to the left" in out
     assert f"base: {payload:.3g} kg" in " ".join(out.split())
+
+
+def test_vary_all_varies_every_quantity(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search for intervals is replaced; `test_changes` simulates each quantity."""
+    varied: list[str] = []
+
+    def refuse(*_: object, quantities: tuple[str, ...], **__: object) -> None:
+        varied.extend(quantities)
+        raise pa.ConfigurationError("vary", diagnose("no-array", problem="stopped here"))
+
+    monkeypatch.setattr(intervals, "tracked_intervals", refuse)
+    policy = str(made.write_standing_policy(tmp_path / "still.json"))
+    words = ("walk", "v3", "--vary", "all", "--policy", policy, "--command", "0,0,0")
+    status, _, err = run_command(capfd, *words)
+    assert status == 2
+    assert "stopped here" in err
+    assert varied == list(intervals.VARIED_QUANTITIES)
 
 
 @pytest.mark.parametrize(
