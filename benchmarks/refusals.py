@@ -19,10 +19,10 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from stances import OTHERS, Demand, other_robot, random_task
+from stances import OTHERS, ReferenceTargets, other_robot, random_task
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import DemandVector
+from pupper_analysis.stance.requirements import RequirementVector
 
 NEAR_FOOT_ERROR = 5e-3
 """Foot error [m] below which a refused task counts as nearly reachable. Chosen, not tuned."""
@@ -137,7 +137,7 @@ def fraction_beyond(
     """Return the fraction of the way from a limit to the request that is ``RELATIVE_EXCESS`` beyond
     the limit.
     """
-    limits, asked = DemandVector(robot, end, fields), DemandVector(robot, task, fields)
+    limits, asked = RequirementVector(robot, end, fields), RequirementVector(robot, task, fields)
     size = np.abs(limits.values - limits.nominal).sum()
     return float(RELATIVE_EXCESS * size / np.abs(asked.values - limits.values).sum())
 
@@ -179,7 +179,7 @@ def test_refusals(robot: pa.Robot, count: int, seed: int) -> Tally:
                 continue
         tally.refusals += 1
         tally.unexplained += not error.limits
-        off = Demand(robot, task).search_smallest_error(random)
+        off = ReferenceTargets(robot, task).search_smallest_error(random)
         # Other people's URDFs have shapes that their MJCFs, by which it is checked, do not have.
         if off < REACHED_FOOT_ERROR and not (error.blocked and robot.name in OTHERS):
             tally.wrong.append(f"{robot.name}: in reach to {off:.1e} m; {task!r}")

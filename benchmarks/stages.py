@@ -15,7 +15,7 @@ from scipy.linalg import lapack
 
 import pupper_analysis as pa
 from pupper_analysis.stance.judge import evaluate_stand
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import (
     HomotopyPath,
@@ -79,18 +79,18 @@ def _make_stand_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
     shapes, solver = context.shapes, context.solver
 
     def run() -> None:
-        goal = make_goal(robot, None, {})
+        targets = compute_targets(robot, None, {})
         watch.stop("numerical targets of the nominal task")
-        point = solver.solve_from_joints(goal, home)
+        point = solver.solve_from_joints(targets, home)
         watch.stop("PlaCo: targets and solver steps")
-        stand = evaluate_stand(shapes, goal, point.qpos, point.iterations)
+        stand = evaluate_stand(shapes, targets, point.qpos, point.iterations)
         watch.stop("task errors (Pinocchio), clearance, result")
         pa.solve_stand(robot)
         watch.stop("solve_stand, total")
         # What another task takes, and what some of these are made of.
-        make_goal(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
+        compute_targets(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
         watch.stop("another task: checks, numerical targets")
-        solver.set_initial_guess(goal, home)
+        solver.set_initial_guess(targets, home)
         watch.start()
         for _ in range(point.iterations):
             solver.tasks.solver.solve(True)
@@ -98,7 +98,9 @@ def _make_stand_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
         watch.stop("part of PlaCo: the same number of solves alone")
         shapes.kinematics.update(point.qpos)
         watch.stop("part of the errors: positions of CoM and feet")
-        shapes.find_lowest_part(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
+        shapes.find_lowest_part(
+            shapes.kinematics, targets.task.ground, targets.foot_targets, targets.depths
+        )
         watch.stop("part of the errors: heights of all parts")
         pa.Stand(**vars(stand))
         watch.stop("part of the errors: construction of a Stand")

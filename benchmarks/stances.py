@@ -81,7 +81,7 @@ class Outcome:
 
 
 def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
-    """Return a random task with all kinds of demands; about half of these tasks are feasible."""
+    """Return a random task with all kinds of requirements; about half of the tasks are feasible."""
 
     def chance(share: float) -> bool:
         return bool(random.random() < share)
@@ -131,7 +131,7 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
 
 
 @dataclass
-class Demand:
+class ReferenceTargets:
     """Numerical requirements of a task, computed with MuJoCo's kinematics of the MJCF.
 
     If ``shapes`` is False, the URDF has fewer shapes than the MJCF, and shapes in the ground of a
@@ -351,15 +351,15 @@ class Demand:
         )
 
 
-def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
+def check_reached(reference: ReferenceTargets, stand: pa.Stand) -> tuple[float, list[str]]:
     """Return the largest error of a solved stand [m, rad], and the objections."""
-    robot, joints = demand.robot, stand.joint_positions(demand.robot)
-    missed, place = demand.compute_errors(stand.qpos)
-    turned = Rotation.from_quat(stand.qpos[3:7], scalar_first=True) * demand.rotation.inv()
+    robot, joints = reference.robot, stand.joint_positions(reference.robot)
+    missed, place = reference.compute_errors(stand.qpos)
+    turned = Rotation.from_quat(stand.qpos[3:7], scalar_first=True) * reference.rotation.inv()
     error = max(
         float(np.abs(missed).max()),
         float(np.abs(place).max()),
-        abs(float(stand.qpos[2]) - demand.height),
+        abs(float(stand.qpos[2]) - reference.height),
         float(turned.magnitude()),
     )
     wrong = [] if error < MAX_STAND_ERROR else [f"off by {error:.1e}"]
@@ -367,22 +367,22 @@ def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
         joints > robot.upper_limits + MAX_STAND_ERROR
     ).any():
         wrong.append("beyond a joint limit")
-    if demand.shapes and demand.is_blocked(stand.qpos):
+    if reference.shapes and reference.is_blocked(stand.qpos):
         wrong.append("a part is in the ground")
     return error, wrong
 
 
-def check_forces(demand: Demand, statics: pa.statics.GravityCompensation) -> list[str]:
+def check_forces(reference: ReferenceTargets, statics: pa.statics.GravityCompensation) -> list[str]:
     """Return the objections to the contact forces of a stand that holds."""
-    robot, com, weight = demand.robot, demand.com(), statics.contact_forces
-    force, moment = demand.robot.mj_model.body_mass.sum() * robot.gravity, np.zeros(3)
+    robot, com, weight = reference.robot, reference.com(), statics.contact_forces
+    force, moment = reference.robot.mj_model.body_mass.sum() * robot.gravity, np.zeros(3)
     scale = float(np.linalg.norm(force))
     wrong = []
     for foot, pushed in weight.items():
         force = force + pushed
-        moment = moment + np.cross(demand.contacts[foot] - com, pushed)
-        normal = float(pushed @ demand.normal)
-        tangential = float(np.linalg.norm(pushed - normal * demand.normal))
+        moment = moment + np.cross(reference.contacts[foot] - com, pushed)
+        normal = float(pushed @ reference.normal)
+        tangential = float(np.linalg.norm(pushed - normal * reference.normal))
         if tangential > robot.contacts[foot].sliding_friction * normal + 1e-6 * scale:
             wrong.append(f"{foot} slides")
     if np.abs([*force, *moment]).max() > 1e-8 * scale:
@@ -394,28 +394,28 @@ def judge_task(
     robot: pa.Robot, task: pa.StandTask, random: np.random.Generator, shapes: bool = True
 ) -> Outcome:
     """Solve a task, and check the outcome."""
-    demand = Demand(robot, task, shapes)
+    reference = ReferenceTargets(robot, task, shapes)
     try:
         stand = pa.solve_stand(robot, task, explain=False)
     except pa.StanceUnreachableError as error:
-        near = demand.search_smallest_error(random)
+        near = reference.search_smallest_error(random)
         wrong = [f"in reach: {near:.1e} m"] if near < REACHED_FOOT_ERROR else []
         verdict = Verdict.BLOCKED if error.blocked else Verdict.UNREACHABLE
         return Outcome(task, verdict, wrong=wrong, shortfall=near)
     except pa.ConfigurationError:
-        place = demand.centre if isinstance(task.com, str) else np.array(task.com)
-        fine = demand.margin(place) >= task.com_margin
+        place = reference.centre if isinstance(task.com, str) else np.array(task.com)
+        fine = reference.margin(place) >= task.com_margin
         return Outcome(task, Verdict.REQUEST, wrong=["a fine request"] if fine else [])
-    error, wrong = check_reached(demand, stand)
-    demand.set_configuration(stand.qpos)
+    error, wrong = check_reached(reference, stand)
+    reference.set_configuration(stand.qpos)
     try:
         statics = stand_statics(robot, stand)
     except pa.StaticsInfeasibleError:
-        if demand.has_balancing_forces(demand.com(), inner=True):
+        if reference.has_balancing_forces(reference.com(), inner=True):
             wrong.append("it can be held")
         return Outcome(task, Verdict.NOT_HELD, stand, wrong, error)
-    wrong += check_forces(demand, statics)
-    if not demand.has_balancing_forces(demand.com(), inner=False):
+    wrong += check_forces(reference, statics)
+    if not reference.has_balancing_forces(reference.com(), inner=False):
         wrong.append("it cannot be held")
     return Outcome(task, Verdict.HELD, stand, wrong, error)
 

@@ -179,7 +179,7 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
         (
             list(limits)
             for limits in error.limits.values()
-            if all(getattr(task, demand) == value for demand, value in limits.items())
+            if all(getattr(task, requirement) == value for requirement, value in limits.items())
         ),
         [],
     )

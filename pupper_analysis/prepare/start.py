@@ -44,7 +44,7 @@ from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
-from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.problem import StandTargets, compute_targets
 from pupper_analysis.stance.search import (
     NEAR_MISS,
     make_initial_configuration,
@@ -719,14 +719,14 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
         robot.check_bodies()
-        goal, found = make_goal(robot, task, {}), None
+        targets, found = compute_targets(robot, task, {}), None
     except PupperAnalysisError:  # empty joint range, or an invalid body
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
-    guesses: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, goal, pose))
+    guesses: Iterable[Array] = itertools.chain(first, _yield_bent_legs(robot, targets, pose))
     with borrow(robot, SearchContext) as context:
         for _ in range(_MAX_RESET_PASSES):
-            stand = _solve_first_guess(context, goal, guesses)
+            stand = _solve_first_guess(context, targets, guesses)
             if stand is None:
                 return found
             found = stand
@@ -736,23 +736,23 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
     return found
 
 
-def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
+def _yield_bent_legs(robot: Robot, targets: StandTargets, pose: Array) -> Iterator[Array]:
     """Yield initial guesses of joint positions (nu,) [rad, m] from inverse kinematics of the legs.
 
-    The base is level at the position in ``goal``. Each guess combines a solution branch of each leg
-    for the foot targets in ``goal``, for example with the knee forwards or backwards. Guesses that
-    reach the targets come first, sorted by the distance of the joints from ``pose``. At most
-    `_MAX_BRANCHES` guesses are yielded. The branches are computed only when the first guess is
-    requested.
+    The base is level at the position in ``targets``. Each guess combines a solution branch of each
+    leg for the foot targets in ``targets``, for example with the knee forwards or backwards.
+    Guesses that reach the targets come first, sorted by the distance of the joints from ``pose``.
+    At most `_MAX_BRANCHES` guesses are yielded. The branches are computed only when the first guess
+    is requested.
     """
     qpos = robot.make_qpos(pose)
-    qpos[:3] = (*goal.place, goal.height)
-    found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    qpos[:3] = (*targets.place, targets.height)
+    found = find_branches(robot, qpos, targets.foot_targets, targets.lower, targets.upper)
     yield from itertools.islice(combine_branches(found, pose), _MAX_BRANCHES)
 
 
 def _solve_first_guess(
-    context: SearchContext, goal: Goal, guesses: Iterable[Array]
+    context: SearchContext, targets: StandTargets, guesses: Iterable[Array]
 ) -> Stand | None:
     """Solve a stand from initial guesses of the joint positions, in order, until a guess succeeds.
 
@@ -762,7 +762,7 @@ def _solve_first_guess(
 
     Args:
         context: Search context of the robot.
-        goal: Goal of the stand task.
+        targets: Targets and limits of the stand task.
         guesses: Joint positions, shape (nu,) each [rad, m].
 
     Returns:
@@ -771,12 +771,14 @@ def _solve_first_guess(
     """
     misses: list[float] = []
     for joints in guesses:
-        if (stand := search_from_joints(context, goal, joints)) is not None:
+        if (stand := search_from_joints(context, targets, joints)) is not None:
             return stand
-        if not goal.com_is_free:
+        if not targets.com_is_free:
             continue
         stand, miss = solve_constraints(
-            context, goal, make_initial_configuration(context.robot, goal, joints, goal.place)
+            context,
+            targets,
+            make_initial_configuration(context.robot, targets, joints, targets.place),
         )
         if stand is not None and is_clear_of_ground(context.robot, stand):
             return stand

@@ -124,7 +124,7 @@ def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
 
 
 def find_branches(
-    robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
+    robot: Robot, qpos: Array, foot_targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[IndependentLimb, tuple[Branch, ...]]:
     """Find all limb postures (IK branches) with the feet at targets, for a given base pose.
 
@@ -135,7 +135,8 @@ def find_branches(
         robot: Robot.
         qpos: Configuration, shape (nq,). The pose of the base and the positions of joints outside
             of limbs are not changed.
-        targets: {contact point: target of its sphere centre, shape (3,) [m], in the world frame}.
+        foot_targets: {contact point: target of its sphere centre, shape (3,) [m], in the world
+            frame}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
 
@@ -163,7 +164,7 @@ def find_branches(
     low = np.where(np.isfinite(lower), lower, -math.pi)
     high = np.where(np.isfinite(upper), upper, math.pi)
     starts = np.random.default_rng(0).uniform(low, high, (_NUM_STARTS, robot.nu))
-    positions, misses = _Descent(robot, qpos, targets, lower, upper).run(starts, np.zeros(3))
+    positions, misses = _Descent(robot, qpos, foot_targets, lower, upper).run(starts, np.zeros(3))
     turning = robot.pin_convention.unbounded
     positions[:, turning] = _wrap_angle(positions[:, turning])
     positions = _remove_turns(robot, positions, lower, upper)
@@ -206,7 +207,7 @@ def _sort_branches(
 def follow_branches(
     robot: Robot,
     qpos: Array,
-    targets: Mapping[str, Array],
+    foot_targets: Mapping[str, Array],
     lower: Array,
     upper: Array,
     found: Mapping[IndependentLimb, tuple[Branch, ...]],
@@ -218,7 +219,8 @@ def follow_branches(
         robot: Robot.
         qpos: Configuration, shape (nq,), with the base pose of ``found``; joints outside of limbs
             keep these positions.
-        targets: {contact point: target of its sphere centre, shape (3,) [m], in the world frame}.
+        foot_targets: {contact point: target of its sphere centre, shape (3,) [m], in the world
+            frame}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
         found: {limb: branches at the base pose of ``qpos``}.
@@ -232,7 +234,7 @@ def follow_branches(
     for limb, branches in found.items():
         for row in range(count):
             starts[row, limb.joints] = branches[row % len(branches)].positions
-    descent = _Descent(robot, qpos, targets, lower, upper)
+    descent = _Descent(robot, qpos, foot_targets, lower, upper)
     shifts = np.repeat(moves, count, axis=0)
     positions, misses = descent.run(
         np.tile(starts, (len(moves), 1)), shifts, _MAX_FOLLOW_ITERATIONS
@@ -302,20 +304,25 @@ class _Descent:
     Args:
         robot: Robot.
         qpos: Configuration, shape (nq,), with the pose of the base and the joints outside of limbs.
-        targets: {contact point: target of its sphere centre, shape (3,) [m]}.
+        foot_targets: {contact point: target of its sphere centre, shape (3,) [m]}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].
     """
 
     def __init__(
-        self, robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
+        self,
+        robot: Robot,
+        qpos: Array,
+        foot_targets: Mapping[str, Array],
+        lower: Array,
+        upper: Array,
     ) -> None:
         model = robot.pin_model
         self._robot, self._model, self._data = robot, model, model.createData()
         self._q = robot.pin_convention.q(qpos)
         self._rest = qpos[robot.nq - robot.nu :]
         self._lower, self._upper = lower, upper
-        self._targets = np.array([targets[foot] for foot in robot.contact_points])
+        self._foot_targets = np.array([foot_targets[foot] for foot in robot.contact_points])
         names = [robot.contact_frames[foot] for foot in robot.contact_points]
         frames = [model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in names]
         joints = [frame.parentJoint for frame in frames]
@@ -347,10 +354,10 @@ class _Descent:
         Returns:
             Joint positions, shape (k, nu) [rad, m]; {limb: foot errors, shape (k,) [m]}.
         """
-        targets = self._targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
+        foot_targets = self._foot_targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
         low, high = self._lower[self._joints], self._upper[self._joints]
         joints = np.clip(starts[:, self._joints], low, high)
-        errors, jacobians = self._evaluate(joints, targets)
+        errors, jacobians = self._evaluate(joints, foot_targets)
         damping = np.full((len(joints), len(self._limbs)), _INITIAL_DAMPING)
         active = np.arange(len(joints))
         for _ in range(iterations):
@@ -361,7 +368,7 @@ class _Descent:
             active, now, tried, error = active[moving], now[moving], tried[moving], error[moving]
             if not len(active):
                 break
-            new_error, new_jacobian = self._evaluate(tried, targets[active])
+            new_error, new_jacobian = self._evaluate(tried, foot_targets[active])
             better = self._squared_errors(new_error) < self._squared_errors(error)  # (k, limbs)
             feet = better[:, self._feet, None]
             joints[active] = np.where(better[:, self._limb], tried, now)
@@ -413,7 +420,7 @@ class _Descent:
         step: Array = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[..., None])[..., 0]
         return step
 
-    def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
+    def _evaluate(self, joints: Array, foot_targets: Array) -> tuple[Array, Array]:
         """Compute position errors of f contact points in k configurations, and their derivatives.
 
         Returns:
@@ -433,7 +440,7 @@ class _Descent:
         places = (placed[..., :3] @ self._points + placed[..., 3:])[..., 0]
         # Pinocchio's columns are for the point at the world's origin: v = v_0 + omega x p.
         rates = columns[:, :, :3] - cross_matrices(places) @ columns[:, :, 3:]
-        return places - targets, rates * self._moves[:, None]
+        return places - foot_targets, rates * self._moves[:, None]
 
 
 def combine_branches(

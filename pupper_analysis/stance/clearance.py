@@ -282,7 +282,7 @@ class ClearanceShapes:
         self,
         at: Kinematics,
         ground: Ground,
-        targets: Mapping[str, Array],
+        foot_targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
         """Find the collision shape, except feet, with the smallest height above the ground.
@@ -290,20 +290,22 @@ class ClearanceShapes:
         Args:
             at: Kinematics of the configuration.
             ground: Ground: slope, steps and planes of feet.
-            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world};
-                determines where the steps of the ground are.
+            foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the
+                world}; determines where the steps of the ground are.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
             Smallest height [m] of `measure_part_heights`, with the link and the surface below; None
             if `measure_part_heights` is empty.
         """
-        heights = self.measure_part_heights(at, ground, targets, depths)
+        heights = self.measure_part_heights(at, ground, foot_targets, depths)
         if not heights:
             return None
         lowest = min(heights)
         index = heights.index(lowest)
-        surfaces = () if _is_plane(ground) else [*self._measure_above_steps(at, ground, targets)]
+        surfaces = (
+            () if _is_plane(ground) else [*self._measure_above_steps(at, ground, foot_targets)]
+        )
         surface = surfaces[index].surface if surfaces else ""
         return Clearance(lowest, (self.parts[index].shape.link,), surface)
 
@@ -311,7 +313,7 @@ class ClearanceShapes:
         self,
         at: Kinematics,
         ground: Ground,
-        targets: Mapping[str, Array],
+        foot_targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
         """Compute the heights [m] above the ground (slope and steps) of the shapes in ``parts``.
@@ -326,8 +328,8 @@ class ClearanceShapes:
         Args:
             at: Kinematics of the configuration.
             ground: Ground: slope, steps and planes of feet.
-            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
-                step is below the target of its foot.
+            foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the
+                world}. A step is below the target of its foot.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
@@ -340,14 +342,14 @@ class ClearanceShapes:
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _LEVEL_NORMAL
             heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
-            heights = [one.distance for one in self._measure_above_steps(at, ground, targets)]
+            heights = [one.distance for one in self._measure_above_steps(at, ground, foot_targets)]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
             for height, part in zip(heights, self.parts, strict=True)
         ]
 
     def height_jacobian(
-        self, at: Configuration, ground: Ground, targets: Mapping[str, Array]
+        self, at: Configuration, ground: Ground, foot_targets: Mapping[str, Array]
     ) -> Array:
         """Compute the Jacobian (n, nv) by qvel of the heights of collision shapes above the ground.
 
@@ -357,8 +359,8 @@ class ClearanceShapes:
         Args:
             at: Configuration.
             ground: Ground: slope, steps and planes of feet.
-            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
-                step is below the target of its foot.
+            foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the
+                world}. A step is below the target of its foot.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):
@@ -368,7 +370,7 @@ class ClearanceShapes:
             shapes = [part.shape for part in self.parts]
             ends = [(s.form.find_lowest_point(there.links[s.link], normal), normal) for s in shapes]
         else:
-            steps = self._measure_above_steps(there, ground, targets)
+            steps = self._measure_above_steps(there, ground, foot_targets)
             ends = [(one.near.getNearestPoint1(), -one.near.normal) for one in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
@@ -381,7 +383,7 @@ class ClearanceShapes:
         return not self._has_floor and _is_plane(ground)
 
     def _measure_above_steps(
-        self, at: Kinematics, ground: Ground, targets: Mapping[str, Array]
+        self, at: Kinematics, ground: Ground, foot_targets: Mapping[str, Array]
     ) -> Iterator[SurfaceDistance]:
         """Yield the smallest distance [m] of each shape in ``parts`` from the slope and all steps.
 
@@ -391,15 +393,15 @@ class ClearanceShapes:
         Args:
             at: Kinematics of the configuration.
             ground: Ground with steps.
-            targets: {contact point: target of the sphere centre, shape (3,) [m]}, which determines
-                the positions of the steps.
+            foot_targets: {contact point: target of the sphere centre, shape (3,) [m]}, which
+                determines the positions of the steps.
         """
         where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", floor, coal.Transform3s())
         ]
-        for foot, step in ground.steps(targets).items():
+        for foot, step in ground.steps(foot_targets).items():
             wide, _, high = (2 * step.half).tolist()
             box = coal.Cylinder(wide / 2, high) if step.round else coal.Box(2 * step.half)
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))

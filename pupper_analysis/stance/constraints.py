@@ -1,6 +1,6 @@
 """Constraints of a stand, with residual, violation and, for most constraints, Jacobian.
 
-`make_constraints` lists the constraints of a goal. PlaCo's tasks (`stance.solver`), the nonlinear
+`make_constraints` lists the constraints of a stand. PlaCo's tasks (`stance.solver`), the nonlinear
 program (`stance.programme`) and the evaluation of a stand (`stance.judge`) use this list.
 """
 
@@ -20,7 +20,7 @@ from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, Clearance, ClearanceShapes
-from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.problem import StandTargets
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
 
 TASK_TOLERANCE = 1e-9
@@ -39,7 +39,7 @@ class Constraint:
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
 
     Attributes:
         name: Name of the constraint, which is the value of ``constraint`` in
@@ -55,35 +55,35 @@ class Constraint:
     is_presatisfied: ClassVar[bool] = False
 
     # A stand is evaluated in 50 us, so the constructor computes nothing.
-    def __init__(self, shapes: ClearanceShapes, goal: Goal) -> None:
-        self._shapes, self._goal = shapes, goal
+    def __init__(self, shapes: ClearanceShapes, targets: StandTargets) -> None:
+        self._shapes, self._targets = shapes, targets
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the residual of this constraint, shape (n,) [m, rad].
 
         An equality is satisfied if all elements are zero, an inequality if no element is negative.
 
         Args:
-            goal: The goal (task with computed targets) of the constructor, or a copy with relaxed
+            targets: Targets of the constructor, or a copy with relaxed
                 values, such as foot targets, base pose, CoM target or margins.
             at: Kinematics of the configuration.
         """
         raise NotImplementedError
 
-    def jacobian(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian of the residual by qvel, shape (n, nv).
 
         Constraints with ``is_presatisfied`` have no Jacobian: the call raises NotImplementedError.
 
         Args:
-            goal: The goal of the constructor, or a copy with relaxed values.
+            targets: Targets of the constructor, or a copy with relaxed values.
             at: Configuration.
         """
         raise NotImplementedError
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the largest violation of this constraint [m, rad]; 0 if it is satisfied."""
-        left = self.residual(goal, at)
+        left = self.residual(targets, at)
         return float((np.abs(left) if self.is_equality else -left).max(initial=0.0))
 
 
@@ -92,13 +92,13 @@ class BaseHeight(Constraint):
 
     name, is_equality, is_presatisfied = "base-height", True, True
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the height of the base frame in the world minus the required height, (1,) [m]."""
-        return at.qpos[2:3] - goal.height
+        return at.qpos[2:3] - targets.height
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the distance of the base frame from the required height [m], at least 0."""
-        return abs(float(at.qpos[2]) - goal.height)
+        return abs(float(at.qpos[2]) - targets.height)
 
 
 class BaseOrientation(Constraint):
@@ -106,16 +106,16 @@ class BaseOrientation(Constraint):
 
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the angle between base orientation and required orientation, shape (1,) [rad].
 
         The angle belongs to the axis-angle form of the relative rotation, 0 to pi.
         """
-        return np.array([self.violation(goal, at)])
+        return np.array([self.violation(targets, at)])
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the angle between base orientation and required orientation, 0 to pi [rad]."""
-        return angle_between(goal.base_quaternion, at.qpos[3:7].tolist())
+        return angle_between(targets.base_quaternion, at.qpos[3:7].tolist())
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
@@ -141,23 +141,25 @@ class Footholds(Constraint):
 
     name, is_equality = "footholds", True
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the positions of all contact points minus the targets, (3 n,) [m], world frame."""
         feet = at.feet
-        apart = [feet[foot] - there for foot, there in goal.targets.items()]
+        apart = [feet[foot] - there for foot, there in targets.foot_targets.items()]
         return np.concatenate([*apart, np.zeros(0)])
 
-    def jacobian(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian of the contact points' world positions by qvel, shape (3 n, nv)."""
         jacobians = at.foot_jacobians()
         return np.concatenate(
-            [*map(jacobians.__getitem__, goal.targets), np.zeros((0, at.robot.nv))]
+            [*map(jacobians.__getitem__, targets.foot_targets), np.zeros((0, at.robot.nv))]
         )
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the largest distance [m] between a contact point and its target position."""
         feet = at.feet
-        apart = [math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()]
+        apart = [
+            math.dist(feet[foot], there.tolist()) for foot, there in targets.foot_targets.items()
+        ]
         return max(apart, default=0.0)
 
 
@@ -166,31 +168,31 @@ class Loops(Constraint):
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         closure: Closed loops and couplings of the robot.
     """
 
     name, is_equality = "loops", True
 
-    def __init__(self, shapes: ClearanceShapes, goal: Goal, closure: Closure) -> None:
-        super().__init__(shapes, goal)
+    def __init__(self, shapes: ClearanceShapes, targets: StandTargets, closure: Closure) -> None:
+        super().__init__(shapes, targets)
         self._closure = closure
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the openings of closed loops and joint couplings, shape (m,) [m, rad].
 
         An opening is the violation of one equation of a loop or coupling, minus its static
         deflection.
         """
         left = self._closure.residual(at.qpos)
-        return left if goal.give is None else left - goal.give
+        return left if targets.loop_opening is None else left - targets.loop_opening
 
-    def jacobian(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian (m, nv) by qvel of the residuals of m loop or coupling equations."""
         rows = self._closure.jacobian(at.qpos)
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the largest opening of a closed loop beyond the static deflection [m, rad].
 
         Infinite if a loop is assembled in another way than in the reference configuration, for
@@ -198,29 +200,29 @@ class Loops(Constraint):
         """
         if not self._closure.has_reference_assembly(at.qpos):
             return math.inf
-        return self._closure.violation_error(at.qpos, goal.give)
+        return self._closure.violation_error(at.qpos, targets.loop_opening)
 
 
 class PlaceConstraint(Constraint):
-    """Constraint: CoM (base if ``Goal.by_base``) has the required horizontal position."""
+    """Constraint: CoM (base if ``StandTargets.by_base``) has the required horizontal position."""
 
     name, is_equality = "com-place", True
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the horizontal position minus the target, (2,) [m], in the world frame.
 
-        The position is that of the CoM, or of the base if ``Goal.by_base``.
+        The position is that of the CoM, or of the base if ``StandTargets.by_base``.
         """
-        return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
+        return (at.qpos[:2] if targets.by_base else np.array(at.com[:2])) - targets.place
 
-    def jacobian(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian of the horizontal position of CoM or base by qvel, shape (2, nv)."""
-        return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
+        return np.eye(2, at.robot.nv) if targets.by_base else at.com_jacobian()[:2]
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
-        """Return the horizontal distance of CoM (base if ``Goal.by_base``) and target [m]."""
-        here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
-        return math.dist(here, goal.place.tolist())
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
+        """Return the horizontal distance [m] of CoM (base if ``by_base``) and target."""
+        here = at.qpos[:2].tolist() if targets.by_base else at.com[:2]
+        return math.dist(here, targets.place.tolist())
 
 
 class BasePlace(PlaceConstraint):
@@ -234,36 +236,36 @@ class SupportMargin(Constraint):
 
     name = "support-margin"
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the CoM's distances from the sides of the support polygon minus the margin.
 
         Shape (m,) [m], horizontal, one value per side, positive inside. All values are >= 0 if the
         required margin is kept.
         """
-        sides, com = self._polygon_sides(goal), np.array(at.com[:2])
+        sides, com = self._polygon_sides(targets), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
-        return inside - goal.task.com_margin
+        return inside - targets.task.com_margin
 
-    def jacobian(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian (m, nv) by qvel of the CoM's distances from the support sides.
 
         The m sides are those of the support polygon, which is treated as constant.
         """
-        jacobian: Array = self._polygon_sides(goal)[:, :2] @ at.com_jacobian()[:2]
+        jacobian: Array = self._polygon_sides(targets)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
 
-    def _polygon_sides(self, goal: Goal) -> Array:
+    def _polygon_sides(self, targets: StandTargets) -> Array:
         """Return the sides of the support polygon, shape (m, 3): inward normal, offset [m]."""
-        corners = np.array(goal.corners)  # on several planes their number may change
-        return polygon_sides(corners, SIDES if self._goal.task.ground.planes else len(corners))
+        corners = np.array(targets.corners)  # on several planes their number may change
+        return polygon_sides(corners, SIDES if self._targets.task.ground.planes else len(corners))
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the required CoM margin minus the actual margin [m]; 0 if the margin is kept.
 
         The margin is the horizontal distance of the CoM from the edge of the support polygon.
         """
         x, y, _ = at.com
-        return max(0.0, goal.task.com_margin - margin_of_position((x, y), goal.corners))
+        return max(0.0, targets.task.com_margin - margin_of_position((x, y), targets.corners))
 
 
 class JointLimits(Constraint):
@@ -271,15 +273,15 @@ class JointLimits(Constraint):
 
     name = "joint-limits"
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the distances of the joints from the finite joint limits, shape (n,) [rad, m].
 
         First the distances from lower limits, then from upper limits; negative beyond a limit.
         """
-        joints, low, high = at.qpos[-len(goal.lower) :], *self._has_limits
-        return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
+        joints, low, high = at.qpos[-len(targets.lower) :], *self._has_limits
+        return np.concatenate([(joints - targets.lower)[low], (targets.upper - joints)[high]])
 
-    def jacobian(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian by qvel of the n distances to finite joint limits, shape (n, nv).
 
         Rows: lower limits, then upper limits, as in `residual`.
@@ -288,16 +290,17 @@ class JointLimits(Constraint):
         low, high = self._has_limits
         return np.concatenate([rows[low], -rows[high]])
 
-    def violation(self, goal: Goal, at: Kinematics) -> float:
+    def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the largest excess of a joint position beyond the limits [rad, m]."""
-        joints = at.qpos[-len(goal.lower) :].tolist()  # lists are faster for a dozen numbers
-        below, above = map(sub, goal.lower.tolist(), joints), map(sub, joints, goal.upper.tolist())
+        joints = at.qpos[-len(targets.lower) :].tolist()  # lists are faster for a dozen numbers
+        below = map(sub, targets.lower.tolist(), joints)
+        above = map(sub, joints, targets.upper.tolist())
         return float(max(0.0, *below, *above))
 
     @cached_property
     def _has_limits(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Two masks (nu,): joints with a finite lower limit, joints with a finite upper limit."""
-        return np.isfinite(self._goal.lower), np.isfinite(self._goal.upper)
+        return np.isfinite(self._targets.lower), np.isfinite(self._targets.upper)
 
 
 class GroundClearance(Constraint):
@@ -305,7 +308,7 @@ class GroundClearance(Constraint):
 
     name = "ground-clearance"
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the heights of n shapes above the ground minus the required clearance, (n,) [m].
 
         A residual >= 0 satisfies the constraint. The shapes are ``ClearanceShapes.parts``, in that
@@ -314,24 +317,26 @@ class GroundClearance(Constraint):
         sinks with this foot, so the penetration of the foot is added to the height of the part.
         """
         heights = self._shapes.measure_part_heights(
-            at, goal.task.ground, goal.rigid_targets, goal.depths
+            at, targets.task.ground, targets.rigid_targets, targets.depths
         )
-        return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
+        return np.array(heights) - targets.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
-    def jacobian(self, goal: Goal, at: Configuration) -> Array:
+    def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv).
 
-        The shapes are those that must be above the ground, as in `residual`. ``goal`` specifies the
-        ground and the foot targets. Each step of the ground is below a foot target.
+        The shapes are those that must be above the ground, as in `residual`. ``targets`` specifies
+        the ground and the foot targets. Each step of the ground is below a foot target.
         """
-        return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
+        return self._shapes.height_jacobian(at, targets.task.ground, targets.rigid_targets)
 
-    def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
+    def smallest_clearance(self, targets: StandTargets, at: Kinematics) -> Clearance | None:
         """Return the lowest collision shape except those of feet: height above ground [m], link.
 
         None without such collision shapes, or without ground.
         """
-        return self._shapes.find_lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
+        return self._shapes.find_lowest_part(
+            at, targets.task.ground, targets.rigid_targets, targets.depths
+        )
 
 
 class SelfClearance(Constraint):
@@ -339,7 +344,7 @@ class SelfClearance(Constraint):
 
     name = "self-clearance"
 
-    def residual(self, goal: Goal, at: Kinematics) -> Array:
+    def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
         A residual >= 0 satisfies the constraint. The collision shapes are on links that are not
@@ -347,14 +352,14 @@ class SelfClearance(Constraint):
         violate the constraint.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, NUM_NEAREST_PAIRS)
-        least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
+        least = (targets.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
-    def jacobian(self, _: Goal, at: Configuration) -> Array:
+    def jacobian(self, _: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian by qvel of the distances of n nearest shape pairs, shape (n, nv)."""
         return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
-    def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
+    def smallest_clearance(self, _: StandTargets, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] of links that are not neighbours, with both links.
 
         None if the robot has no such links.
@@ -362,13 +367,13 @@ class SelfClearance(Constraint):
         return self._shapes.find_closest_links(at.qpos)
 
 
-def _has_fixed_com_on_planes(goal: Goal) -> bool:
+def _has_fixed_com_on_planes(targets: StandTargets) -> bool:
     """Return True if the support margin need not be a constraint: CoM target on separate planes.
 
     The CoM margin is then not a constraint, since the support region is slow to compute. For a
-    target other than the centre of the feet, `make_goal` has already checked the margin.
+    target other than the centre of the feet, `compute_targets` has already checked the margin.
     """
-    return bool(goal.task.ground.planes) and goal.task.com != "inside"
+    return bool(targets.task.ground.planes) and targets.task.com != "inside"
 
 
 _CLEARANCE_TYPES = (GroundClearance, SelfClearance)
@@ -394,13 +399,13 @@ class ConstraintEvaluation(NamedTuple):
 
 
 def evaluate_constraints(
-    shapes: ClearanceShapes, goal: Goal, at: Kinematics
+    shapes: ClearanceShapes, targets: StandTargets, at: Kinematics
 ) -> ConstraintEvaluation:
     """Compute the clearances of a configuration, and its violations of a task's requirements.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         at: Kinematics of the configuration.
 
     Returns:
@@ -408,37 +413,39 @@ def evaluate_constraints(
     """
     violation: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
-    for constraint in make_constraints(shapes, goal):
+    for constraint in make_constraints(shapes, targets):
         if isinstance(constraint, _CLEARANCE_TYPES):
-            near[constraint.name] = constraint.smallest_clearance(goal, at)
+            near[constraint.name] = constraint.smallest_clearance(targets, at)
         elif not isinstance(constraint, SupportMargin):  # the CoM margin is a result
-            violation[constraint.name] = constraint.violation(goal, at)
+            violation[constraint.name] = constraint.violation(targets, at)
     x, y, _ = at.com
-    margin = math.inf if shapes.robot.is_welded else margin_of_position((x, y), goal.corners)
+    margin = math.inf if shapes.robot.is_welded else margin_of_position((x, y), targets.corners)
     return ConstraintEvaluation(violation, margin, near)
 
 
-def make_constraints(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
+def make_constraints(shapes: ClearanceShapes, targets: StandTargets) -> Iterator[Constraint]:
     """Yield the constraints that a stand task imposes, such as base height and joint limits.
 
-    ``goal`` is the task with all targets computed.
+    ``targets`` are the targets and limits of the stand.
 
-    The constraints can also be evaluated for copies of the goal with relaxed values.
+    The constraints can also be evaluated for copies of the targets with relaxed values.
     """
     closure = shapes.robot.closure
-    yield BaseHeight(shapes, goal)
-    yield BaseOrientation(shapes, goal)
-    yield Footholds(shapes, goal)
+    yield BaseHeight(shapes, targets)
+    yield BaseOrientation(shapes, targets)
+    yield Footholds(shapes, targets)
     if closure is not None:
-        yield Loops(shapes, goal, closure)
-    if goal.by_base:
-        yield BasePlace(shapes, goal)
-    elif goal.task.com != "inside":
-        yield PlaceConstraint(shapes, goal)
-    limits_com = goal.task.com_margin > 0.0 or not (goal.by_base or _has_fixed_com_on_planes(goal))
+        yield Loops(shapes, targets, closure)
+    if targets.by_base:
+        yield BasePlace(shapes, targets)
+    elif targets.task.com != "inside":
+        yield PlaceConstraint(shapes, targets)
+    limits_com = targets.task.com_margin > 0.0 or not (
+        targets.by_base or _has_fixed_com_on_planes(targets)
+    )
     if limits_com and not shapes.robot.is_welded:
-        yield SupportMargin(shapes, goal)
-    yield JointLimits(shapes, goal)
-    yield GroundClearance(shapes, goal)
-    if goal.task.self_clearance is not None:
-        yield SelfClearance(shapes, goal)
+        yield SupportMargin(shapes, targets)
+    yield JointLimits(shapes, targets)
+    yield GroundClearance(shapes, targets)
+    if targets.task.self_clearance is not None:
+        yield SelfClearance(shapes, targets)

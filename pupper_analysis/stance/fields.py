@@ -99,7 +99,7 @@ class Field:
         open: Whether ``low`` itself is invalid.
         choices: Words that are valid values as well.
         constraint: Name of the constraint that the field defines.
-        gives: Direction in which the value may be relaxed for the message about an unreachable
+        relaxation: Direction in which the value may be relaxed for the message about an unreachable
             stance: ``"either"``, ``"less"`` (towards 0) or ``"no"``.
         always_said: Whether a task text contains the field if the value is the default.
         option: Command-line option without dashes; there is no option if ``help`` is empty.
@@ -123,7 +123,7 @@ class Field:
     open: bool = False
     choices: tuple[str, ...] = ()
     constraint: str = ""
-    gives: str = "either"
+    relaxation: str = "either"
     always_said: bool = False
     option: str = ""
     help: str = ""

@@ -1,6 +1,6 @@
 """Result class `Stand`: a configuration, its errors [m, rad] for a stand task, and clearances [m].
 
-The inputs are a goal (stand task with computed targets) and a configuration from a solver. The
+The inputs are numeric targets (`StandTargets`) and a configuration from a solver. The
 output is a `Stand`. `evaluate_stand` computes the errors with Pinocchio's kinematics, independent
 of the solver that found the configuration. A `Stand` also provides quantities for simulations:
 servo commands, support region and lift-off directions.
@@ -32,7 +32,7 @@ from pupper_analysis.stance.constraints import (
     TASK_TOLERANCE,
     evaluate_constraints,
 )
-from pupper_analysis.stance.problem import Goal, feet_centre, remove_penetration
+from pupper_analysis.stance.problem import StandTargets, feet_centre, remove_penetration
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -169,7 +169,7 @@ class Stand(Pictured, Tabular):
     def centre(self, robot: Robot) -> Array:
         """Return the mean position (3,) [m] of the stance feet's contacts in the world frame.
 
-        `Goal.centre` and `feet_centre` describe the exceptions, such as hands.
+        `StandTargets.centre` and `feet_centre` describe the exceptions, such as hands.
         """
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
@@ -403,12 +403,14 @@ def _describe_clearance(near: Clearance, ground: Ground) -> Diagnostic:
     )
 
 
-def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
+def evaluate_stand(
+    shapes: ClearanceShapes, targets: StandTargets, qpos: ArrayLike, iterations: int
+) -> Stand:
     """Create the `Stand` of a configuration: compute errors [m, rad] for a task, and clearances.
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         qpos: Configuration, shape (nq,).
         iterations: Number of solved or attempted quadratic programs.
 
@@ -416,9 +418,9 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
             applies.
     """
-    robot, task = shapes.robot, goal.task
+    robot, task = shapes.robot, targets.task
     at = shapes.move_to(qpos)
-    missed, com_margin, near = evaluate_constraints(shapes, goal, at)
+    missed, com_margin, near = evaluate_constraints(shapes, targets, at)
     errors = dict.fromkeys(("foot_error", *_ERROR_BY_CONSTRAINT.values()), 0.0)
     for constraint, by in missed.items():
         error = _ERROR_BY_CONSTRAINT.get(constraint, "foot_error")
@@ -433,11 +435,11 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
     return Stand(
         task=task,
         qpos=at.qpos,
-        foot_targets=goal.targets,
-        depths=goal.depths,
-        stance_feet=goal.stance_feet,
-        normals=goal.normals,
-        contact_points=goal.contact_by_foot,
+        foot_targets=targets.foot_targets,
+        depths=targets.depths,
+        stance_feet=targets.stance_feet,
+        normals=targets.normals,
+        contact_points=targets.contact_by_foot,
         **errors,
         com_margin=com_margin,
         ground_clearance=ground,
@@ -447,7 +449,7 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
     )
 
 
-def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
+def is_base_in_ground(shapes: ClearanceShapes, targets: StandTargets) -> bool:
     """Return True if the required base height and orientation put the base link into the ground.
 
     If True, no stand of the task exists. A collision shape of the base link, or of a link that is
@@ -455,11 +457,11 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     robots with a weld or grip, are not tested: the result is False. Steps and separate planes of
     feet are ignored.
     """
-    if goal.task.ground.slope or shapes.robot.fixed_parts:
+    if targets.task.ground.slope or shapes.robot.fixed_parts:
         return False
     qpos = shapes.robot.home.copy()
-    qpos[:7] = 0.0, 0.0, goal.height, *goal.base_quaternion
-    heights = shapes.measure_part_heights(shapes.move_to(qpos), Ground(), {}, goal.depths)
+    qpos[:7] = 0.0, 0.0, targets.height, *targets.base_quaternion
+    heights = shapes.measure_part_heights(shapes.move_to(qpos), Ground(), {}, targets.depths)
     parts = zip(heights, shapes.parts, strict=True)
     own = [height for height, part in parts if not part.shape.joint]
-    return min(own, default=math.inf) < goal.task.ground_clearance - CLEARANCE_TOLERANCE
+    return min(own, default=math.inf) < targets.task.ground_clearance - CLEARANCE_TOLERANCE

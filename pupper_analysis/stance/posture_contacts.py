@@ -22,7 +22,7 @@ from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.stance.judge import Stand, evaluate_stand
 from pupper_analysis.stance.posture_tasks import OrientationTask, PositionTask, PostureTask
-from pupper_analysis.stance.problem import compute_foot_targets, make_goal
+from pupper_analysis.stance.problem import compute_foot_targets, compute_targets
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 
@@ -112,18 +112,18 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
     """
     at = Configuration(robot, qpos)
     task = _place_lifted_feet(robot, stand, _require_base(robot, stand, at), at)
-    goal = make_goal(robot, task, stand.depths, checked=False)
-    targets = dict(stand.foot_targets)
+    targets = compute_targets(robot, task, stand.depths, checked=False)
+    foot_targets = dict(stand.foot_targets)
     for point in _list_lifted_points(robot, stand):
-        targets[point] = at.foot_positions()[point]
-    goal = replace(
-        goal,
-        targets=freeze_arrays(targets),
+        foot_targets[point] = at.foot_positions()[point]
+    targets = replace(
+        targets,
+        foot_targets=freeze_arrays(foot_targets),
         contact_by_foot=freeze_arrays(dict(stand.contact_points)),
         normals=freeze_arrays(dict(stand.normals)),
     )
     with borrow(robot, SearchContext) as context:
-        return evaluate_stand(context.shapes, goal, at.qpos, iterations)
+        return evaluate_stand(context.shapes, targets, at.qpos, iterations)
 
 
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
@@ -183,12 +183,12 @@ def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configur
     placed = replace(task, feet={**task.feet, **places}, foot_offsets=offsets)
     if not feet:
         return placed
-    goal = make_goal(robot, placed, stand.depths, checked=False)
-    targets = compute_foot_targets(robot, goal.task)
+    targets = compute_targets(robot, placed, stand.depths, checked=False)
+    foot_targets = compute_foot_targets(robot, targets.task)
     heights = dict(placed.swing)
     for foot in feet:
-        out = goal.task.ground.normal(foot) if foot in goal.task.ground.planes else UP
-        apart = [positions[point] - targets[point] for point in robot.feet[foot]]
+        out = targets.task.ground.normal(foot) if foot in targets.task.ground.planes else UP
+        apart = [positions[point] - foot_targets[point] for point in robot.feet[foot]]
         heights[foot] = heights.get(foot, 0.0) + float(np.mean(apart, axis=0) @ out)
         if heights[foot] <= 0.0:
             depth = Quantity(-heights[foot], "m")

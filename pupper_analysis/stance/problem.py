@@ -1,10 +1,10 @@
-"""Goal of a stand: a stand task converted to numbers for one robot.
+"""Convert a stand task to numeric targets and limits for one robot.
 
-A goal contains targets of the feet, base pose, CoM position and joint limits.
+Targets are foot positions, base pose and CoM position; limits are joint limits.
 
-`make_goal` combines a robot and a `StandTask` into a `Goal`. The function places the contact points
-on the ground and determines the support region. It rejects tasks that no stand can satisfy, for
-example a CoM outside the support region. Positions are in the world frame.
+`compute_targets` combines a robot and a `StandTask` into `StandTargets`. The function places the
+contact points on the ground and determines the support region. It rejects tasks that no stand can
+satisfy, for example a CoM outside the support region. Positions are in the world frame.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
 class Support:
     """Support region of contacts (CoM positions with equilibrium), computed at first access.
 
-    Several goals share an object of this class.
+    Several `StandTargets` share an object of this class.
 
     Args:
         contacts: Contact points, shape (n, 3) [m].
@@ -143,14 +143,14 @@ class Support:
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class StandTargets:
     """Stand task converted to numbers for one robot: targets, base pose and joint limits.
 
-    Do not change the arrays, since goals share arrays.
+    Do not change the arrays, since objects of this class share arrays.
 
     Attributes:
         task: Task, with height and CoM filled in.
-        targets: {contact point: target of the sphere centre, shape (3,) [m]}.
+        foot_targets: {contact point: target of the sphere centre, shape (3,) [m]}.
         depths: {stance foot: penetration of the ground at the target [m]}.
         stance_feet: Contact points that carry load. They are the keys of ``depths``,
             ``contact_by_foot`` and ``normals``.
@@ -168,12 +168,12 @@ class Goal:
         lower: Lower joint limits plus margin, shape (nu,) [rad, m]. For a joint in the task's
             posture, both limits are the position in the posture.
         upper: Upper joint limits minus margin, shape (nu,) [rad, m].
-        give: Opening of closed loops by static deflection, one value per equation [m, rad]; None if
-            loops are closed exactly.
+        loop_opening: Opening of closed loops by static deflection, one value per equation [m, rad];
+            None if loops are closed exactly.
     """
 
     task: StandTask
-    targets: FrozenDict[str, Array]
+    foot_targets: FrozenDict[str, Array]
     depths: FrozenDict[str, float]
     stance_feet: tuple[str, ...]
     contacts: Array
@@ -187,7 +187,7 @@ class Goal:
     by_base: bool
     lower: Array
     upper: Array
-    give: Array | None = None
+    loop_opening: Array | None = None
 
     @property
     def corners(self) -> tuple[Corner, ...]:
@@ -202,7 +202,7 @@ class Goal:
         separate planes of feet, these are the ``targets``. If a foot has a separate plane, the
         penetration of all stance feet is removed from the targets (`remove_penetration`).
         """
-        return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
+        return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
@@ -210,23 +210,23 @@ class Goal:
         return self.task.com == "inside" and not self.by_base
 
 
-def make_goal(
+def compute_targets(
     robot: Robot,
     task: StandTask | None,
     depths: Mapping[str, float],
-    like: Goal | None = None,
+    like: StandTargets | None = None,
     *,
     checked: bool = True,
-) -> Goal:
-    """Convert a stand task to numbers for a robot (`Goal`): foot targets, base pose and limits.
+) -> StandTargets:
+    """Compute the targets and limits of a stand task for a robot: feet, base pose, CoM and joints.
 
     Args:
         robot: Robot.
         task: Stand task. Default: the nominal stand, ``StandTask()``.
         depths: {contact point that carries load: penetration of the ground [m]}; 0 for points that
             are not included.
-        like: Goal of the same robot with the same depths. Foot targets and joint limits of this
-            goal are reused if the task requires equal values, which saves time. Default: the goal
+        like: Targets of the same robot with the same depths. Their foot targets and joint limits
+            are reused if the task requires equal values, which saves time. Default: the targets
             of the nominal stand, if ``depths`` is empty and the robot's joint limits have not
             changed.
         checked: If True, reject tasks that no stand can satisfy, for example with a CoM outside the
@@ -247,7 +247,7 @@ def make_goal(
         task = StandTask()
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", diagnose("seed-length-wrong", joints=robot.nu))
-    return _build_goal(robot, task, com, depths, like, checked=checked)
+    return _build_targets(robot, task, com, depths, like, checked=checked)
 
 
 def _list_position_limits(robot: Robot) -> list[list[float]]:
@@ -261,35 +261,35 @@ class _Defaults(NamedTuple):
 
     Attributes:
         com: CoM requirement: ``centre`` or ``inside``.
-        goal: Goal of the nominal stand; None if the robot has no such stand.
-        limits: Pinocchio's position limits when the goal was made.
+        targets: Targets of the nominal stand; None if the robot has no such stand.
+        limits: Pinocchio's position limits when the targets were computed.
     """
 
     com: str
-    goal: Goal | None
+    targets: StandTargets | None
     limits: list[list[float]]
 
 
 def _make_defaults(robot: Robot) -> _Defaults:
-    """Compute a robot's default CoM requirement, goal of the nominal stand, and joint limits."""
+    """Compute a robot's default CoM requirement, targets of the nominal stand, and joint limits."""
     com = "centre" if not robot.floating or can_move_com(robot) else "inside"
     limits = _list_position_limits(robot)
     try:
-        return _Defaults(com, _build_goal(robot, StandTask(), com, {}, None), limits)
+        return _Defaults(com, _build_targets(robot, StandTask(), com, {}, None), limits)
     except ConfigurationError:
         return _Defaults(com, None, limits)
 
 
-def _build_goal(
+def _build_targets(
     robot: Robot,
     task: StandTask,
     com: str,
     depths: Mapping[str, float],
-    like: Goal | None,
+    like: StandTargets | None,
     *,
     checked: bool = True,
-) -> Goal:
-    """Convert a task to a goal for a robot, and reuse equal parts of another goal.
+) -> StandTargets:
+    """Convert a task to targets for a robot, and reuse equal parts of existing targets.
 
     Args:
         robot: Robot.
@@ -297,8 +297,8 @@ def _build_goal(
         com: CoM requirement if the task specifies none: "centre" or "inside".
         depths: {contact point that carries load: penetration of the ground [m]}; 0 for other
             points.
-        like: Goal whose contacts and foot targets are reused if its task has equal feet, and whose
-            joint limits are reused if its task has equal limits.
+        like: Targets whose contacts and foot targets are reused if its task has equal feet, and
+            whose joint limits are reused if its task has equal limits.
         checked: True to reject tasks that no stand can satisfy.
 
     Raises:
@@ -308,7 +308,7 @@ def _build_goal(
     if task.contacts:
         task = _add_planes(robot, task)
     if like is not None and _have_equal_feet(like.task, task):
-        stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
+        stance_feet, contacts, foot_targets = like.stance_feet, like.contacts, like.foot_targets
         contact_by_foot, normals, deep = like.contact_by_foot, like.normals, like.depths
         support, centre = like.support, like.centre
     else:
@@ -319,16 +319,16 @@ def _build_goal(
             [places[foot] - robot.contact_radius[foot] * out[foot] for foot in stance_feet]
         ).reshape(-1, 3)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = freeze_arrays(add_penetration(robot, places, deep, out))
+        foot_targets = freeze_arrays(add_penetration(robot, places, deep, out))
         contact_by_foot = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
         stated = prescribed_forces(robot, stance_feet)
-        held = list_grips(robot, targets) if robot.grips else None
+        held = list_grips(robot, foot_targets) if robot.grips else None
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
         if checked and not robot.is_welded:  # a weld holds any CoM
             _check_support_area(robot, np.array(support.corners), stance_feet)
-        centre = feet_centre(robot, task.ground, contact_by_foot, targets)
+        centre = feet_centre(robot, task.ground, contact_by_foot, foot_targets)
     task = _fill_task(robot, task, com)
     assert task.height is not None
     assert task.com is not None
@@ -346,9 +346,9 @@ def _build_goal(
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
     if checked and not at_centre and not robot.is_welded:
         _check_com_place(task, place, support.corners)
-    return Goal(
+    return StandTargets(
         task=task,
-        targets=targets,
+        foot_targets=foot_targets,
         depths=deep,
         stance_feet=stance_feet,
         contacts=contacts,
@@ -366,7 +366,10 @@ def _build_goal(
 
 
 def feet_centre(
-    robot: Robot, ground: Ground, contact_by_foot: Mapping[str, Array], targets: Mapping[str, Array]
+    robot: Robot,
+    ground: Ground,
+    contact_by_foot: Mapping[str, Array],
+    foot_targets: Mapping[str, Array],
 ) -> Array:
     """Compute the reference point of a stand: mean (3,) [m] of the stance contacts, world frame.
 
@@ -380,7 +383,7 @@ def feet_centre(
         robot: Robot.
         ground: Ground.
         contact_by_foot: {contact point that carries load: position of the contact, shape (3,) [m]}.
-        targets: {contact point: target of the sphere centre, shape (3,) [m]}.
+        foot_targets: {contact point: target of the sphere centre, shape (3,) [m]}.
     """
     if robot.fixed_parts:
         if len(robot.hands) == len(robot.feet):
@@ -389,11 +392,11 @@ def feet_centre(
         radius = robot.contact_radius
         contact_by_foot = {
             **contact_by_foot,
-            **{point: targets[point] - radius[point] * UP for point in held},
+            **{point: foot_targets[point] - radius[point] * UP for point in held},
         }
     stance_feet, contacts = [*contact_by_foot], np.array([*contact_by_foot.values()])
     if not contact_by_foot:  # all feet are lifted
-        return np.array([*np.mean([*targets.values()], axis=0)[:2], 0.0])
+        return np.array([*np.mean([*foot_targets.values()], axis=0)[:2], 0.0])
     centre: Array = contacts.mean(axis=0)
     steep = [foot for foot in ground.planes if ground.normal(foot)[2] < MIN_SUPPORT_NORMAL_Z]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
@@ -627,16 +630,16 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     else upward.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
-    targets: dict[str, Array] = {}
+    foot_targets: dict[str, Array] = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         points = robot.feet[foot]
         if foot in ground.planes:
-            targets |= _place_on_plane(robot, task, foot, place)
+            foot_targets |= _place_on_plane(robot, task, foot, place)
             continue
         if foot in robot.hands and foot in task.contacts:  # welded
-            targets[points[0]] = _requested_position(robot, task, foot, place)
+            foot_targets[points[0]] = _requested_position(robot, task, foot, place)
         elif len(points) == 1:
-            targets[points[0]] = ground.centre(foot, place, robot.contact_radius[points[0]])
+            foot_targets[points[0]] = ground.centre(foot, place, robot.contact_radius[points[0]])
         else:
             sole = np.array([nominal[point] for point in points])
             radii = np.array([robot.contact_radius[point] for point in points])
@@ -644,10 +647,10 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
             laid = _lay_sole(sole, radii, out)
             on = laid.mean(axis=0)
             shift = np.array([*(place - on[:2]), ground.height(place, foot) - ground.height(on)])
-            targets |= dict(zip(points, laid + shift, strict=True))
+            foot_targets |= dict(zip(points, laid + shift, strict=True))
         for point in points:
-            targets[point] += task.swing.get(foot, 0.0) * UP
-    return {point: targets[point] for point in robot.contact_points}
+            foot_targets[point] += task.swing.get(foot, 0.0) * UP
+    return {point: foot_targets[point] for point in robot.contact_points}
 
 
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
@@ -759,7 +762,7 @@ def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
 
 def add_penetration(
     robot: Robot,
-    targets: Mapping[str, Array],
+    foot_targets: Mapping[str, Array],
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> dict[str, Array]:
@@ -769,17 +772,20 @@ def add_penetration(
 
     Args:
         robot: Robot.
-        targets: {contact point: target on rigid ground, shape (3,) [m]}.
+        foot_targets: {contact point: target on rigid ground, shape (3,) [m]}.
         depths: {contact point: penetration [m]}; 0 for points that are not included.
         normals: {contact point: unit normal out of the ground, shape (3,)}.
 
     Returns:
         {contact point: moved target, shape (3,) [m]}.
     """
-    sunk = {point: targets[point] - depths.get(point, 0.0) * normals[point] for point in targets}
+    sunk = {
+        point: foot_targets[point] - depths.get(point, 0.0) * normals[point]
+        for point in foot_targets
+    }
     for points in robot.feet.values():
         if len(points) > 1 and any(depths.get(point) for point in points):
-            before = np.array([targets[point] for point in points])
+            before = np.array([foot_targets[point] for point in points])
             after = move_rigidly(before, np.array([sunk[point] for point in points]))
             sunk |= dict(zip(points, after, strict=True))
     return sunk
@@ -787,7 +793,7 @@ def add_penetration(
 
 def remove_penetration(
     ground: Ground,
-    targets: Mapping[str, Array],
+    foot_targets: Mapping[str, Array],
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
@@ -800,17 +806,17 @@ def remove_penetration(
 
     Args:
         ground: Ground.
-        targets: {contact point: target of the sphere centre, shape (3,) [m], in the world frame},
-            which includes the penetration.
+        foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the world
+            frame}, which includes the penetration.
         depths: {contact point that carries load: penetration [m]}.
         normals: {contact point that carries load: unit normal out of the ground, shape (3,), world
             frame}.
     """
     if not ground.planes:
-        return targets
+        return foot_targets
     return {
         point: place + depths[point] * normals[point] if point in normals else place
-        for point, place in targets.items()
+        for point, place in foot_targets.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""Solve for a stand by a nonlinear program, in which requirements (demands) may be relaxed.
+"""Solve for a stand by a nonlinear program, in which requirements may be relaxed.
 
 Variables are the horizontal base position, the joint positions, and two slacks for each number of a
 relaxable requirement: a decrease and an increase. The sum of the slacks is minimised. Minimising a
@@ -22,8 +22,8 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, make_constraints
-from pupper_analysis.stance.demands import DemandVector
-from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.problem import StandTargets, compute_targets
+from pupper_analysis.stance.requirements import RequirementVector
 from pupper_analysis.stance.task import StandTask
 
 _DIFFERENCE_STEP = 1e-7
@@ -105,13 +105,13 @@ class _Point:
     Attributes:
         x: Variables, shape (v,).
         qpos: Configuration, shape (nq,).
-        goal: Goal with the relaxed numbers.
+        targets: Targets and limits with the relaxed numbers.
         residuals: Residual of each constraint, shape (n,) each [m, rad].
     """
 
     x: Array
     qpos: Array
-    goal: Goal
+    targets: StandTargets
     residuals: tuple[Array, ...]
 
 
@@ -172,35 +172,38 @@ class StanceProgram:
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Stand task with all targets computed (`Goal`).
-        demands: Names of requirements that may be relaxed, from `DEMANDS`.
+        targets: Targets and limits of the stand (`StandTargets`).
+        requirements: Names of requirements that may be relaxed, from `RELAXABLE_REQUIREMENTS`.
         without: Names of constraints that are left out of the program.
     """
 
     def __init__(
         self,
         shapes: ClearanceShapes,
-        goal: Goal,
-        demands: Sequence[str] = (),
+        targets: StandTargets,
+        requirements: Sequence[str] = (),
         *,
         without: Collection[str] = (),
     ) -> None:
         robot = self._robot = shapes.robot
-        self._shapes, self._goal, self._demands = shapes, goal, tuple(demands)
-        own = [c for c in make_constraints(shapes, goal) if not c.is_presatisfied]
-        if "joint_margin" not in demands:  # bounds of the variables are cheaper
+        self._shapes, self._targets, self._requirements = shapes, targets, tuple(requirements)
+        own = [c for c in make_constraints(shapes, targets) if not c.is_presatisfied]
+        if "joint_margin" not in requirements:  # bounds of the variables are cheaper
             own = [constraint for constraint in own if constraint.name != "joint-limits"]
         kept = [constraint for constraint in own if constraint.name not in without]
         self._constraints: list[Constraint] = sorted(kept, key=lambda c: not c.is_equality)
         self._unit = robot.stand_height
-        self._numbers = numbers = DemandVector(robot, goal.task, demands)
+        self._numbers = numbers = RequirementVector(robot, targets.task, requirements)
         least, most = (
             (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
         )
-        within = goal.lower, goal.upper
-        if "joint_margin" in demands:  # limits of a posture stay
-            placed = goal.lower == goal.upper
-            within = np.where(placed, goal.lower, -np.inf), np.where(placed, goal.upper, np.inf)
+        within = targets.lower, targets.upper
+        if "joint_margin" in requirements:  # limits of a posture stay
+            placed = targets.lower == targets.upper
+            within = (
+                np.where(placed, targets.lower, -np.inf),
+                np.where(placed, targets.upper, np.inf),
+            )
         nothing, anywhere = np.zeros(2 * len(numbers.keys)), np.full(2, np.inf)
         self._low = np.concatenate([-anywhere, within[0], nothing])
         self._high = np.concatenate([anywhere, within[1], -least, most])
@@ -221,21 +224,22 @@ class StanceProgram:
             Relaxed task and configuration at the end of the solve: a local minimum, or, if the
             solve ended early, possibly with violated constraints.
         """
-        gives = bool(self._demands)
-        progress = _Progress(_SATISFIED_VIOLATION if gives else TASK_TOLERANCE, _PATIENCE[gives])
+        relaxable = bool(self._requirements)
+        tolerance = _SATISFIED_VIOLATION if relaxable else TASK_TOLERANCE
+        progress = _Progress(tolerance, _PATIENCE[relaxable])
         cost = self._cost
         x = self._minimise(
             lambda x: (float(cost @ x), cost),
             self._make_start(qpos, task),
             1e-9,
-            _SOLVE_ITERATIONS[gives],
+            _SOLVE_ITERATIONS[relaxable],
             progress,
         )
-        numbers, values = self._numbers, self._demand_values(x)
-        given = dict.fromkeys(self._demands, 0.0)
+        numbers, values = self._numbers, self._requirement_values(x)
+        given = dict.fromkeys(self._requirements, 0.0)
         slacks = np.abs(values - numbers.values) / numbers.units
-        for demand, slack in zip(numbers.demands, slacks.tolist(), strict=True):
-            given[demand] += slack
+        for requirement, slack in zip(numbers.requirements, slacks.tolist(), strict=True):
+            given[requirement] += slack
         return Relaxation(
             numbers.make_task(values), self._point(x).qpos, given, self._max_violation(x)
         )
@@ -265,7 +269,7 @@ class StanceProgram:
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
-        for foot, target in self._goal.targets.items():
+        for foot, target in self._targets.foot_targets.items():
             error = feet[foot] - target
             total += float(error @ error)
             gradient += 2 * error @ jacobians[foot]
@@ -339,7 +343,7 @@ class StanceProgram:
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
         """Convert an initial configuration (nq,) and initial relaxations to variables (v,).
 
-        The relaxations are the differences of ``task`` from the requirements of the goal, such as
+        The relaxations are the differences of ``task`` from the requested task, such as
         another height; zero without a task. The result is clipped to the bounds of the variables.
         """
         numbers = self._numbers
@@ -349,32 +353,32 @@ class StanceProgram:
         start: Array = np.clip(np.concatenate(parts), self._low, self._high)
         return start
 
-    def _demand_values(self, x: Array) -> Array:
+    def _requirement_values(self, x: Array) -> Array:
         """Convert the variables ``x`` (v,) to the relaxed values of the task, (n,) [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
     def _evaluate(self, x: Array) -> _Point:
-        """Compute goal, configuration and constraint residuals at the variables ``x`` (v,)."""
-        goal = self._make_goal(self._demand_values(x), self._goal)
+        """Compute targets, configuration and constraint residuals at the variables ``x`` (v,)."""
+        targets = self._compute_targets(self._requirement_values(x), self._targets)
         qpos = np.empty(self._robot.nq)
-        qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion
+        qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], targets.height, targets.base_quaternion
         qpos[7:] = x[2 : 2 + self._robot.nu]
         at = self._shapes.move_to(qpos)
-        residuals = tuple(c.residual(goal, at) for c in self._constraints)
-        return _Point(x.copy(), at.qpos, goal, residuals)
+        residuals = tuple(c.residual(targets, at) for c in self._constraints)
+        return _Point(x.copy(), at.qpos, targets, residuals)
 
-    def _make_goal(self, values: Array, like: Goal) -> Goal:
-        """Convert values of the relaxable requirements [m, rad] to a goal (numerical task).
+    def _compute_targets(self, values: Array, like: StandTargets) -> StandTargets:
+        """Convert values of the relaxable requirements [m, rad] to `StandTargets`.
 
-        Foot targets and joint limits of the goal ``like`` are reused if they are equal.
+        Foot targets and joint limits of ``like`` are reused if they are equal.
         """
         task = self._numbers.make_task(values, checked=False)
-        return make_goal(self._robot, task, self._goal.depths, like, checked=False)
+        return compute_targets(self._robot, task, self._targets.depths, like, checked=False)
 
     def _point(self, x: Array) -> _Point:
-        """Return goal, configuration and constraint residuals at the variables ``x`` (v,).
+        """Return targets, configuration and constraint residuals at the variables ``x`` (v,).
 
         The last result is cached.
         """
@@ -416,9 +420,9 @@ class StanceProgram:
         of the resulting base motion, plus a difference quotient of the residuals at a constant
         configuration.
         """
-        there, values = self._point(x), self._demand_values(x)
+        there, values = self._point(x), self._requirement_values(x)
         config = self._configuration(x)
-        rates = [c.jacobian(there.goal, config) for c in self._constraints]
+        rates = [c.jacobian(there.targets, config) for c in self._constraints]
         at = self._shapes.move_to(there.qpos)
         moved = _stack(rates, self._robot.nv)
         ends = np.cumsum([len(rate) for rate in rates])
@@ -430,12 +434,12 @@ class StanceProgram:
             if near[number] > numbers.high[number] > numbers.low[number]:
                 near[number] -= 2 * towards[number]  # angles up to 180 deg only
             step = near[number] - values[number]
-            goal = self._make_goal(near, there.goal)
-            column = moved[:, :6] @ (_base_motion(there.goal, goal) / step)
+            targets = self._compute_targets(near, there.targets)
+            column = moved[:, :6] @ (_base_motion(there.targets, targets) / step)
             for constraint, before, end in zip(
                 self._constraints, there.residuals, ends, strict=True
             ):
-                change = constraint.residual(goal, at) - before
+                change = constraint.residual(targets, at) - before
                 column[end - len(before) : end] += change / step
             columns.append(unit * column)
         by_numbers = np.array(columns).reshape(len(columns), len(moved)).T
@@ -452,7 +456,7 @@ class StanceProgram:
         """
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
-        low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)
+        low, high = np.maximum(self._targets.lower, -np.pi), np.minimum(self._targets.upper, np.pi)
         x[2 : 2 + self._robot.nu] = random.uniform(low, np.maximum(low, high))
         residuals, whole = self._point(x).residuals, self._derivative(x)
         pairs = zip(self._constraints, residuals, strict=True)
@@ -471,17 +475,17 @@ def _stack(blocks: Sequence[Array], columns: int) -> Array:
     return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 
 
-def _base_motion(goal: Goal, other: Goal) -> Array:
-    """Return the small displacement (6,) of the base from one goal to another, in qvel's order.
+def _base_motion(targets: StandTargets, other: StandTargets) -> Array:
+    """Return the small displacement (6,) of the base between two targets, in qvel's order.
 
     Translation [m] along world axes, vertical only; rotation vector [rad] along base axes.
     """
-    (w, x, y, z), (a, b, c, d) = goal.base_quaternion, other.base_quaternion
+    (w, x, y, z), (a, b, c, d) = targets.base_quaternion, other.base_quaternion
     turned = (  # vector part of the relative quaternion
         w * b - x * a - y * d + z * c,
         w * c - y * a - z * b + x * d,
         w * d - z * a - x * c + y * b,
     )
     sign = math.copysign(2.0, w * a + x * b + y * c + z * d)
-    rise = other.height - goal.height
+    rise = other.height - targets.height
     return np.array([0.0, 0.0, rise, *(sign * part for part in turned)])

@@ -1,4 +1,4 @@
-"""Explain an unreachable stance: find requirements (demands) to relax, and the smallest change.
+"""Explain an unreachable stance: find requirements to relax, and the smallest change.
 
 `explain_refusal` first relaxes each requirement alone. If none suffices alone, the search continues
 with a small set of requirements that suffices together. The nonlinear program with slacks
@@ -21,18 +21,18 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
-from pupper_analysis.stance.demands import (
-    DEMANDS,
-    DemandVector,
+from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.problem import StandTargets, compute_targets
+from pupper_analysis.stance.programme import Relaxation, StanceProgram
+from pupper_analysis.stance.requirements import (
+    RELAXABLE_REQUIREMENTS,
+    RequirementVector,
     describe_limit,
     differs_from_nominal,
     relax_further,
     reset_to_nominal,
     round_outward,
 )
-from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.problem import Goal, make_goal
-from pupper_analysis.stance.programme import Relaxation, StanceProgram
 from pupper_analysis.stance.search import describe_mechanism_limit, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
@@ -52,14 +52,14 @@ _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
 relaxed task with rounded values has a stand. Without an increase, the relaxed task is at the limit
 of reach, where a search from other initial guesses may fail. Chosen, not tuned."""
 
-_NONZERO_DEMANDS = ("swing", "com_margin")
+_POSITIVE_REQUIREMENTS = ("swing", "com_margin")
 """Names of relaxable requirements whose values must not become close to zero. A foot with a swing
 height of zero would carry load. With a CoM margin of zero, the CoM of a task with an offset may be
 outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Smallest permitted value of the requirements in `_NONZERO_DEMANDS`, relative to the base height
-of the nominal stand. A relaxed task with a smaller value is rejected. Chosen, not tuned."""
+"""Smallest permitted value of the requirements in `_POSITIVE_REQUIREMENTS`, relative to the base
+height of the nominal stand. A relaxed task with a smaller value is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which `_relax_one` reduces a computed relaxation, to test if the nonlinear program
@@ -73,23 +73,23 @@ reported. Chosen, not tuned."""
 
 
 def explain_refusal(
-    context: SearchContext, goal: Goal, nearest: Stand, *, explain: bool
+    context: SearchContext, targets: StandTargets, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
     """Create the error that no stand was found: foot errors [m], joints at limits, relaxations.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`), for which no stand was found.
+        targets: Targets and limits of the stand (`StandTargets`), for which no stand was found.
         nearest: Best failure of the search (`search_stand`, `minimise_foot_errors`).
         explain: Whether to compute the requirements to relax, and the smallest relaxation.
     """
     robot = context.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
-    gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
+    gaps = {foot: float(np.linalg.norm(feet[foot] - targets.foot_targets[foot])) for foot in feet}
     joints = nearest.joint_positions(robot)
     at_limit: dict[str, float] = {}
-    placed = goal.lower == goal.upper  # joints of a posture have equal limits
-    for limits in (goal.lower, goal.upper):
+    placed = targets.lower == targets.upper  # joints of a posture have equal limits
+    for limits in (targets.lower, targets.upper):
         for index in np.flatnonzero((np.abs(joints - limits) < 1e-6) & ~placed):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
@@ -99,24 +99,29 @@ def explain_refusal(
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _MIN_FOOT_ERROR}
-    basis = _RelaxationSearch(context, goal, nearest).find_relaxations() if explain else []
-    named = {" and ".join(relaxation.demands): relaxation for relaxation in basis}
+    basis = _RelaxationSearch(context, targets, nearest).find_relaxations() if explain else []
+    named = {" and ".join(relaxation.requirements): relaxation for relaxation in basis}
     least = min(basis, key=lambda relaxation: relaxation.slack, default=None)
     return StanceUnreachableError(
-        goal.task.phrase(),
+        targets.task.phrase(),
         missed,
         at_limit,
         {
-            name: describe_limit(robot, goal.task, relaxation.stand.task, relaxation.demands)
+            name: describe_limit(
+                robot, targets.task, relaxation.stand.task, relaxation.requirements
+            )
             for name, relaxation in named.items()
         },
         None if least is None else least.stand,
         blocked,
         {
-            name: {demand: getattr(relaxation.stand.task, demand) for demand in relaxation.demands}
+            name: {
+                requirement: getattr(relaxation.stand.task, requirement)
+                for requirement in relaxation.requirements
+            }
             for name, relaxation in named.items()
         },
-        describe_mechanism_limit(robot, goal),
+        describe_mechanism_limit(robot, targets),
         {name: joint_unit(robot, name) for name in at_limit},
     )
 
@@ -147,12 +152,12 @@ class _StatedRelaxation:
     """Relaxation for a report: relaxed requirements, and a stand for the rounded relaxed values.
 
     Attributes:
-        demands: Names of the relaxed requirements, from `DEMANDS`.
+        requirements: Names of the relaxed requirements, from `RELAXABLE_REQUIREMENTS`.
         slack: Sum of the relaxations before rounding [stand heights and rad mixed].
         stand: Stand of the relaxed task with rounded values.
     """
 
-    demands: tuple[str, ...]
+    requirements: tuple[str, ...]
     slack: float
     stand: Stand
 
@@ -162,15 +167,15 @@ class _RelaxationSearch:
 
     Args:
         context: Search context of the robot.
-        goal: Unreachable stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the unreachable stand (`StandTargets`).
         nearest: Best failure of the search. The nonlinear program starts from this stand, and from
             the home configuration.
     """
 
-    def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:
-        self.context, self.goal = context, goal
+    def __init__(self, context: SearchContext, targets: StandTargets, nearest: Stand) -> None:
+        self.context, self.targets = context, targets
         home = context.robot.home.copy()
-        home[:2] = goal.centre[:2]
+        home[:2] = targets.centre[:2]
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
@@ -180,27 +185,35 @@ class _RelaxationSearch:
         is one relaxation of a small set of requirements. The result is empty if no such set is
         found.
         """
-        robot, task = self.context.robot, self.goal.task
-        differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
-        alone = [self._verify(self._relax_one(demand)) for demand in differing]
+        robot, task = self.context.robot, self.targets.task
+        differing = [
+            requirement
+            for requirement in RELAXABLE_REQUIREMENTS
+            if differs_from_nominal(robot, task, [requirement])
+        ]
+        alone = [self._verify(self._relax_one(requirement)) for requirement in differing]
         if stated := [relaxation for relaxation in alone if relaxation is not None]:
             return stated
         least = self._find_smallest(differing, self.starts)
-        fewest = self._verify(self._reduce_demands(least)) or self._verify(least)
+        fewest = self._verify(self._reduce_requirements(least)) or self._verify(least)
         return [] if fewest is None else [fewest]
 
-    def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
-        """Find the smallest relaxation of the requirements ``demands`` with which a stand exists.
+    def _find_smallest(
+        self, requirements: Sequence[str], starts: Iterable[Array]
+    ) -> Relaxation | None:
+        """Find the smallest relaxation of some requirements with which a stand exists.
 
         The nonlinear program starts from each initial configuration (nq,) in ``starts``. It also
-        starts from the stand of the task with nominal values of these demands, if the default
-        guesses find this stand. Measured with several relaxed demands: this stand gave the best
-        result in 27 of 28 refusals. None if no feasible relaxation is found.
+        starts from the stand of the task with nominal values of these requirements, if the default
+        guesses find this stand. Measured with several relaxed requirements: this stand gave the
+        best result in 27 of 28 refusals. None if no feasible relaxation is found.
         """
-        elastic = StanceProgram(self.context.shapes, self.goal, demands)
+        elastic = StanceProgram(self.context.shapes, self.targets, requirements)
         basis = [elastic.solve(start) for start in starts]
-        without = reset_to_nominal(self.context.robot, self.goal.task, demands)
-        stand = search_stand(self.context, self._make_goal(without), default_guesses_only=True)
+        without = reset_to_nominal(self.context.robot, self.targets.task, requirements)
+        stand = search_stand(
+            self.context, self._compute_targets(without), default_guesses_only=True
+        )
         if stand.solved:
             basis.append(elastic.solve(stand.qpos, without))
         return min(
@@ -209,29 +222,31 @@ class _RelaxationSearch:
             default=None,
         )
 
-    def _relax_one(self, demand: str) -> Relaxation | None:
+    def _relax_one(self, requirement: str) -> Relaxation | None:
         """Find the smallest relaxation of one requirement; None without a feasible relaxation.
 
         The nonlinear program may end in a local minimum. If a search finds a stand with less
         relaxation, the program starts again from this stand.
         """
-        relaxation = self._find_smallest([demand], self.starts)
+        relaxation = self._find_smallest([requirement], self.starts)
         shares = list(_REDUCTION_SHARES)
         while relaxation is not None and shares:
             less = relax_further(
-                self.context.robot, relaxation.task, self.goal.task, [demand], -shares[0]
+                self.context.robot, relaxation.task, self.targets.task, [requirement], -shares[0]
             )
-            stand = search_stand(self.context, self._make_goal(less), com_at_centre_only=True)
+            stand = search_stand(self.context, self._compute_targets(less), com_at_centre_only=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
-            better = StanceProgram(self.context.shapes, self.goal, [demand]).solve(stand.qpos, less)
+            better = StanceProgram(self.context.shapes, self.targets, [requirement]).solve(
+                stand.qpos, less
+            )
             if not better.is_met or better.slack > (1 - shares[0] / 2) * relaxation.slack:
                 break
             relaxation = better
         return relaxation
 
-    def _reduce_demands(self, relaxation: Relaxation | None) -> Relaxation | None:
+    def _reduce_requirements(self, relaxation: Relaxation | None) -> Relaxation | None:
         """Reduce the number of relaxed requirements, if a stand still exists.
 
         Requirements are left out one by one, the least relaxed first. A requirement is left out
@@ -240,17 +255,17 @@ class _RelaxationSearch:
         if relaxation is None:
             return None
         given = {
-            demand: slack
-            for demand, slack in relaxation.relaxations.items()
+            requirement: slack
+            for requirement, slack in relaxation.relaxations.items()
             if slack > _MIN_RELAXATION
         }
-        for demand in sorted(given, key=given.__getitem__):
+        for requirement in sorted(given, key=given.__getitem__):
             rest = [
                 name
                 for name in given
-                if name != demand and relaxation.relaxations.get(name, 0.0) > _MIN_RELAXATION
+                if name != requirement and relaxation.relaxations.get(name, 0.0) > _MIN_RELAXATION
             ]
-            if relaxation.relaxations.get(demand, 0.0) > _MIN_RELAXATION and len(rest) > 1:
+            if relaxation.relaxations.get(requirement, 0.0) > _MIN_RELAXATION and len(rest) > 1:
                 relaxation = self._find_smallest(rest, (relaxation.qpos,)) or relaxation
         return relaxation
 
@@ -265,54 +280,58 @@ class _RelaxationSearch:
         if relaxation is None:
             return None
         robot = self.context.robot
-        demands = tuple(
-            demand for demand, slack in relaxation.relaxations.items() if slack > _MIN_RELAXATION
+        requirements = tuple(
+            requirement
+            for requirement, slack in relaxation.relaxations.items()
+            if slack > _MIN_RELAXATION
         )
-        if not demands:
+        if not requirements:
             return None
         for share in _EXTRA_RELAXATIONS:
-            task = self._round_task(relaxation, demands, share)
-            if task is None or any(_is_degenerate(robot, task, demand) for demand in demands):
+            task = self._round_task(relaxation, requirements, share)
+            if task is None or any(
+                _is_degenerate(robot, task, requirement) for requirement in requirements
+            ):
                 continue
             if (stand := self._solve_task(task)) is not None:
-                return _StatedRelaxation(demands, relaxation.slack, stand)
+                return _StatedRelaxation(requirements, relaxation.slack, stand)
         return None
 
     def _round_task(
-        self, relaxation: Relaxation, demands: Sequence[str], share: float
+        self, relaxation: Relaxation, requirements: Sequence[str], share: float
     ) -> StandTask | None:
         """Round the relaxed values of a task; None if the task becomes infeasible.
 
-        The requirements ``demands`` are rounded one after another, the largest relaxation first.
-        After each rounding, the relaxation of the remaining requirements is computed again. Before
-        rounding, the distance of a value from the requested value is increased by the fraction
-        ``share``.
+        The requirements ``requirements`` are rounded one after another, the largest relaxation
+        first. After each rounding, the relaxation of the remaining requirements is computed again.
+        Before rounding, the distance of a value from the requested value is increased by the
+        fraction ``share``.
         """
-        robot, left = self.context.robot, [*demands]
-        requested = task = self.goal.task
+        robot, left = self.context.robot, [*requirements]
+        requested = task = self.targets.task
         while relaxation.is_met:
-            demand = max(left, key=relaxation.relaxations.__getitem__)
-            left.remove(demand)
-            there = relax_further(robot, relaxation.task, requested, [demand], share)
-            end = round_outward(robot, there, requested, [demand])
-            task = replace(task, **{demand: getattr(end, demand)})
+            requirement = max(left, key=relaxation.relaxations.__getitem__)
+            left.remove(requirement)
+            there = relax_further(robot, relaxation.task, requested, [requirement], share)
+            end = round_outward(robot, there, requested, [requirement])
+            task = replace(task, **{requirement: getattr(end, requirement)})
             if not left:
                 return task
-            elastic = StanceProgram(self.context.shapes, self._make_goal(task), left)
+            elastic = StanceProgram(self.context.shapes, self._compute_targets(task), left)
             relaxation = elastic.solve(relaxation.qpos, relaxation.task)
         return None
 
     def _solve_task(self, task: StandTask) -> Stand | None:
         """Return the stand of a task by `search_stand`; None if rejected or without stand."""
         try:
-            goal = self._make_goal(task, checked=True)
+            targets = self._compute_targets(task, checked=True)
         except ConfigurationError:
             return None
-        stand = search_stand(self.context, goal)
+        stand = search_stand(self.context, targets)
         return stand if stand.solved else None
 
-    def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Convert a task to a goal with the same static deflections as the unreachable goal.
+    def _compute_targets(self, task: StandTask, *, checked: bool = False) -> StandTargets:
+        """Convert a task to targets, with the static deflections of the unreachable targets.
 
         Deflections are the penetrations of the feet into soft ground, and the openings of loops.
 
@@ -320,13 +339,13 @@ class _RelaxationSearch:
             task: Task, with relaxed requirements.
             checked: True to reject tasks that no stand can satisfy.
         """
-        goal = make_goal(self.context.robot, task, self.goal.depths, checked=checked)
-        return replace(goal, give=self.goal.give)
+        targets = compute_targets(self.context.robot, task, self.targets.depths, checked=checked)
+        return replace(targets, loop_opening=self.targets.loop_opening)
 
 
-def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if a requirement must not be zero (`_NONZERO_DEMANDS`), but a value nearly is."""
+def _is_degenerate(robot: Robot, task: StandTask, requirement: str) -> bool:
+    """Return True if a value of a requirement in `_POSITIVE_REQUIREMENTS` is nearly zero."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
-    return demand in _NONZERO_DEMANDS and bool(
-        (DemandVector(robot, task, [demand]).values < least).any()
+    return requirement in _POSITIVE_REQUIREMENTS and bool(
+        (RequirementVector(robot, task, [requirement]).values < least).any()
     )

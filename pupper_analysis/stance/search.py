@@ -1,4 +1,4 @@
-"""Search for the stand of a goal (a stand task with computed targets), from several guesses.
+"""Search for a stand that meets numeric targets (`StandTargets`), from several initial guesses.
 
 `search_stand` tries, in this order: PlaCo's IK from the default joint positions (the task's
 ``ik_seed``, home, middle of the ranges); IK from combinations of the legs' IK branches; and, if the
@@ -32,7 +32,7 @@ from pupper_analysis.stance.branches import (
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, make_constraints
 from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
-from pupper_analysis.stance.problem import Goal, has_redundant_joints
+from pupper_analysis.stance.problem import StandTargets, has_redundant_joints
 from pupper_analysis.stance.programme import StanceProgram
 from pupper_analysis.stance.solver import SearchContext, SolverResult
 
@@ -75,12 +75,12 @@ clearances, so that the search ends with a clearance error."""
 
 def search_stand(
     context: SearchContext,
-    goal: Goal,
+    targets: StandTargets,
     *,
     default_guesses_only: bool = False,
     com_at_centre_only: bool = False,
 ) -> Stand:
-    """Search for the stand of a goal from all initial guesses; return the stand or best failure.
+    """Search for a stand from all initial guesses; return the stand, or else the best failure.
 
     The nonlinear program is used only if the CoM is free, or if the robot has redundant joints and
     a stand with the feet in place violates another requirement. The program starts at the best
@@ -88,7 +88,7 @@ def search_stand(
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         default_guesses_only: If True, use only IK from `default_initial_guesses`.
         com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is above the
             centre of the feet. Exception: the CoM may move to lay soles flat on legs with fewer
@@ -98,8 +98,8 @@ def search_stand(
         A solved stand. Otherwise the best failure: feet in place with another violation, or the
         smallest foot error.
     """
-    there = _StandSearch(context, goal)
-    found = there.try_initial_guesses(default_initial_guesses(context.robot, goal))
+    there = _StandSearch(context, targets)
+    found = there.try_initial_guesses(default_initial_guesses(context.robot, targets))
     if found is not None or default_guesses_only:
         return found or there.best_stand()
     found = there.try_branches()
@@ -108,46 +108,49 @@ def search_stand(
     return there.try_program()
 
 
-def search_near_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
-    """Search for the stand of a goal, with a nearby stand as the only initial guess.
+def search_near_stand(context: SearchContext, targets: StandTargets, near: Stand) -> Stand | None:
+    """Search for a stand that meets the targets, with a nearby stand as the only initial guess.
 
     None if no stand is found, which does not prove that no stand exists.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
-        near: Stand of a similar goal.
+        targets: Targets and limits of the stand (`StandTargets`).
+        near: Stand of a similar task.
     """
-    found = search_from_joints(context, goal, near.joint_positions(context.robot))
-    if found is None and goal.com_is_free:
-        found, _ = solve_constraints(context, goal, near.qpos)
+    found = search_from_joints(context, targets, near.joint_positions(context.robot))
+    if found is None and targets.com_is_free:
+        found, _ = solve_constraints(context, targets, near.qpos)
     return found
 
 
-def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
-    """Search for the stand of a goal by IK from an initial guess of the joint positions.
+def search_from_joints(
+    context: SearchContext, targets: StandTargets, joints: Array
+) -> Stand | None:
+    """Search for a stand that meets the targets by IK from an initial guess of the joint positions.
 
-    The base is placed so that the CoM, or the base if the goal fixes it, starts at its target.
+    The base is placed so that the CoM, or the base if the targets fix the base, starts at its
+    target.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         joints: Initial joint positions, shape (nu,) [rad, m].
 
     Returns:
         Solved stand; None if IK does not reach a stand.
     """
-    return _StandSearch(context, goal).add(context.solver.solve_from_joints(goal, joints))
+    return _StandSearch(context, targets).add(context.solver.solve_from_joints(targets, joints))
 
 
 def solve_constraints(
-    context: SearchContext, goal: Goal, qpos: Array
+    context: SearchContext, targets: StandTargets, qpos: Array
 ) -> tuple[Stand | None, float]:
-    """Search for the stand of a goal by the nonlinear program, from an initial configuration.
+    """Search for a stand by the nonlinear program, from an initial configuration.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         qpos: Initial configuration, shape (nq,).
 
     Returns:
@@ -155,23 +158,27 @@ def solve_constraints(
         minimised only if the program fails and the CoM is free; otherwise it is 0. An error above
         ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only local.
     """
-    there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
+    there, programme = _StandSearch(context, targets), StanceProgram(context.shapes, targets)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
     return stand if stand is not None and stand.solved else None, min(there.misses, default=0.0)
 
 
-def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
-    """Search for the stand of a goal by IK from a nearby configuration.
+def search_from_configuration(
+    context: SearchContext, targets: StandTargets, qpos: Array
+) -> Stand | None:
+    """Search for a stand that meets the targets by IK from a nearby configuration.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
         qpos: Initial configuration, shape (nq,).
 
     Returns:
         Solved stand; None if IK does not reach a stand.
     """
-    return _StandSearch(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
+    return _StandSearch(context, targets).add(
+        context.solver.solve_from_configuration(targets, qpos)
+    )
 
 
 class _StandSearch:
@@ -179,7 +186,7 @@ class _StandSearch:
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
+        targets: Targets and limits of the stand (`StandTargets`).
 
     Attributes:
         iterations: Number of quadratic programs so far.
@@ -190,9 +197,9 @@ class _StandSearch:
         found: IK branches of each limb in the last round.
     """
 
-    def __init__(self, context: SearchContext, goal: Goal) -> None:
+    def __init__(self, context: SearchContext, targets: StandTargets) -> None:
         self.context, self.shapes, self.robot = context, context.shapes, context.robot
-        self.goal, self.iterations = goal, 0
+        self.targets, self.iterations = targets, 0
         self.closest: Stand | None = None
         self.misses: list[float] = []
         self.points: list[SolverResult] = []
@@ -202,7 +209,7 @@ class _StandSearch:
     @cached_property
     def _is_base_in_ground(self) -> bool:
         """Whether no stand exists, because the required base pose puts the base into the ground."""
-        return is_base_in_ground(self.shapes, self.goal)
+        return is_base_in_ground(self.shapes, self.targets)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first solved stand.
@@ -217,7 +224,7 @@ class _StandSearch:
             Stand; None if no guess leads to a stand.
         """
         for start in joints:
-            stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
+            stand = self.add(self.context.solver.solve_from_joints(self.targets, start))
             if stand is None and self.reached and self._is_base_in_ground:
                 stand = self.reached[0]
             if stand is not None:
@@ -233,13 +240,17 @@ class _StandSearch:
             First result of `try_initial_guesses` for these combinations; None if no combination
             leads to a stand.
         """
-        robot, goal = self.robot, self.goal
+        robot, targets = self.robot, self.targets
         for _ in range(_BRANCH_ROUNDS):
             nearest = self._nearest()
-            self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
-            reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
+            self.found = find_branches(
+                robot, nearest.qpos, targets.foot_targets, targets.lower, targets.upper
+            )
+            reach = 0.0 if targets.by_base else bound_com_shift(robot, nearest.qpos, self.found)
             found = self.try_initial_guesses(
-                branch_initial_guesses(robot, goal, self.found, reach, _MAX_COMBINATIONS_PER_ROUND)
+                branch_initial_guesses(
+                    robot, targets, self.found, reach, _MAX_COMBINATIONS_PER_ROUND
+                )
             )
             if found is not None:
                 return found
@@ -256,20 +267,22 @@ class _StandSearch:
 
         Returns:
             First solved stand. If no stand is solved, the best stand of the search, which may
-            violate the goal. If the goal puts the base into the ground, a stand with the feet at
-            the targets is sufficient.
+            violate the targets. If the targets put the base into the ground, a stand with the feet
+            at the targets is sufficient.
         """
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):
             return best
-        if not self.goal.com_is_free and not (self.reached and has_redundant_joints(self.robot)):
+        if not self.targets.com_is_free and not (self.reached and has_redundant_joints(self.robot)):
             return best
-        if self.goal.com_is_free:
-            reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
+        if self.targets.com_is_free:
+            reach = support_radius(self.targets) + bound_com_shift(
+                self.robot, best.qpos, self.found
+            )
             if any(branches[0].foot_error > reach for branches in self.found.values()):
                 return best  # no CoM displacement can compensate
         without = CLEARANCE_NAMES if self._is_base_in_ground else ()
-        programme = StanceProgram(self.shapes, self.goal, without=without)
+        programme = StanceProgram(self.shapes, self.targets, without=without)
         for qpos in self._generate_initial_configurations(best):
             stand = self.solve_program(programme, qpos) or self.solve_from_minimum(programme, qpos)
             if stand is not None and (stand.solved or self._is_base_in_ground):
@@ -299,23 +312,24 @@ class _StandSearch:
         three kinds follow: the default guesses; random postures, if a sole is on a leg with fewer
         than six joints; and guesses with a displaced base, if the feet are nearly in place.
         """
-        robot, goal = self.robot, self.goal
+        robot, targets = self.robot, self.targets
         yield best.qpos
-        if not goal.com_is_free:
+        if not targets.com_is_free:
             # A copy of the list, which grows meanwhile.
             yield from [stand.qpos for stand in self.reached if stand is not best]
             return
-        for joints in default_initial_guesses(robot, goal):
-            yield make_initial_configuration(robot, goal, joints, goal.centre[:2])
+        for joints in default_initial_guesses(robot, targets):
+            yield make_initial_configuration(robot, targets, joints, targets.centre[:2])
         if self._is_underactuated:
             yield from (
-                make_initial_configuration(robot, goal, joints, goal.centre[:2])
-                for joints in random_postures(goal, _NUM_RANDOM_GUESSES)
+                make_initial_configuration(robot, targets, joints, targets.centre[:2])
+                for joints in random_postures(targets, _NUM_RANDOM_GUESSES)
             )
         closest = self.best_stand()
         if closest.foot_error < _CLOSE_MISS:  # with a larger error, no clearance is the obstacle
             yield from islice(
-                displaced_initial_guesses(self.shapes, goal, closest.qpos), _MAX_DISPLACED_GUESSES
+                displaced_initial_guesses(self.shapes, targets, closest.qpos),
+                _MAX_DISPLACED_GUESSES,
             )
 
     def solve_from_minimum(self, programme: StanceProgram, qpos: Array) -> Stand | None:
@@ -324,9 +338,9 @@ class _StandSearch:
         None if the CoM is not free, if the search has already found a stand with the feet in place,
         or if no such stand is found near the minimum.
         """
-        if not self.goal.com_is_free or self.reached:
+        if not self.targets.com_is_free or self.reached:
             return None
-        closest = minimise_foot_errors(self.context, self.goal, qpos, self.iterations)
+        closest = minimise_foot_errors(self.context, self.targets, qpos, self.iterations)
         self.misses.append(closest.foot_error)
         if self.closest is None or closest.foot_error < self.closest.foot_error:
             self.closest = closest
@@ -347,14 +361,14 @@ class _StandSearch:
         """
         self.points.append(point)
         self.iterations += point.iterations
-        goal = self.goal
+        targets = self.targets
         if not point.converged:
-            goal = relax_foot_orientation(self.robot, goal, point)
-        if point.foot_error >= 2 * TASK_TOLERANCE and goal is self.goal:
+            targets = relax_foot_orientation(self.robot, targets, point)
+        if point.foot_error >= 2 * TASK_TOLERANCE and targets is self.targets:
             return None
-        stand = self._evaluate(point, goal)
-        if goal is not self.goal:
-            stand = flatten_soles(self.context, self.goal, stand)
+        stand = self._evaluate(point, targets)
+        if targets is not self.targets:
+            stand = flatten_soles(self.context, self.targets, stand)
         self.reached.append(stand)
         return stand if stand.solved else None
 
@@ -373,19 +387,19 @@ class _StandSearch:
 
         Soles on legs with fewer than six joints may stay tilted.
         """
-        goal = self.goal
-        if goal.com_is_free:
-            goal = replace(goal, place=Configuration(self.robot, qpos).center_of_mass()[:2])
-        point = self.context.solver.solve_from_configuration(goal, qpos)
+        targets = self.targets
+        if targets.com_is_free:
+            targets = replace(targets, place=Configuration(self.robot, qpos).center_of_mass()[:2])
+        point = self.context.solver.solve_from_configuration(targets, qpos)
         self.iterations += point.iterations
-        stand = self._evaluate(point, relax_foot_orientation(self.robot, goal, point))
+        stand = self._evaluate(point, relax_foot_orientation(self.robot, targets, point))
         if stand.foot_error >= TASK_TOLERANCE:
             return None
         self.reached.append(stand)
         return stand
 
     def best_stand(self) -> Stand:
-        """Return the best stand of the search, which may violate the goal.
+        """Return the best stand of the search, which may violate the targets.
 
         A solved stand comes first, then the stand with all feet in place and the smallest
         violation. Without these, the result of the nonlinear program (or else of IK) with the
@@ -395,69 +409,71 @@ class _StandSearch:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
         return self.closest or self._evaluate(self._nearest())
 
-    def _evaluate(self, point: SolverResult, goal: Goal | None = None) -> Stand:
-        """Create the `Stand` of an IK result, with its errors for a goal.
+    def _evaluate(self, point: SolverResult, targets: StandTargets | None = None) -> Stand:
+        """Create the `Stand` of an IK result, with its errors for given targets.
 
-        The default goal is that of this search.
+        The default targets are those of this search.
         """
-        return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
+        return evaluate_stand(self.shapes, targets or self.targets, point.qpos, self.iterations)
 
 
-def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
+def default_initial_guesses(robot: Robot, targets: StandTargets) -> Iterator[Array]:
     """Yield the default initial guesses of the joint positions, shape (nu,) [rad, m].
 
     In this order: ``ik_seed`` of the task, if present; the robot's home position; the middle of the
-    goal's joint limits (zero for a joint without a lower or an upper limit).
+    targets' joint limits (zero for a joint without a lower or an upper limit).
     """
-    if goal.task.ik_seed is not None:
-        yield np.array(goal.task.ik_seed)
+    if targets.task.ik_seed is not None:
+        yield np.array(targets.task.ik_seed)
     yield robot.home[7:]
-    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
-    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
+    bounded = np.isfinite(targets.lower) & np.isfinite(targets.upper)
+    middle = (np.where(bounded, targets.lower, 0) + np.where(bounded, targets.upper, 0)) / 2
     yield np.where(bounded, middle, 0.0)
 
 
 def minimise_foot_errors(
-    context: SearchContext, goal: Goal, qpos: Array, iterations: int = 0
+    context: SearchContext, targets: StandTargets, qpos: Array, iterations: int = 0
 ) -> Stand:
-    """Minimise the distances of the feet from the targets of a goal, and return the `Stand`.
+    """Minimise the distances of the feet from their targets, and return the `Stand`.
 
     The sum of the squared distances is minimised. The nonlinear program starts at the configuration
     ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that the errors
     vanish, and end before this minimum. ``iterations`` is the number of quadratic programs that the
     search has solved before. The returned stand contains this number.
     """
-    feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
-    return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)
+    feet = StanceProgram(context.shapes, targets, without=(*CLEARANCE_NAMES, "footholds"))
+    return evaluate_stand(context.shapes, targets, feet.minimise_foot_distances(qpos), iterations)
 
 
-def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
+def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -> Stand:
     """Reduce the tilt of soles on legs with fewer than six joints, by moving the CoM.
 
-    IK may tilt the soles of such legs to bring the CoM to ``goal.place``. In a simulation, servos
-    would press tilted soles flat, with torques that the static balance does not contain. The CoM is
-    moved only if the task permits any position inside the support region (``com_is_free``).
+    IK may tilt the soles of such legs to bring the CoM to ``targets.place``. In a simulation,
+    servos would press tilted soles flat, with torques that the static balance does not contain. The
+    CoM is moved only if the task permits any position inside the support region (``com_is_free``).
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
-        stand: Stand of the goal with tilted soles.
+        targets: Targets and limits of the stand (`StandTargets`).
+        stand: Stand with tilted soles that meets the targets.
 
     Returns:
         A stand with smaller foot errors, since the tilt causes foot errors. The unchanged stand if
         the task fixes the CoM, or if no solved stand with smaller foot errors is found.
     """
     robot = context.robot
-    if not goal.com_is_free:
+    if not targets.com_is_free:
         return stand
 
     def foot_error(tried: Stand) -> float:
         """Return the largest distance of a loaded contact point from its target in a stand [m]."""
         places = Configuration(robot, tried.qpos).foot_positions()
-        return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
+        return max(
+            float(np.linalg.norm(places[f] - targets.foot_targets[f])) for f in targets.stance_feet
+        )
 
-    closest = minimise_foot_errors(context, goal, stand.qpos, stand.iterations)
-    at = replace(goal, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
+    closest = minimise_foot_errors(context, targets, stand.qpos, stand.iterations)
+    at = replace(targets, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
     point = SolverResult(closest.qpos, closest.foot_error, stand.iterations)
     at = relax_foot_orientation(robot, at, point)
     other = evaluate_stand(context.shapes, at, point.qpos, stand.iterations)
@@ -492,7 +508,7 @@ def count_joints_of_short_legs(robot: Robot) -> dict[str, int]:
     return {foot: count for foot, count in counts.items() if count < _NUM_POSE_JOINTS}
 
 
-def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
+def describe_mechanism_limit(robot: Robot, targets: StandTargets) -> Diagnostic | None:
     """Create a message if the robot's mechanism may be the reason why no stand was found.
 
     Returns:
@@ -500,9 +516,11 @@ def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
         a flat foot (``foot_offsets``, ``swing``) on a leg with fewer than six joints. None if
         neither applies.
     """
-    task = goal.task
-    if goal.give is not None and goal.give.any():
-        return diagnose("loops-give-way", most=Quantity(abs(goal.give).max(), "rad or m"))
+    task = targets.task
+    if targets.loop_opening is not None and targets.loop_opening.any():
+        return diagnose(
+            "loops-give-way", most=Quantity(abs(targets.loop_opening).max(), "rad or m")
+        )
     moved = {*task.swing, *task.foot_offsets}
     short = {
         sole: count
@@ -523,22 +541,26 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
     return sum(model.names[joint] in robot.joint_names for joint in above)
 
 
-def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
+def relax_foot_orientation(
+    robot: Robot, targets: StandTargets, point: SolverResult
+) -> StandTargets:
     """Replace foot targets by the positions that IK reached, if a sole cannot lie exactly flat.
 
-    A leg with fewer than six joints may be unable to lay a sole exactly on the ground. The goal is
-    unchanged if IK converged, the position error of the feet is at least `MAX_SOLE_ERROR`, or no
-    flat foot is on a leg with fewer than six joints.
+    A leg with fewer than six joints may be unable to lay a sole exactly on the ground. The targets
+    are unchanged if IK converged, the position error of the feet is at least `MAX_SOLE_ERROR`, or
+    no flat foot is on a leg with fewer than six joints.
 
     Args:
         robot: Robot.
-        goal: Goal with the foot targets.
+        targets: Targets with the foot targets to replace.
         point: Result of the IK solver, with the reached configuration.
     """
     if point.converged or point.foot_error >= MAX_SOLE_ERROR or not has_underactuated_feet(robot):
-        return goal
+        return targets
     places = Configuration(robot, point.qpos).foot_positions()
-    return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))
+    return replace(
+        targets, foot_targets=freeze_arrays({foot: places[foot] for foot in targets.foot_targets})
+    )
 
 
 NEAR_MISS = 1e-3
@@ -574,20 +596,20 @@ branches. If the estimate is too small, branches that are in reach are rejected.
 tuned."""
 
 
-def random_postures(goal: Goal, count: int) -> Iterator[Array]:
-    """Yield random joint positions, shape (nu,) [rad, m], within the limits of the goal and +-pi.
+def random_postures(targets: StandTargets, count: int) -> Iterator[Array]:
+    """Yield random joint positions, shape (nu,) [rad, m], within joint limits and +-pi.
 
     The seed of the generator is fixed, so that searches with equal limits use equal positions. A
     joint whose limits do not overlap with +-pi is at a limit.
     """
-    low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
+    low, high = np.maximum(targets.lower, -np.pi), np.minimum(targets.upper, np.pi)
     random = np.random.default_rng(0)
     yield from random.uniform(low, np.maximum(low, high), (count, len(low)))
 
 
 def branch_initial_guesses(
     robot: Robot,
-    goal: Goal,
+    targets: StandTargets,
     found: Mapping[IndependentLimb, tuple[Branch, ...]],
     reach: float,
     most: int,
@@ -598,14 +620,14 @@ def branch_initial_guesses(
 
     Args:
         robot: Robot.
-        goal: Goal with joint limits and the initial guess ``ik_seed`` of the task.
+        targets: Targets with joint limits and the initial guess ``ik_seed`` of the task.
         found: {limb: IK branches of the limb}.
         reach: Upper bound of the base displacement [m] from the base pose for which the branches
             were computed. A displacement of the base by d changes a foot error by at most d.
             Therefore, branches with a foot error above ``reach + NEAR_MISS`` are omitted.
         most: Upper bound of the number of guesses.
     """
-    near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
+    near = robot.home[7:] if targets.task.ik_seed is None else np.array(targets.task.ik_seed)
     likely = {
         limb: tuple(branch for branch in branches if branch.foot_error <= reach + NEAR_MISS)
         for limb, branches in found.items()
@@ -639,35 +661,39 @@ def bound_com_shift(
     return _SHIFT_SAFETY_FACTOR * total + NEAR_MISS
 
 
-def support_radius(goal: Goal) -> float:
+def support_radius(targets: StandTargets) -> float:
     """Return the largest horizontal distance [m] from the centre of the feet to a support corner.
 
     If the support region has no corners (all feet are welded), the largest horizontal distance of a
     foot target from the feet centre; 0 without foot targets.
     """
-    corners = goal.corners or [target[:2] for target in goal.targets.values()]
-    distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]
+    corners = targets.corners or [target[:2] for target in targets.foot_targets.values()]
+    distances = [np.linalg.norm(corner - targets.centre[:2]) for corner in np.array(corners)]
     return float(max(distances, default=0.0))
 
 
-def make_initial_configuration(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
+def make_initial_configuration(
+    robot: Robot, targets: StandTargets, joints: Array, place: Array
+) -> Array:
     """Return a configuration, shape (nq,), with given joint and horizontal CoM positions.
 
-    The base has the height and orientation of the goal.
+    The base has the height and orientation of the targets.
 
     Args:
         robot: Robot.
-        goal: Goal with height and orientation of the base, and joint limits.
+        targets: Targets with height and orientation of the base, and joint limits.
         joints: Joint positions, shape (nu,) [rad, m]; clipped to the limits.
         place: Horizontal CoM position, shape (2,) [m], in the world frame.
     """
-    bent = np.clip(joints, goal.lower, goal.upper)
-    qpos = np.array([0.0, 0.0, goal.height, *goal.base_quaternion, *bent])
+    bent = np.clip(joints, targets.lower, targets.upper)
+    qpos = np.array([0.0, 0.0, targets.height, *targets.base_quaternion, *bent])
     qpos[:2] = place - Configuration(robot, qpos).center_of_mass()[:2]
     return qpos
 
 
-def displaced_initial_guesses(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
+def displaced_initial_guesses(
+    shapes: ClearanceShapes, targets: StandTargets, qpos: Array
+) -> Iterator[Array]:
     """Yield initial configurations (nq,) with a displaced base, in the best IK branches.
 
     The cost of a configuration is the sum of the violations of all constraints except the foot
@@ -678,15 +704,17 @@ def displaced_initial_guesses(shapes: ClearanceShapes, goal: Goal, qpos: Array) 
 
     Args:
         shapes: Robot with collision shapes.
-        goal: Goal with a free CoM.
+        targets: Targets with a free CoM (`StandTargets.com_is_free`).
         qpos: Configuration with feet near the targets, shape (nq,).
     """
     robot = shapes.robot
-    found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    found = find_branches(robot, qpos, targets.foot_targets, targets.lower, targets.upper)
     along = np.linspace(-_MAX_BASE_SHIFT, _MAX_BASE_SHIFT, _NUM_SHIFTS) * robot.stand_height
     moves = np.array([(x, y, 0.0) for x in along for y in along])
-    followed = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
-    constraints = [c for c in make_constraints(shapes, goal) if c.name != "footholds"]
+    followed = follow_branches(
+        robot, qpos, targets.foot_targets, targets.lower, targets.upper, found, moves
+    )
+    constraints = [c for c in make_constraints(shapes, targets) if c.name != "footholds"]
     starts: list[tuple[float, Array]] = []
     for number, move in enumerate(moves):
         near = {
@@ -699,6 +727,6 @@ def displaced_initial_guesses(shapes: ClearanceShapes, goal: Goal, qpos: Array) 
         for joints in islice(combine_branches(near, qpos[-robot.nu :]), _MAX_TRIED_COMBINATIONS):
             start = np.concatenate([qpos[:3] + move, qpos[3:7], joints])
             at = shapes.move_to(start)
-            here.append((sum(c.violation(goal, at) for c in constraints), start))
+            here.append((sum(c.violation(targets, at) for c in constraints), start))
         starts += sorted(here, key=itemgetter(0))[:_GUESSES_PER_BASE_POSITION]
     yield from (start for _, start in sorted(starts, key=itemgetter(0)))

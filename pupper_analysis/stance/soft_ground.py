@@ -27,12 +27,12 @@ from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.tool import FramePoint, with_payload
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.judge import attach_robot
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import (
     Stand,
-    solve_goal,
     solve_stand,
+    solve_targets,
     stand_statics,
 )
 from pupper_analysis.stance.task import StandTask
@@ -113,7 +113,7 @@ def solve_stand_on_soft_ground(
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
     laws = {foot: GroundLaw.of_contact(robot, foot) for foot in stand.stance_feet}
-    give = np.zeros(0 if robot.closure is None else 1)
+    loop_opening = np.zeros(0 if robot.closure is None else 1)
     least, stalled = math.inf, 0
     relaxation, last_residual = 1.0, np.zeros(0)
     for _ in range(_MAX_ITERATIONS):
@@ -126,10 +126,12 @@ def solve_stand_on_soft_ground(
         residual = np.array([depths[foot] - stand.depths[foot] for foot in depths])
         change = float(np.abs(residual).max(initial=0.0))
         if robot.closure is not None:
-            before, give = give, compute_loop_opening(robot, stand, held)
-            change = max(change, float(np.abs(give - before).max(initial=0.0)))
+            before, loop_opening = loop_opening, compute_loop_opening(robot, stand, held)
+            change = max(change, float(np.abs(loop_opening - before).max(initial=0.0)))
             # The stiffness of loops increases with their opening, so steps would alternate.
-            give = (give + before) / 2 if any(stand.depths.values()) else give
+            loop_opening = (
+                (loop_opening + before) / 2 if any(stand.depths.values()) else loop_opening
+            )
         if change < DEPTH_TOLERANCE:
             return attach_robot(stand.for_task(requested_task), owner)
         least, stalled = min(least, change), stalled + 1 if change >= least else 0
@@ -144,10 +146,10 @@ def solve_stand_on_soft_ground(
                 foot: stand.depths[foot] + step for foot, step in zip(depths, steps, strict=True)
             }
         ik_seed = tuple(stand.joint_positions(robot).tolist())
-        goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
-        goal = goal if robot.closure is None else replace(goal, give=give)
+        targets = compute_targets(robot, replace(task, ik_seed=ik_seed), depths)
+        targets = targets if robot.closure is None else replace(targets, loop_opening=loop_opening)
         with borrow(robot, SearchContext) as context:
-            stand = solve_goal(context, goal, explain=explain)
+            stand = solve_targets(context, targets, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)
 
@@ -222,9 +224,9 @@ def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos
-    give = closure.static_deflection(qpos, Configuration(robot, qpos).static_load())
+    loop_opening = closure.static_deflection(qpos, Configuration(robot, qpos).static_load())
     moving = np.isin(np.arange(robot.nu), closure.dependent_joints).astype(float)
-    opened = closure.close_loops(qpos, moving, give)
+    opened = closure.close_loops(qpos, moving, loop_opening)
     return qpos if opened is None else opened
 
 

@@ -24,7 +24,7 @@ from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.judge import Posed, Stand, attach_robot
-from pupper_analysis.stance.problem import Goal, has_redundant_joints, make_goal
+from pupper_analysis.stance.problem import StandTargets, compute_targets, has_redundant_joints
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import (
     minimise_foot_errors,
@@ -91,7 +91,7 @@ def solve_stand(
         task = replace(task or StandTask(), ik_seed=tuple(seed.tolist()))
     owner, robot = robot, _select_robot(robot, task)
     with borrow(robot, SearchContext) as context:
-        stand = solve_goal(context, make_goal(robot, task, {}), explain=explain)
+        stand = solve_targets(context, compute_targets(robot, task, {}), explain=explain)
     return attach_robot(stand, owner)
 
 
@@ -122,27 +122,27 @@ def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
     return robot.before_servos
 
 
-def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
-    """Search for the stand of a goal, and raise an error with the reason if none is found.
+def solve_targets(context: SearchContext, targets: StandTargets, *, explain: bool) -> Stand:
+    """Search for a stand that meets the targets; if none is found, raise an error with the reason.
 
     Args:
         context: Search context of the robot.
-        goal: Stand task with all targets computed (`Goal`).
-        explain: Whether the error about an unreachable goal contains the smallest foot error, and
-            the smallest change of requirements that makes the goal reachable.
+        targets: Targets and limits of the stand (`StandTargets`).
+        explain: Whether the error about unreachable targets contains the smallest foot error, and
+            the smallest change of requirements that makes the stance reachable.
 
     Raises:
-        StanceUnreachableError: If the goal is unreachable.
+        StanceUnreachableError: If no stand meets the targets.
         ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
             applies.
     """
-    stand = search_stand(context, goal)
+    stand = search_stand(context, targets)
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
-        closest = minimise_foot_errors(context, goal, stand.qpos, stand.iterations)
+        closest = minimise_foot_errors(context, targets, stand.qpos, stand.iterations)
         stand = min(stand, closest, key=lambda failure: failure.foot_error)
-    raise explain_refusal(context, goal, stand, explain=explain)
+    raise explain_refusal(context, targets, stand, explain=explain)
 
 
 @check_arguments
@@ -242,25 +242,31 @@ def solve_stands(
         ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: For the first unreachable task, with the task index.
     """
-    goals: list[Goal] = []
+    all_targets: list[StandTargets] = []
     solved: list[Stand] = []
     owner, robot = robot, _select_robot(robot, tasks[0] if tasks else None)
     for number, task in enumerate(tasks):
-        try:  # equal foot targets are reused from the previous goal
-            goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
+        try:  # equal foot targets are reused from the previous stand
+            all_targets.append(
+                compute_targets(robot, task, {}, all_targets[-1] if all_targets else None)
+            )
         except (ConfigurationError, UnknownNameError) as error:
             raise error.with_location(f"tasks[{number}]") from None
     with borrow(robot, SearchContext) as context:
-        for number, goal in enumerate(goals):
-            next_stand = _continue_sequence(context, goal, [stand.qpos for stand in solved[:-5:-1]])
+        for number, targets in enumerate(all_targets):
+            next_stand = _continue_sequence(
+                context, targets, [stand.qpos for stand in solved[:-5:-1]]
+            )
             try:
-                solved.append(next_stand or solve_goal(context, goal, explain=explain))
+                solved.append(next_stand or solve_targets(context, targets, explain=explain))
             except StanceUnreachableError as error:
                 raise error.with_location(f"tasks[{number}]") from None
     return tuple(attach_robot(stand, owner) for stand in solved)
 
 
-def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
+def _continue_sequence(
+    context: SearchContext, targets: StandTargets, before: Sequence[Array]
+) -> Stand | None:
     """Search for the next stand of a sequence near the previous stands; None if not found.
 
     None also if there are no previous stands, or if the stand may depend on the initial guess, for
@@ -269,26 +275,26 @@ def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Arra
 
     Args:
         context: Search context of the robot.
-        goal: Goal of the stand.
+        targets: Targets and limits of the stand.
         before: Configurations (nq,) of up to four previous stands, the latest first.
     """
-    if not before or has_redundant_joints(context.robot) or _depends_on_start(goal):
+    if not before or has_redundant_joints(context.robot) or _depends_on_start(targets):
         return None
     weights, last = _EXTRAPOLATION_WEIGHTS[len(before)], before[0]
     ahead = weights[0] * last
     for weight, qpos in zip(weights[1:], before[1:], strict=True):
         ahead += weight * qpos
     for start in (ahead, last) if _joint_distance(ahead, last) < _MAX_JOINT_DISTANCE else (last,):
-        stand = search_from_configuration(context, goal, start)
+        stand = search_from_configuration(context, targets, start)
         if stand is not None and _joint_distance(stand.qpos, last) < _MAX_JOINT_DISTANCE:
             return stand
     return None
 
 
-def _depends_on_start(goal: Goal) -> bool:
+def _depends_on_start(targets: StandTargets) -> bool:
     """Return True if different initial guesses may give different stands in one IK branch."""
-    task = goal.task
-    return task.ik_seed is not None or task.self_clearance is not None or goal.com_is_free
+    task = targets.task
+    return task.ik_seed is not None or task.self_clearance is not None or targets.com_is_free
 
 
 def _joint_distance(one: Array, other: Array) -> float:

@@ -1,8 +1,8 @@
 """Stand task: the requirements on ground, feet, base and centre of mass (CoM) of a stand.
 
 `StandTask` contains requirements only, as attributes in m and rad, and checks them. The table
-``stance/fields.toml`` defines names, bounds and texts. `stance.problem.make_goal` converts a task
-to the numerical goal of a robot, and `describe` to a text in English or Chinese.
+``stance/fields.toml`` defines names, bounds and texts. `stance.problem.compute_targets` converts a
+task to numbers for one robot, and `describe` to a text in English or Chinese.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class StandTask:
             object.__setattr__(self, entry.name, entry.check_value(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
-        if self.ground.planes:  # from a goal: planes are added again for each robot
+        if self.ground.planes:  # from `StandTargets`: planes are added again for each robot
             object.__setattr__(self, "ground", replace(self.ground))
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])

@@ -22,7 +22,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
-from pupper_analysis.stance.problem import can_move_com, make_goal
+from pupper_analysis.stance.problem import can_move_com, compute_targets
 from pupper_analysis.stance.search import search_near_stand, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -324,16 +324,16 @@ def _solve_at(
     The result is also None if the task is rejected, or if the CoM margin at an x or y is too small.
     """
     try:
-        goal = make_goal(robot, _make_task(robot, start, direction, value), {})
+        targets = compute_targets(robot, _make_task(robot, start, direction, value), {})
     except ConfigurationError:
         return None
     with borrow(robot, SearchContext) as context:
         if near is None:
             stand: Stand | None = search_stand(
-                context, goal, default_guesses_only=default_guesses_only
+                context, targets, default_guesses_only=default_guesses_only
             )
         else:
-            stand = search_near_stand(context, goal, near)
+            stand = search_near_stand(context, targets, near)
     if stand is None or not stand.solved:
         return None
     if direction in ("x", "y") and stand.com_margin < start.task.com_margin:

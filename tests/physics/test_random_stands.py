@@ -95,21 +95,21 @@ def test_checks_of_a_stand_detect_errors_of_1e_5_and_of_a_thousandth() -> None:
         pa.StandTask(offset=(0.01, 0.01)),
         pa.StandTask(swing={"FL": 0.01}, com="inside", com_margin=0.01),
     ):
-        stand, demand = pa.solve_stand(robot, task), stances.Demand(robot, task)
-        error, wrong = stances.check_reached(demand, stand)
+        stand, reference = pa.solve_stand(robot, task), stances.ReferenceTargets(robot, task)
+        error, wrong = stances.check_reached(reference, stand)
         assert error < 1e-9
         assert not wrong
         for index in range(robot.nq):
             qpos = stand.qpos.copy()
             qpos[index] += 1e-5
-            error, wrong = stances.check_reached(demand, replace(stand, qpos=qpos))
+            error, wrong = stances.check_reached(reference, replace(stand, qpos=qpos))
             if not 3 <= index < 4:  # the quaternion's real part has hardly an effect
                 assert wrong, index
-        demand.set_configuration(stand.qpos)
+        reference.set_configuration(stand.qpos)
         statics = stand_statics(robot, stand)
-        assert not stances.check_forces(demand, statics)
+        assert not stances.check_forces(reference, statics)
         pushed = {foot: 1.001 * force for foot, force in statics.contact_forces.items()}
-        assert stances.check_forces(demand, replace(statics, contact_forces=pushed))
+        assert stances.check_forces(reference, replace(statics, contact_forces=pushed))
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_checks_reach_the_stands_that_the_solver_reaches() -> None:
         except (pa.StanceUnreachableError, pa.ConfigurationError):
             continue
         found += 1
-        error = stances.Demand(robot, task).search_smallest_error(random)
+        error = stances.ReferenceTargets(robot, task).search_smallest_error(random)
         assert error < stances.REACHED_FOOT_ERROR, task
 
 
@@ -133,17 +133,17 @@ def test_checks_of_balance_equal_closed_forms() -> None:
     friction angle.
     """
     robot = load("v3")
-    demand = stances.Demand(robot, pa.StandTask())
-    ahead = max(place[0] for place in demand.contacts.values()) - demand.centre[0]
+    reference = stances.ReferenceTargets(robot, pa.StandTask())
+    ahead = max(place[0] for place in reference.contacts.values()) - reference.centre[0]
     assert 0.074 < ahead < 0.076
     for shift, balanced in ((0.0, True), (0.074, True), (0.076, False), (0.2, False)):
-        com = demand.centre + np.array([shift, 0.0, 0.12])
-        assert demand.has_balancing_forces(com, inner=True) is balanced
-        assert demand.has_balancing_forces(com, inner=False) is balanced
+        com = reference.centre + np.array([shift, 0.0, 0.12])
+        assert reference.has_balancing_forces(com, inner=True) is balanced
+        assert reference.has_balancing_forces(com, inner=False) is balanced
     friction = min(contact.sliding_friction for contact in robot.contacts.values())
     for factor, balanced in ((0.98, True), (1.02, False)):
         slope = float(np.arctan(factor * friction))
-        demand = stances.Demand(robot, pa.StandTask(ground=pa.Ground(slope, 0.4)))
-        com = demand.centre + np.array([0.0, 0.0, 0.01])
-        assert demand.has_balancing_forces(com, inner=True) is balanced
-        assert demand.has_balancing_forces(com, inner=False) is balanced
+        reference = stances.ReferenceTargets(robot, pa.StandTask(ground=pa.Ground(slope, 0.4)))
+        com = reference.centre + np.array([0.0, 0.0, 0.01])
+        assert reference.has_balancing_forces(com, inner=True) is balanced
+        assert reference.has_balancing_forces(com, inner=False) is balanced

@@ -21,7 +21,7 @@ from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import minimise_foot_errors
 from pupper_analysis.stance.solver import SearchContext
@@ -226,16 +226,16 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
     task = pa.StandTask(
         height=0.273, yaw=-0.44, swing={"FL_calf": 0.203}, joint_margin=0.1, com="inside"
     )
-    context, goal = SearchContext(robot), make_goal(robot, task, {})
-    nearest = minimise_foot_errors(context, goal, robot.home)
+    context, targets = SearchContext(robot), compute_targets(robot, task, {})
+    nearest = minimise_foot_errors(context, targets, robot.home)
     assert robot.closure is not None
     assert robot.closure.largest_violation(nearest.qpos) < 1e-6
-    refusal = explain_refusal(context, goal, nearest, explain=False)
+    refusal = explain_refusal(context, targets, nearest, explain=False)
     assert max(refusal.shortfall.values()) == pytest.approx(nearest.foot_error, abs=1e-6)
     # A stand whose feet are in place may have loops that are not.
     stand = pa.solve_stand(robot)
     there = replace(stand, foot_error=0.03)
-    message = explain_refusal(context, make_goal(robot, None, {}), there, explain=False)
+    message = explain_refusal(context, compute_targets(robot, None, {}), there, explain=False)
     assert [one.code for one in message.blocked] == ["loops-stay-open"]
 
 

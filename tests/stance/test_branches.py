@@ -31,7 +31,7 @@ QPOS = {
 }
 
 
-def draw_foot_goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
+def draw_foot_targets(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
     """Return foot positions at random joint positions, so that all feet are in reach."""
     robot = load(name)
     qpos = QPOS[name].copy()
@@ -57,7 +57,7 @@ def mujoco_foot_positions(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.nda
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_ik_branches_reach_their_targets_and_are_complete(name: str, seed: int) -> None:
     """References: MuJoCo's kinematics, and SciPy's least squares from random starts."""
-    robot, qpos, targets = draw_foot_goals(name, seed)
+    robot, qpos, targets = draw_foot_targets(name, seed)
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0
     for limb, branches in found.items():
@@ -199,9 +199,9 @@ def test_straight_legs_bend_all_in_one_direction(name: str, up: float) -> None:
     straight = np.zeros(robot.nu)
     qpos = robot.make_qpos(straight)
     feet = pa.Configuration(robot, qpos).foot_positions()
-    goals = {foot: place + np.array((0.0, 0.0, up)) for foot, place in feet.items()}
+    raised = {foot: place + np.array((0.0, 0.0, up)) for foot, place in feet.items()}
     ends = np.full(robot.nu, -3.0), np.full(robot.nu, 3.0)
-    found = find_branches(robot, qpos, goals, *ends)
+    found = find_branches(robot, qpos, raised, *ends)
     knees = next(iter(combine_branches(found, straight)))[2::3]
     assert abs(knees[0]) > 0.5
     assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)

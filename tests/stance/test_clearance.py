@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.terrain import build_on_ground, find_touched_surface
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.judge import is_base_in_ground
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from tests.support.engines import evaluate_mujoco
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
@@ -334,15 +334,15 @@ def test_base_in_the_ground_is_detected_from_the_task(name: str) -> None:
             com="inside",
         )
         qpos, _ = random_state(robot, seed)
-        goal = make_goal(robot, task, {})
-        qpos[2], qpos[3:7] = goal.height, goal.base_quaternion
+        targets = compute_targets(robot, task, {})
+        qpos[2], qpos[3:7] = targets.height, targets.base_quaternion
         data = evaluate_mujoco(robot, qpos)
         up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
         height = min(
             compute_lowest_height(robot.mj_model, data, geom, up, zero)
             for geom in shapes_of(robot, base)
         )
-        found = is_base_in_ground(ClearanceShapes(robot), goal)
+        found = is_base_in_ground(ClearanceShapes(robot), targets)
         assert found == (height < task.ground_clearance)
         seen.add(found)
     assert seen == {True, False}

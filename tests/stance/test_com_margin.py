@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.search import minimise_foot_errors, search_stand
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.stance.solver import SearchContext
@@ -70,10 +70,10 @@ def test_foot_error_out_of_reach_grows_with_the_com_margin() -> None:
     robot, errors = load("v3"), []
     for margin in (0.0, 0.02, 0.025):
         task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
-        goal, context = make_goal(robot, task, {}), SearchContext(robot)
-        nearest = minimise_foot_errors(context, goal, search_stand(context, goal).qpos)
+        targets, context = compute_targets(robot, task, {}), SearchContext(robot)
+        nearest = minimise_foot_errors(context, targets, search_stand(context, targets).qpos)
         com = evaluate_mujoco(robot, nearest.qpos).body(robot.mj_base).subtree_com
-        sides = ConvexHull(goal.contacts[:, :2]).equations
+        sides = ConvexHull(targets.contacts[:, :2]).equations
         assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
         errors.append(nearest.foot_error)
     assert errors[0] <= errors[1] < errors[2]

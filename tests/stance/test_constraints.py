@@ -1,4 +1,4 @@
-"""Constraints of a stand: Jacobians against finite differences, and the demands that a refusal
+"""Constraints of a stand: Jacobians against finite differences, and the requirements that a refusal
 relaxes.
 """
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import angle_between, make_constraints
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.programme import StanceProgram
 from tests.support.variants import load
 
@@ -62,20 +62,20 @@ def test_angle_between_rotations_equals_scipy() -> None:
 def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, float]) -> None:
     """Reference: central differences of the residuals along a random velocity."""
     robot, random = load("v3"), np.random.default_rng(3)
-    shapes, goal = ClearanceShapes(robot), make_goal(robot, replace(TASK, com=com), {})
+    shapes, targets = ClearanceShapes(robot), compute_targets(robot, replace(TASK, com=com), {})
     stand = pa.solve_stand(robot)
     qpos = stand.qpos + 0.0
     qpos[7:] += random.uniform(-0.2, 0.2, 12)
     velocity = random.normal(size=robot.nv)
     seen = set()
-    for one in make_constraints(shapes, goal):
+    for one in make_constraints(shapes, targets):
         if one.is_presatisfied:  # fulfilled by each configuration of the search
             continue
         ends = [
-            one.residual(goal, shapes.move_to(integrate_motion(robot, qpos, velocity, time)))
+            one.residual(targets, shapes.move_to(integrate_motion(robot, qpos, velocity, time)))
             for time in (1e-6, -1e-6)
         ]
-        rates = one.jacobian(goal, pa.Configuration(robot, qpos)) @ velocity
+        rates = one.jacobian(targets, pa.Configuration(robot, qpos)) @ velocity
         np.testing.assert_allclose(rates, (ends[0] - ends[1]) / 2e-6, atol=2e-3, err_msg=one.name)
         seen.add(one.name)
     assert len(seen) == (5 if com == "inside" else 6)
@@ -84,8 +84,8 @@ def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, f
 def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> None:
     """Reference: central differences along a random direction of the free variables."""
     robot = load("v3")
-    demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
-    elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
+    requirements = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
+    elastic = StanceProgram(ClearanceShapes(robot), compute_targets(robot, TASK, {}), requirements)
     random = np.random.default_rng(1)
     x = elastic._make_start(pa.solve_stand(robot).qpos, None)
     free = elastic._high > elastic._low  # variables with equal bounds are fixed
@@ -96,8 +96,8 @@ def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> Non
 
 
 @pytest.mark.slow
-def test_refusal_of_nine_demands_relaxes_at_most_four_of_them() -> None:
-    """The stand with the stated limits is solved by the solver itself, and the other demands keep
+def test_refusal_of_nine_requirements_relaxes_at_most_four_of_them() -> None:
+    """The stand with the stated limits is solved by the solver, and the other requirements keep
     their values."""
     robot = load("v3")
     task = pa.StandTask(
@@ -119,5 +119,5 @@ def test_refusal_of_nine_demands_relaxes_at_most_four_of_them() -> None:
     assert pa.solve_stand(robot, replace(task, **limits), explain=False).solved
     assert refusal.value.nearest.task.pitch == task.pitch
     (message,) = refusal.value.possible.values()
-    assert message.code == "demands-can-go"
-    assert len(message.values["demands"]) == len(limits)
+    assert message.code == "reachable-requirements"
+    assert len(message.values["requirements"]) == len(limits)

@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.judge import evaluate_stand
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -68,7 +68,7 @@ def test_configuration_with_a_nan_is_refused_by_its_element() -> None:
     spoilt = stand_of("v3").qpos.copy()
     spoilt[9] = np.nan
     with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
-        evaluate_stand(ClearanceShapes(robot), make_goal(robot, None, {}), spoilt, 0)
+        evaluate_stand(ClearanceShapes(robot), compute_targets(robot, None, {}), spoilt, 0)
 
 
 def test_stand_is_evaluated_alike_if_pinocchio_returns_copies() -> None:
@@ -77,15 +77,15 @@ def test_stand_is_evaluated_alike_if_pinocchio_returns_copies() -> None:
     A base raised by 10 mm raises the ground clearance and the foot error by as much.
     """
     robot, qpos = load("v3"), stand_of("v3").qpos
-    goals = [make_goal(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
-    expected = [evaluate_stand(ClearanceShapes(robot), goal, qpos, 0) for goal in goals]
+    all_targets = [compute_targets(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
+    expected = [evaluate_stand(ClearanceShapes(robot), targets, qpos, 0) for targets in all_targets]
     raised = qpos.copy()
     raised[2] += 0.01
     pin.sharedMemory(False)
     try:
         shapes = ClearanceShapes(robot)
-        found = [evaluate_stand(shapes, goal, qpos, 0) for goal in goals]
-        higher = evaluate_stand(shapes, goals[0], raised, 0)
+        found = [evaluate_stand(shapes, targets, qpos, 0) for targets in all_targets]
+        higher = evaluate_stand(shapes, all_targets[0], raised, 0)
     finally:
         pin.sharedMemory(True)
     for one, other in zip(found, expected, strict=True):

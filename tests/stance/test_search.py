@@ -20,7 +20,7 @@ from pupper_analysis.robot.floor import find_floor
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.stance import programme
 from pupper_analysis.stance import search as search_module
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.search import solve_constraints
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.solver import SearchContext
@@ -103,7 +103,7 @@ def test_stand_satisfies_the_requested_task(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
-def test_refusal_names_the_blocking_demand_and_its_limit() -> None:
+def test_refusal_names_the_blocking_requirement_and_its_limit() -> None:
     """References: stands at the printed limits are solved, and 1 % beyond are refused."""
     robot = load("v3")
     requested = {"height": 0.16, "roll": 0.4}
@@ -283,7 +283,9 @@ def test_solved_constraints_keep_feet_ground_clearance_and_com_margin() -> None:
     stand = pa.solve_stand(robot, task, explain=False)
     assert stand.ground_clearance is not None
     required = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
-    found, _ = solve_constraints(SearchContext(robot), make_goal(robot, required, {}), stand.qpos)
+    found, _ = solve_constraints(
+        SearchContext(robot), compute_targets(robot, required, {}), stand.qpos
+    )
     assert found is not None
     assert found.ground_clearance is not None
     assert found.ground_clearance.distance >= required.ground_clearance - 1e-6
@@ -331,7 +333,7 @@ def test_another_ik_branch_of_a_leg_reaches_the_task(task: pa.StandTask) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "task", "demand", "degrees"),
+    ("name", "task", "requirement", "degrees"),
     [
         ("original", pa.StandTask(pitch=-0.6, com="inside"), "pitch", -29.2),
         pytest.param(
@@ -341,14 +343,14 @@ def test_another_ik_branch_of_a_leg_reaches_the_task(task: pa.StandTask) -> None
     ],
 )
 def test_limit_with_the_com_inside_is_reached(
-    name: str, task: pa.StandTask, demand: str, degrees: float
+    name: str, task: pa.StandTask, requirement: str, degrees: float
 ) -> None:
     """References: limits [deg] of an earlier search, and a direct solution at the limit."""
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(load(name), task)
-    limit = caught.value.limits[demand][demand]
+    limit = caught.value.limits[requirement][requirement]
     assert math.degrees(limit) == pytest.approx(degrees, abs=0.15)
-    assert pa.solve_stand(load(name), replace(task, **{demand: limit}), explain=False).solved
+    assert pa.solve_stand(load(name), replace(task, **{requirement: limit}), explain=False).solved
 
 
 @pytest.mark.parametrize("height", [0.25, 50.0])

@@ -12,24 +12,26 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance import solver
-from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.problem import StandTargets, compute_targets
 from pupper_analysis.stance.solver import SearchContext, SolverResult, StanceSolver
 from tests.support.bound import four_bars
 from tests.support.variants import load
 
 
-def foot_error(robot: pa.Robot, goal: Goal, result: SolverResult) -> float:
+def foot_error(robot: pa.Robot, targets: StandTargets, result: SolverResult) -> float:
     """Return the largest distance [m] between contact point and target, by Pinocchio."""
     positions = Configuration(robot, result.qpos).foot_positions()
-    return max(float(np.linalg.norm(positions[foot] - goal.targets[foot])) for foot in positions)
+    return max(
+        float(np.linalg.norm(positions[foot] - targets.foot_targets[foot])) for foot in positions
+    )
 
 
 @pytest.mark.slow
 def test_a_result_has_closed_loops_if_the_first_step_opens_them(tmp_path: Path) -> None:
     """Reference: the loop residual of MuJoCo's constraint, by ``Closure.largest_violation``.
 
-    After the first step for this goal Newton's method does not close the loops. The step was kept,
-    and the result had loops open by 2.6 mm.
+    After the first step for these targets Newton's method does not close the loops. The step was
+    kept, and the result had loops open by 2.6 mm.
     """
     pair = four_bars(tmp_path, 0.04)
     robot = pa.load_robot(pair.urdf, pair.mjcf)
@@ -39,11 +41,11 @@ def test_a_result_has_closed_loops_if_the_first_step_opens_them(tmp_path: Path) 
         pitch=-0.37288812214878087,
         yaw=1.4357836689067494,
     )
-    goal = make_goal(robot, task, {})
-    result = SearchContext(robot).solver.solve_from_joints(goal, robot.home[7:])
+    targets = compute_targets(robot, task, {})
+    result = SearchContext(robot).solver.solve_from_joints(targets, robot.home[7:])
     assert robot.closure is not None
     assert robot.closure.largest_violation(result.qpos) < 1e-6
-    assert result.foot_error == pytest.approx(foot_error(robot, goal, result), abs=1e-9)
+    assert result.foot_error == pytest.approx(foot_error(robot, targets, result), abs=1e-9)
 
 
 @pytest.mark.parametrize("iterations", [1, 3])
@@ -56,13 +58,13 @@ def test_the_error_is_that_of_the_configuration_if_all_steps_are_rejected(
     """
     robot = load("v3")
     joints = pa.solve_stand(robot).qpos[7:]
-    goal = make_goal(robot, pa.StandTask(height=robot.stand_height + 1e-6), {})
+    targets = compute_targets(robot, pa.StandTask(height=robot.stand_height + 1e-6), {})
     stance_solver = SearchContext(robot).solver
     monkeypatch.setattr(solver, "_MAX_ITERATIONS", iterations)
     monkeypatch.setattr(StanceSolver, "_take_full_steps", lambda _: (None, 0))
     monkeypatch.setattr(StanceSolver, "_close_loops", lambda *_: False)
-    result = stance_solver.solve_from_joints(goal, joints)
-    expected = foot_error(robot, goal, result)
+    result = stance_solver.solve_from_joints(targets, joints)
+    expected = foot_error(robot, targets, result)
     assert 5e-7 < expected < math.inf
     assert result.foot_error == pytest.approx(expected, abs=1e-10)
     assert not result.converged
@@ -90,16 +92,16 @@ def test_iterations_include_full_steps_that_fail(height: float) -> None:
     """Reference: number of calls of PlaCo's ``solve``. The legs reach the lowest height only."""
     robot = load("v3")
     stance_solver = SearchContext(robot).solver
-    goal = make_goal(robot, pa.StandTask(height=height * robot.stand_height), {})
-    stance_solver.solve_from_joints(goal, robot.home[7:])
+    targets = compute_targets(robot, pa.StandTask(height=height * robot.stand_height), {})
+    stance_solver.solve_from_joints(targets, robot.home[7:])
     counting = CountingSolver(stance_solver.tasks.solver)
     stance_solver.tasks.solver = counting
-    result = stance_solver.solve_from_joints(goal, robot.home[7:])
+    result = stance_solver.solve_from_joints(targets, robot.home[7:])
     assert result.iterations == counting.count
 
 
 def test_cached_initial_guess_equals_that_of_a_new_solver() -> None:
-    """Reference: a new solver; equal to the last bit, in any order of goals and joints."""
+    """Reference: a new solver; equal to the last bit, in any order of targets and joints."""
     robot = load("v3")
     reused, home = SearchContext(robot).solver, robot.home[7:]
     tasks = [
@@ -112,9 +114,9 @@ def test_cached_initial_guess_equals_that_of_a_new_solver() -> None:
     ]
     for shift in (0.0, 0.1):
         for index in np.random.default_rng(0).integers(0, len(tasks), 15):
-            goal = make_goal(robot, tasks[index], {})
-            found = reused.set_initial_guess(goal, home + shift)
-            expected = SearchContext(robot).solver.set_initial_guess(goal, home + shift)
+            targets = compute_targets(robot, tasks[index], {})
+            found = reused.set_initial_guess(targets, home + shift)
+            expected = SearchContext(robot).solver.set_initial_guess(targets, home + shift)
             np.testing.assert_array_equal(found, expected)
 
 
@@ -125,11 +127,11 @@ def test_full_steps_lead_to_the_configuration_of_the_trust_region() -> None:
     random = np.random.default_rng(2)
     for _ in range(20):
         height, roll, pitch, yaw = random.uniform((0.08, -0.3, -0.3, -0.3), (0.2, 0.3, 0.3, 0.3))
-        goal = make_goal(robot, pa.StandTask(height, roll, pitch, yaw), {})
-        result = stance_solver.solve_from_joints(goal, home)
-        q = stance_solver.set_initial_guess(goal, home)
+        targets = compute_targets(robot, pa.StandTask(height, roll, pitch, yaw), {})
+        result = stance_solver.solve_from_joints(targets, home)
+        q = stance_solver.set_initial_guess(targets, home)
         expected = stance_solver._iterate_trust_region(q)
-        stance_solver.set_initial_guess(goal, home)
+        stance_solver.set_initial_guess(targets, home)
         if stance_solver._take_full_steps()[0] is None:
             np.testing.assert_array_equal(result.qpos, expected.qpos)
         else:

@@ -251,7 +251,7 @@ def test_refusal_names_the_joints_at_their_limits() -> None:
 
 
 @pytest.mark.slow
-def test_two_demands_that_are_each_too_large_are_refused_together() -> None:
+def test_two_requirements_that_are_each_too_large_are_refused_together() -> None:
     """Roll or pitch alone is out of reach as well; the stated limits of both are solved."""
     robot, task = load("v3"), pa.StandTask(roll=1.2, pitch=-1.2, height=0.14)
     for single in (replace(task, roll=0.0), replace(task, pitch=0.0)):

@@ -101,7 +101,7 @@ def test_memory_of_solved_robots_is_freed() -> None:
 
 
 def test_finite_limit_is_kept_if_the_opposite_limit_is_infinite() -> None:
-    """PlaCo's model, a Pinocchio model, holds the limits that the goal states."""
+    """PlaCo's model, a Pinocchio model, holds the limits of the targets."""
     robot = load("v3")
     placo = SearchContext(robot).solver
     shapes, index = placo.placo_robot.wrapper.model, 3

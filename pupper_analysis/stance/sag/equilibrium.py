@@ -1019,11 +1019,11 @@ def contact_compliance(
         robot: Robot.
         units: Weight and height of the robot.
     """
-    give = _TANGENTIAL_COMPLIANCE_RATIO * units.length / units.weight
+    compliance = _TANGENTIAL_COMPLIANCE_RATIO * units.length / units.weight
     flat: dict[str, float] = {}
     for points in robot.feet.values():
-        flat |= dict.fromkeys(points, give if len(points) > 1 else 0.0)
-    return flat, flat if can_move_com(robot) else dict.fromkeys(robot.contact_points, give)
+        flat |= dict.fromkeys(points, compliance if len(points) > 1 else 0.0)
+    return flat, flat if can_move_com(robot) else dict.fromkeys(robot.contact_points, compliance)
 
 
 def rigid_slips(

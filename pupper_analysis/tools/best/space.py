@@ -20,7 +20,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.terrain import build_on_ground
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.problem import compute_targets
 from pupper_analysis.stance.search import search_from_configuration, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -291,12 +291,12 @@ class StanceSpace:
             ConfigurationError: If the coordinates give a task that is not valid.
         """
         task = self.make_task(coordinates)
-        goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
+        targets = compute_targets(self.robot, replace(task, com_margin=0.0), {})
         with borrow(self.robot, SearchContext) as context:
             if near is None:
-                stand: Stand | None = search_stand(context, goal, default_guesses_only=True)
+                stand: Stand | None = search_stand(context, targets, default_guesses_only=True)
             else:
-                stand = search_from_configuration(context, goal, near.qpos)
+                stand = search_from_configuration(context, targets, near.qpos)
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def compute_slack(self, stand: Stand) -> StanceSlack:

@@ -1,4 +1,4 @@
-"""Relaxation of demands: resets to the nominal stand, limits of refusals, and their
+"""Relaxation of requirements: resets to the nominal stand, limits of refusals, and their
 descriptions.
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import (
-    DEMANDS,
-    DemandVector,
+from pupper_analysis.stance.requirements import (
+    RELAXABLE_REQUIREMENTS,
+    RequirementVector,
     describe_limit,
     differs_from_nominal,
     relax_further,
@@ -45,7 +45,7 @@ TASK = pa.StandTask(
 )
 def test_tasks_without_checks_equal_checked_tasks_in_values_and_types(task: pa.StandTask) -> None:
     """Reference: `make_task`, which checks and converts each value."""
-    numbers = DemandVector(load("v3"), task, DEMANDS)
+    numbers = RequirementVector(load("v3"), task, RELAXABLE_REQUIREMENTS)
     values = numbers.clip(0.9 * numbers.values)
     checked, unchecked = (numbers.make_task(values, checked=check) for check in (True, False))
     assert checked == unchecked != task
@@ -53,13 +53,13 @@ def test_tasks_without_checks_equal_checked_tasks_in_values_and_types(task: pa.S
         assert type(vars(unchecked)[name]) is type(value), name
 
 
-def test_demand_vector_and_task_convert_into_each_other() -> None:
+def test_requirement_vector_and_task_convert_into_each_other() -> None:
     """Reference: the task, and the fields that are changed by 10 mm."""
     robot = load("v3")
-    numbers = DemandVector(robot, TASK, DEMANDS)
+    numbers = RequirementVector(robot, TASK, RELAXABLE_REQUIREMENTS)
     assert numbers.make_task(numbers.values) == TASK
     np.testing.assert_array_equal(numbers.read_task(TASK), numbers.values)
-    numbers = DemandVector(robot, TASK, ["height", "foot_offsets", "ground"])
+    numbers = RequirementVector(robot, TASK, ["height", "foot_offsets", "ground"])
     less = numbers.values - 0.01
     moved = numbers.make_task(less)
     assert moved.height == 0.15 - 0.01
@@ -70,14 +70,14 @@ def test_demand_vector_and_task_convert_into_each_other() -> None:
     assert differs_from_nominal(robot, pa.StandTask(yaw=0.3), ["roll", "yaw"])
 
 
-@pytest.mark.parametrize("demand", DEMANDS)
-def test_reset_of_one_demand_keeps_the_other_demands(demand: str) -> None:
-    """Reference: nominal values per demand, written by hand; all other fields equal those of the
+@pytest.mark.parametrize("requirement", RELAXABLE_REQUIREMENTS)
+def test_reset_of_one_requirement_keeps_the_other_requirements(requirement: str) -> None:
+    """Reference: nominal values per requirement, by hand; all other fields equal those of the
     task.
     """
     robot = load("v3")
-    without = reset_to_nominal(robot, TASK, [demand])
-    for other in set(DEMANDS) - {demand}:
+    without = reset_to_nominal(robot, TASK, [requirement])
+    for other in set(RELAXABLE_REQUIREMENTS) - {requirement}:
         assert getattr(without, other) == getattr(TASK, other)
     expected = {
         "height": robot.stand_height,
@@ -88,9 +88,9 @@ def test_reset_of_one_demand_keeps_the_other_demands(demand: str) -> None:
         "ground": pa.Ground(0.0, 0.5, {"FR": 0.0}),
         "ground_clearance": 0.0,
     }
-    if demand in expected:
-        assert getattr(without, demand) == expected[demand]
-    elif demand == "swing":
+    if requirement in expected:
+        assert getattr(without, requirement) == expected[requirement]
+    elif requirement == "swing":
         assert 0 < without.swing["RR"] < 1e-4  # a foot that is not lifted would carry
     else:
         assert without == TASK
@@ -107,25 +107,27 @@ def test_reset_places_are_those_of_the_nominal_stand() -> None:
     np.testing.assert_allclose(reset_to_nominal(robot, task, ["com"]).com, middle)
 
 
-def describe_demands(task: pa.StandTask, *demands: str) -> str:
-    return str(describe_limit(load("v3"), task, task, demands))
+def describe_requirements(task: pa.StandTask, *requirements: str) -> str:
+    return str(describe_limit(load("v3"), task, task, requirements))
 
 
-def test_demands_are_described_with_units() -> None:
+def test_requirements_are_described_with_units() -> None:
     """Reference: texts written by hand."""
-    assert describe_demands(TASK, "height") == "height 150 mm"
+    assert describe_requirements(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
-    assert describe_demands(turned, "roll") == "roll 11.5 deg"
-    assert describe_demands(turned, "pitch") == "pitch -4.25 deg"
-    assert describe_demands(TASK, "offset") == "offset (0.02, -0.04) m"
+    assert describe_requirements(turned, "roll") == "roll 11.5 deg"
+    assert describe_requirements(turned, "pitch") == "pitch -4.25 deg"
+    assert describe_requirements(TASK, "offset") == "offset (0.02, -0.04) m"
     slope = pa.StandTask(ground=pa.Ground(math.radians(5.7), 0.5, {"FR": 0.02}))
-    assert describe_demands(slope, "ground") == "ground slope 5.7 deg, steps FR 20 mm"
+    assert describe_requirements(slope, "ground") == "ground slope 5.7 deg, steps FR 20 mm"
     assert (
-        describe_demands(TASK, "swing", "ground_clearance")
+        describe_requirements(TASK, "swing", "ground_clearance")
         == "swing RR 20 mm and ground_clearance 10 mm"
     )
-    assert describe_demands(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
-    assert describe_demands(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
+    assert describe_requirements(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
+    assert (
+        describe_requirements(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
+    )
 
 
 def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
@@ -138,8 +140,8 @@ def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
         requested_task, height=0.19247, roll=0.33651, pitch=-0.12345, swing={"FL": 0.00123456},
         joint_margin=0.4003,
     )  # fmt: skip
-    demands = ("height", "roll", "pitch", "swing", "joint_margin", "com_margin")
-    near = round_outward(robot, task, requested_task, demands)
+    requirements = ("height", "roll", "pitch", "swing", "joint_margin", "com_margin")
+    near = round_outward(robot, task, requested_task, requirements)
     assert near.height == 0.1924
     low = replace(requested_task, height=0.05)
     assert round_outward(robot, replace(low, height=0.10013), low, ["height"]).height == 0.1002
@@ -148,7 +150,7 @@ def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
     assert near.swing["FL"] == pytest.approx(0.001234)
     assert near.joint_margin <= task.joint_margin
     assert near.com_margin == 0.02  # not relaxed
-    assert round_outward(robot, near, requested_task, demands) == near
+    assert round_outward(robot, near, requested_task, requirements) == near
 
 
 @pytest.mark.slow
@@ -191,7 +193,7 @@ def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
     ],
 )
 def test_limits_of_a_refusal_are_solvable_as_printed(name: str, task: pa.StandTask) -> None:
-    """Also limits of several demands together, and of stretched legs.
+    """Also limits of several requirements together, and of stretched legs.
 
     The limits are found by a continuation from other stands; a direct solution reaches them too.
     """
@@ -248,7 +250,7 @@ def test_refusal_states_the_request_in_both_languages() -> None:
 
 
 def test_relax_further_extends_the_relaxation_by_a_share_of_it() -> None:
-    """Reference: value + share (value - requested value), per demand."""
+    """Reference: value + share (value - requested value), per requirement."""
     requested = pa.StandTask(height=0.16, roll=0.4, pitch=0.1)
     task = replace(requested, height=0.15, roll=0.3)
     further = relax_further(load("v3"), task, requested, ["height", "roll"], 0.5)
@@ -262,7 +264,7 @@ def test_bounds_of_an_offset_grow_with_the_stand_height() -> None:
     widths, heights = [], []
     for name in ("original", "long-leg"):
         robot = load(name)
-        numbers = DemandVector(robot, pa.StandTask(offset=(0.01, 0.0)), ["offset"])
+        numbers = RequirementVector(robot, pa.StandTask(offset=(0.01, 0.0)), ["offset"])
         low, high = numbers.clip(np.full(2, -1e3))[0], numbers.clip(np.full(2, 1e3))[0]
         assert (low + high) / 2 == pytest.approx(0.01)
         widths.append(high - low)
@@ -276,10 +278,10 @@ def test_bounds_of_a_negative_height_contain_the_height() -> None:
     """A task with contacts may require a height below the feet; a refusal raised a ValueError."""
     robot, table = load("v3"), pa.Contact(pa.Plane((0, 0, 0.3), (0, 0, 1)))
     task = pa.StandTask(height=-0.1, contacts={"FR": table})
-    numbers = DemandVector(robot, task, ["height"])
+    numbers = RequirementVector(robot, task, ["height"])
     far = 3 * robot.stand_height
     assert (numbers.low[0], numbers.high[0]) == pytest.approx((-0.1 - far, -0.1 + far))
-    positive = DemandVector(robot, replace(task, height=0.1), ["height"])
+    positive = RequirementVector(robot, replace(task, height=0.1), ["height"])
     assert positive.low[0] == pytest.approx(1e-4)
 
 

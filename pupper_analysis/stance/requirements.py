@@ -1,10 +1,10 @@
-"""Demands: requirements of a stand task that may be relaxed if the stance is out of reach.
+"""Requirements of a stand task that may be relaxed if the stance is out of reach.
 
-A demand is an attribute of `StandTask`, for example the base height, a foot position or a margin.
-Its field in ``fields.toml`` has another value of ``gives`` than ``"no"``. `DemandVector` converts
-demands of a task to a vector [m, rad] with bounds and back. Other functions relax demands further,
-round them for a report, describe them, and reset them to their values in the nominal stand (the
-stand of the default `StandTask`).
+A requirement is an attribute of `StandTask`, for example the base height, a foot position or a
+margin. Its field in ``fields.toml`` has another value of ``relaxation`` than ``"no"``.
+`RequirementVector` converts requirements of a task to a vector [m, rad] with bounds and back. Other
+functions relax requirements further, round them for a report, describe them, and reset them to
+their values in the nominal stand (the stand of the default `StandTask`).
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from pupper_analysis.stance.problem import (
 )
 from pupper_analysis.stance.task import StandTask
 
-_FIELDS_BY_DEMAND: dict[str, list[Field]] = {}
-"""{demand (attribute of `StandTask`): its fields in ``fields.toml``}."""
+_FIELDS_BY_REQUIREMENT: dict[str, list[Field]] = {}
+"""{requirement (attribute of `StandTask`): its fields in ``fields.toml``}."""
 for _field in FIELDS.values():
-    if _field.gives != "no":
-        _FIELDS_BY_DEMAND.setdefault(_field.attribute, []).append(_field)
+    if _field.relaxation != "no":
+        _FIELDS_BY_REQUIREMENT.setdefault(_field.attribute, []).append(_field)
 
-DEMANDS = tuple(_FIELDS_BY_DEMAND)
-"""Demands: attributes of `StandTask` that may be relaxed. Slope and steps of the ground form one
-demand."""
+RELAXABLE_REQUIREMENTS = tuple(_FIELDS_BY_REQUIREMENT)
+"""Attributes of `StandTask` that may be relaxed. Slope and steps of the ground form one
+requirement."""
 
 _MAX_RELAXATION = 3.0
 """Upper bound of the change of a length by relaxation, in units of the robot's stand height, if the
@@ -65,7 +65,7 @@ _MAX_DIGITS = 12
 """Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
 
 
-class DemandValue(NamedTuple):
+class RequirementKey(NamedTuple):
     """Key that identifies a number of a stand task: field, foot and axis.
 
     Attributes:
@@ -79,7 +79,7 @@ class DemandValue(NamedTuple):
     axis: str = ""
 
 
-class DemandVector:
+class RequirementVector:
     """Numbers of some relaxable requirements of a stand task as a vector, with bounds.
 
     Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
@@ -88,11 +88,11 @@ class DemandVector:
     Args:
         robot: Robot.
         task: Task.
-        demands: Names of relaxable requirements, from `DEMANDS`.
+        requirements: Names of relaxable requirements, from `RELAXABLE_REQUIREMENTS`.
 
     Attributes:
         keys: Key (field, foot, axis) of each number.
-        demands: Name of the requirement to which each number belongs.
+        requirements: Name of the requirement to which each number belongs.
         values: Values in the task, shape (n,) [m, rad].
         nominal: Values in the nominal stand (of the default `StandTask`), shape (n,) [m, rad].
         low: Lower bounds of relaxed values, shape (n,) [m, rad].
@@ -101,18 +101,18 @@ class DemandVector:
         units: Unit of the relaxation of each number, shape (n,): stand height [m], or 1 rad.
     """
 
-    def __init__(self, robot: Robot, task: StandTask, demands: Sequence[str]) -> None:
+    def __init__(self, robot: Robot, task: StandTask, requirements: Sequence[str]) -> None:
         self._task = task
-        self.keys: list[DemandValue] = []
-        self.demands: list[str] = []
+        self.keys: list[RequirementKey] = []
+        self.requirements: list[str] = []
         rows = []
-        for demand in demands:
-            for field in _FIELDS_BY_DEMAND[demand]:
+        for requirement in requirements:
+            for field in _FIELDS_BY_REQUIREMENT[requirement]:
                 for foot, value in _list_values(task, field):
                     nominal = _nominal_value(robot, task, field, foot)
                     for axis, number, usual in _split_value(value, nominal):
-                        self.keys.append(DemandValue(field.name, foot, axis))
-                        self.demands.append(demand)
+                        self.keys.append(RequirementKey(field.name, foot, axis))
+                        self.requirements.append(requirement)
                         turns = field.kind == "angle" or getattr(value, "has_angle", False)
                         ends = _find_bounds(robot, field, number, turns=turns)
                         rows.append((number, float(usual), *ends, turns))
@@ -259,7 +259,7 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
     to `_MIN_HEIGHT_RATIO` of its value.
     """
     far = _MAX_RELAXATION * robot.stand_height
-    if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
+    if field.relaxation == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _MIN_HEIGHT_RATIO * value if field.open else min(0.0, value)
         return least, max(0.0, value)
     if turns:
@@ -268,7 +268,7 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
     return (_MIN_HEIGHT_RATIO * value if stays_positive else value - far), value + far
 
 
-def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
+def differs_from_nominal(robot: Robot, task: StandTask, requirements: Sequence[str]) -> bool:
     """Return True if a requirement of a task differs from its value in the nominal stand.
 
     The nominal stand is that of the default `StandTask`.
@@ -276,29 +276,30 @@ def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) 
     Args:
         robot: Robot.
         task: Task.
-        demands: Names of the compared requirements, from `DEMANDS`.
+        requirements: Names of the compared requirements, from `RELAXABLE_REQUIREMENTS`.
     """
-    numbers = DemandVector(robot, task, demands)
+    numbers = RequirementVector(robot, task, requirements)
     return bool((numbers.values != numbers.nominal).any())
 
 
-def reset_to_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
+def reset_to_nominal(robot: Robot, task: StandTask, requirements: Sequence[str]) -> StandTask:
     """Return a copy of a task with some requirements reset to their values in the nominal stand.
 
     The nominal stand is the stand of the default `StandTask`. Each value is clipped to the bounds
-    within which the requirement may change if the stance is out of reach (`DemandVector`).
+    within which the requirement may change if the stance is out of reach (`RequirementVector`).
 
     Args:
         robot: Robot.
         task: Task.
-        demands: Names of the requirements, from `DEMANDS`, for example the base height.
+        requirements: Names of the requirements, from `RELAXABLE_REQUIREMENTS`, for example the base
+            height.
     """
-    numbers = DemandVector(robot, task, demands)
+    numbers = RequirementVector(robot, task, requirements)
     return numbers.make_task(numbers.clip(numbers.nominal))
 
 
 def relax_further(
-    robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str], share: float
+    robot: Robot, task: StandTask, requested: StandTask, requirements: Sequence[str], share: float
 ) -> StandTask:
     """Increase the relaxation of a task: move relaxed values further away from requested values.
 
@@ -309,15 +310,16 @@ def relax_further(
         robot: Robot.
         task: Task with relaxed values.
         requested: Task with the requested values.
-        demands: Names of the relaxable requirements to change, from `DEMANDS`.
+        requirements: Names of the relaxable requirements to change, from `RELAXABLE_REQUIREMENTS`.
         share: Added fraction of the present relaxation. A negative fraction reduces the relaxation.
     """
-    now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
+    now = RequirementVector(robot, task, requirements)
+    before = RequirementVector(robot, requested, requirements)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))
 
 
 def round_outward(
-    robot: Robot, task: StandTask, requested: StandTask, demands: Sequence[str]
+    robot: Robot, task: StandTask, requested: StandTask, requirements: Sequence[str]
 ) -> StandTask:
     """Round the relaxed values of a task for a report, away from the requested values.
 
@@ -329,9 +331,10 @@ def round_outward(
         robot: Robot.
         task: Task with relaxed values.
         requested: Task with the requested values.
-        demands: Names of the relaxable requirements to round, from `DEMANDS`.
+        requirements: Names of the relaxable requirements to round, from `RELAXABLE_REQUIREMENTS`.
     """
-    now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
+    now = RequirementVector(robot, task, requirements)
+    before = RequirementVector(robot, requested, requirements)
     numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
     rounded = [_round_number(*map(float, three), angle=bool(a)) for a, *three in numbers]
     return now.make_task(before.clip(np.array(rounded)))
@@ -360,7 +363,7 @@ def _round_number(number: float, usual: float, requested: float, *, angle: bool)
 
 
 def describe_limit(
-    robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
+    robot: Robot, task: StandTask, possible: StandTask, requirements: Sequence[str]
 ) -> Diagnostic:
     """Create the message that lists reachable values of the requirements of an unreachable task.
 
@@ -368,25 +371,27 @@ def describe_limit(
         robot: Robot.
         task: Unreachable task.
         possible: Reachable task with relaxed values.
-        demands: Names of the relaxed requirements, from `DEMANDS`.
+        requirements: Names of the relaxed requirements, from `RELAXABLE_REQUIREMENTS`.
     """
-    limits = [_describe_demand(robot, possible, demand, task) for demand in demands]
-    return diagnose("demands-can-go", demands=limits)
+    limits = [
+        _describe_requirement(robot, possible, requirement, task) for requirement in requirements
+    ]
+    return diagnose("reachable-requirements", requirements=limits)
 
 
-def _describe_demand(
-    robot: Robot, task: StandTask, demand: str, requested: StandTask
+def _describe_requirement(
+    robot: Robot, task: StandTask, requirement: str, requested: StandTask
 ) -> Diagnostic:
-    """Create the message with the value of a requirement (``demand``) in a relaxed task.
+    """Create the message with the value of a requirement in a relaxed task.
 
     Contacts that equal those of the task ``requested`` are left out.
     """
-    name = Term(demand)
-    if demand == "ground":
+    name = Term(requirement)
+    if requirement == "ground":
         slope = Quantity(task.ground.slope, "rad")
         steps = list(_describe_feet(task, FIELDS["heights"]))
-        return diagnose("demanded-ground", field=name, value=slope, steps=steps)
-    (field,) = _FIELDS_BY_DEMAND[demand]
+        return diagnose("reachable-ground", field=name, value=slope, steps=steps)
+    (field,) = _FIELDS_BY_REQUIREMENT[requirement]
     if field.kind == "contact":
         feet = []
         for of, contact in task.contacts.items():
@@ -395,23 +400,22 @@ def _describe_demand(
             surface = contact.plane
             wall = isinstance(surface, Plane) and abs(surface.normal[2]) < MIN_SUPPORT_NORMAL_Z
             low = wall and contact.place is None and of not in robot.hands
-            feet.append(diagnose("demanded-contact", link=of, value=f"{contact:.7g}", low=low))
-        return diagnose("demanded-of-feet", field=name, feet=feet)
+            feet.append(diagnose("reachable-contact", link=of, value=f"{contact:.7g}", low=low))
+        return diagnose("reachable-of-feet", field=name, feet=feet)
     if field.per:
-        return diagnose("demanded-of-feet", field=name, feet=list(_describe_feet(task, field)))
-    return _describe_requirement(name, field.quantity(getattr(task, demand)))
+        return diagnose("reachable-of-feet", field=name, feet=list(_describe_feet(task, field)))
+    return _describe_value(name, field.quantity(getattr(task, requirement)))
 
 
 def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
     """Yield a message per foot, joint or link with its value in a mapping field of a task."""
     return (
-        _describe_requirement(foot, field.quantity(value))
-        for foot, value in _list_values(task, field)
+        _describe_value(foot, field.quantity(value)) for foot, value in _list_values(task, field)
     )
 
 
-def _describe_requirement(name: Term | str, value: Quantity | Vector) -> Diagnostic:
+def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
     """Create the message with the name of a requirement or foot, and a value with its unit."""
     if isinstance(value, Vector):
-        return diagnose("demanded-place", field=name, place=value)
-    return diagnose("demanded-value", field=name, value=value)
+        return diagnose("reachable-place", field=name, place=value)
+    return diagnose("reachable-value", field=name, value=value)
