@@ -43,7 +43,7 @@ def run_evolution(search: StanceSearch, subspace: Subspace, evaluations: int, se
         if stance is None:
             return 2 * REFUSED
         if stance.allowed:
-            return stance.level
+            return stance.scaled_objective
         return REFUSED + search.merit(stance)
 
     size = POPULATION * subspace.size
@@ -88,7 +88,7 @@ def main(
             free = np.eye(len(space.start)) if apart else space.coupled_directions()
             count = run_evolution(theirs, Subspace(space, space.start, free), evaluations, seed)
             ended = time.process_time()
-            one, two = -ours.best.level, -theirs.best.level
+            one, two = -ours.best.scaled_objective, -theirs.best.scaled_objective
             table.add_row(
                 name,
                 Objective(what).value,

@@ -92,10 +92,10 @@ def best_stance(
     not detected.
 
     Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
-    the objective alone stalls. Therefore a common upper bound of these functions (the level) is a
-    variable of a smooth nonlinear program, solved by SLSQP. Its constraints are that no function
-    exceeds the level, and that the requirements are met: joint limits, singular values, CoM margin
-    and no new contacts of parts.
+    the objective alone stalls. Therefore a common upper bound t of these functions is a variable of
+    a smooth nonlinear program, solved by SLSQP. Its constraints are that no function exceeds t, and
+    that the requirements are met: joint limits, singular values, CoM margin and no new contacts of
+    parts.
 
     Descents start at the initial task and at the best of Latin hypercube samples. In these descents
     the feet move together: the only variables of the feet are length, front width and rear width of

@@ -1,15 +1,15 @@
 """Search for the best stance: a smooth nonlinear program, solved from many initial guesses.
 
-The level is the objective, divided by its magnitude in the initial task; smaller is better. Each
-stance yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose
-maximum is the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the
-coordinates and the level itself, first with feet that move together
+The scaled objective t is the objective, divided by its magnitude in the initial task; smaller is
+better. Each stance yields constraints a + b t >= 0 (`EvaluatedStance.rows`): the smooth functions
+whose maximum is t, and the slacks of `StanceSpace` (b = 0). SLSQP minimises t, an additional
+variable beside the coordinates, first with feet that move together
 (`StanceSpace.coupled_directions`), then in all coordinates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -66,11 +66,11 @@ result of a descent in which the feet move together. Chosen small: without deriv
 form, an iteration evaluates a stance per coordinate (14 with four feet)."""
 
 _MIN_RELATIVE_GAIN = 3e-4
-"""Decrease of the level (scaled objective) by a descent, relative to the level, above which another
+"""Decrease of the scaled objective by a descent, relative to its value, above which another
 descent starts from the result. Chosen, not tuned."""
 
 _SLSQP_FTOL = 1e-5
-"""Tolerance ``ftol`` of SLSQP: decrease of the level (scaled objective) in an iteration below which
+"""Tolerance ``ftol`` of SLSQP: decrease of the scaled objective in an iteration below which
 a descent ends. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
@@ -86,7 +86,7 @@ the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum
-to the level (scaled objective). Also used for coordinates at which no stand exists: there each
+to the scaled objective. Also used for coordinates at which no stand exists: there each
 constraint has its value at the start of the descent, minus this constant. Chosen, not tuned.
 """
 
@@ -111,21 +111,21 @@ class EvaluatedStance:
     Attributes:
         coordinates: Coordinates in the `StanceSpace`, shape (n,) [m or rad].
         stand: Stand at the coordinates.
-        level: Objective relative to its initial magnitude; smaller is better. Negative for a
-            positive margin or payload.
-        rows: Constraints a + b level >= 0, shape (k, 2): rows that define the level, then the
-            slacks (b = 0).
+        scaled_objective: Objective relative to its initial magnitude; smaller is better. Negative
+            for a positive margin or payload.
+        rows: Constraints a + b t >= 0, shape (k, 2): rows that define the scaled objective t,
+            then the slacks (b = 0).
         allowed: True if the slacks are >= 0, up to `JOINT_LIMIT_OVERSHOOT` at the joint limits.
     """
 
     coordinates: Array
     stand: Stand
-    level: float
+    scaled_objective: float
     rows: Array
     allowed: bool
 
 
-_MIN_LEVEL_STEP = 0.2
+_MIN_OBJECTIVE_STEP = 0.2
 """Smallest step of the objective between two next-best stances that are simulated in succession,
 relative to the difference between the initial and the best stance. The step to the initial stance,
 which is the last, may be smaller. So at most five stances follow the best stance. Chosen, not
@@ -152,9 +152,9 @@ class StanceSearch:
         evaluations: Number of evaluated stances so far.
         space: Search space.
         payload: First-order payload; only with the objective payload.
-        scale: Magnitude of the initial objective [1, m or kg], the unit of levels. If the initial
-            objective is zero: 1 for utilisation, the nominal stand height for the margin, the mass
-            of the robot for the payload.
+        scale: Magnitude of the initial objective [1, m or kg], the unit of scaled objectives. If
+            the initial objective is zero: 1 for utilisation, the nominal stand height for the
+            margin, the mass of the robot for the payload.
         nominal: Stance of the initial task.
         best: Best allowed stance so far, or ``nominal``.
         known: {coordinates: evaluated stance, or None if there is no stance}.
@@ -181,7 +181,7 @@ class StanceSearch:
             self.payload = SmallPayload(robot, self.point, stiffness)
         self.scale = 1.0
         first = self.evaluate_stand(self.space.start, self.space.nominal)
-        self.scale = abs(first.level) or self._default_scale
+        self.scale = abs(first.scaled_objective) or self._default_scale
         self.nominal = self.best = self.evaluate_stand(self.space.start, self.space.nominal)
         self.known: dict[tuple[float, ...], EvaluatedStance | None] = {}
 
@@ -240,29 +240,33 @@ class StanceSearch:
                 if stand is not None:
                     self.known[key] = self.evaluate_stand(coordinates, stand)
         stance = self.known[key]
-        if stance is not None and stance.allowed and stance.level < self.best.level:
+        if (
+            stance is not None
+            and stance.allowed
+            and stance.scaled_objective < self.best.scaled_objective
+        ):
             self.best = stance
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
         """Yield stances to try after the best stance: worse allowed stances, then the initial.
 
-        The stances are sorted from better to worse. Each level (scaled objective; smaller is
-        better) exceeds the previous level, at first the best, by at least ``_MIN_LEVEL_STEP`` times
-        the difference between initial and best level. Only stances that are better than the initial
+        The stances are sorted from better to worse. Each scaled objective exceeds the previous
+        one, at first the best, by at least ``_MIN_OBJECTIVE_STEP`` times the difference between the
+        initial and the best scaled objective. Only stances that are better than the initial
         stance are used.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
-        step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
-        level = self.best.level
-        for stance in sorted(allowed, key=lambda stance: stance.level):
-            if level + step <= stance.level < self.nominal.level:
-                level = stance.level
+        step = _MIN_OBJECTIVE_STEP * (self.nominal.scaled_objective - self.best.scaled_objective)
+        scaled_objective = self.best.scaled_objective
+        for stance in sorted(allowed, key=lambda stance: stance.scaled_objective):
+            if scaled_objective + step <= stance.scaled_objective < self.nominal.scaled_objective:
+                scaled_objective = stance.scaled_objective
                 yield stance
         yield self.nominal
 
     def evaluate_stand(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
-        """Compute the level (scaled objective) of a stand, and the values of its constraints.
+        """Compute the scaled objective of a stand, and the values of its constraints.
 
         Args:
             coordinates: Coordinates of the stand in the `StanceSpace`, shape (n,) [m or rad].
@@ -274,7 +278,7 @@ class StanceSearch:
             StaticsInfeasibleError: If no contact forces balance the stand.
         """
         slack = self.space.compute_slack(stand)
-        level, rows = self._compute_level(stand, slack)
+        scaled_objective, rows = self._compute_scaled_objective(stand, slack)
         slacks = slack.to_vector(_SLACK_REDUCTION)
         allowed = bool(
             slack.singular_values.min() >= 0
@@ -284,18 +288,18 @@ class StanceSearch:
         )
         slack_rows = np.column_stack([slacks, np.zeros(len(slacks))])
         rows = np.concatenate([rows, slack_rows])
-        return EvaluatedStance(coordinates, stand, level, rows, allowed)
+        return EvaluatedStance(coordinates, stand, scaled_objective, rows, allowed)
 
-    def _compute_level(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
-        """Compute the level (scaled objective) of a stand, and the constraints that define it.
+    def _compute_scaled_objective(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
+        """Compute the scaled objective of a stand, and the constraints that define it.
 
         Args:
             stand: Stand.
             slack: Constraint slacks of the stand.
 
         Returns:
-            Level [1], and the rows (a, b), shape (k, 2). The level is the smallest number that
-            satisfies a + b level >= 0 for all rows. For the payload, only the rows with b > 0 are
+            Scaled objective t [1], and the rows (a, b), shape (k, 2). t is the smallest number that
+            satisfies a + b t >= 0 for all rows. For the payload, only the rows with b > 0 are
             used.
 
         Raises:
@@ -304,7 +308,7 @@ class StanceSearch:
             StaticsInfeasibleError: If no contact forces balance the stand.
         """
         if self.objective is Objective.PAYLOAD:
-            return self._compute_payload_level(stand)
+            return self._compute_payload_objective(stand)
         if self.objective is Objective.MARGIN:
             margins = (slack.edges + stand.task.com_margin) / self.scale
             return -float(margins.min()), np.column_stack([margins, np.ones(len(margins))])
@@ -316,7 +320,7 @@ class StanceSearch:
     def differentiate_rows(self, stance: EvaluatedStance) -> Array | None:
         """Compute the derivatives of a stance's constraints by its coordinates.
 
-        The constraints have the form a + b level >= 0, where the level is the scaled objective.
+        The constraints have the form a + b t >= 0, where t is the scaled objective.
 
         Returns:
             Derivatives of a, shape (k, n); b is constant. None if these are not known in closed
@@ -345,14 +349,14 @@ class StanceSearch:
         rates = torque_rates[self.bears] / self.limits[self.bears, None] / self.scale
         return np.vstack([-rates, rates, slack_rates])
 
-    def _compute_payload_level(self, stand: Stand) -> tuple[float, Array]:
-        """Compute the level (scaled objective) of a stand for the objective "payload".
+    def _compute_payload_objective(self, stand: Stand) -> tuple[float, Array]:
+        """Compute the scaled objective of a stand for the objective "payload".
 
-        The level is -m / ``scale``, with the largest payload mass m [kg] and the attribute
-        ``scale`` [kg].
+        The scaled objective is -m / ``scale``, with the largest payload mass m [kg] and the
+        attribute ``scale`` [kg].
 
         Returns:
-            Level; constraints a + b level >= 0 that limit the payload, rows (a, b).
+            Scaled objective t; constraints a + b t >= 0 that limit the payload, rows (a, b).
 
         Raises:
             NoEquilibriumError: If the servos do not hold the stand without payload.
@@ -368,66 +372,108 @@ class StanceSearch:
 
         Descents start at the best samples and the initial task, first with feet that move together,
         then with independent feet. Descents from the best stance found follow, and are repeated
-        while the level (scaled objective) decreases by more than `_MIN_RELATIVE_GAIN`. Nothing is
+        while the scaled objective decreases by more than `_MIN_RELATIVE_GAIN`. Nothing is
         done if no coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():
             return
         coupled = Subspace(space, space.start, space.coupled_directions())
-        samples = _draw_latin_hypercube(coupled.size)
+        starts = (coupled.start, *self._select_samples(coupled))
+        for scaled_objective, scaled in self._rank_descents(coupled, starts):
+            scaled_objective, scaled = self._repeat_descent(coupled, scaled_objective, scaled)
+            if np.isfinite(scaled_objective):
+                self._minimise_with_independent_feet(
+                    coupled.compute_coordinates(scaled), _INDEPENDENT_FEET_ITERATIONS
+                )
+        last_objective = np.inf
+        while last_objective - self.best.scaled_objective > _MIN_RELATIVE_GAIN * abs(
+            self.best.scaled_objective
+        ):
+            last_objective = self.best.scaled_objective
+            self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
+
+    def _select_samples(self, subspace: Subspace) -> Array:
+        """Evaluate stances spread over a subspace, and return the `_START_COUNT` best of these.
+
+        The result contains scaled coordinates, 0 to 1, shape (`_START_COUNT`, subspace.size).
+        """
+        samples = _draw_latin_hypercube(subspace.size)
         stances = []
         for count, sample in enumerate(samples):
             report_progress("samples", count, len(samples))
-            stances.append(self.evaluate(coupled.compute_coordinates(sample)))
+            stances.append(self.evaluate(subspace.compute_coordinates(sample)))
         order = np.argsort([self.merit(stance) for stance in stances], kind="stable")
-        starts = (coupled.start, *samples[order[:_START_COUNT]])
+        selected: Array = samples[order[:_START_COUNT]]
+        return selected
+
+    def _rank_descents(
+        self, subspace: Subspace, starts: Sequence[Array]
+    ) -> Iterator[tuple[float, Array]]:
+        """Run a short descent from each start, and yield the `_FINALIST_COUNT` best results.
+
+        A result is the scaled objective with its scaled coordinates, 0 to 1. The progress
+        of the continued descents is reported with each result.
+
+        Args:
+            subspace: Subspace of the stances.
+            starts: Scaled coordinates of each start, 0 to 1, shape (subspace.size,).
+        """
         ends = []
         for count, start in enumerate(starts):
             report_progress("descents", count, len(starts))
-            ends.append(self._minimise_level(coupled, start, _RANKING_ITERATIONS))
-        order = np.argsort([level for level, _ in ends], kind="stable")
+            ends.append(self._minimise_objective(subspace, start, _RANKING_ITERATIONS))
+        order = np.argsort([scaled_objective for scaled_objective, _ in ends], kind="stable")
         for count, index in enumerate(order[:_FINALIST_COUNT]):
             report_progress("final descents", count, _FINALIST_COUNT)
-            level, share = ends[index]
-            last_level = np.inf
-            while last_level - level > _MIN_RELATIVE_GAIN * abs(level):
-                last_level = level
-                level, share = self._minimise_level(coupled, share, _DESCENT_ITERATIONS)
-            if np.isfinite(level):
-                self._minimise_with_independent_feet(
-                    coupled.compute_coordinates(share), _INDEPENDENT_FEET_ITERATIONS
-                )
-        last_level = np.inf
-        while last_level - self.best.level > _MIN_RELATIVE_GAIN * abs(self.best.level):
-            last_level = self.best.level
-            self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
+            yield ends[index]
+
+    def _repeat_descent(
+        self, subspace: Subspace, scaled_objective: float, scaled: Array
+    ) -> tuple[float, Array]:
+        """Restart a descent at its result while the objective decreases (`_MIN_RELATIVE_GAIN`).
+
+        Args:
+            subspace: Subspace of the stances.
+            scaled_objective: Scaled objective at the start.
+            scaled: Scaled coordinates of the start, 0 to 1, shape (subspace.size,).
+
+        Returns:
+            Scaled objective and scaled coordinates of the last result.
+        """
+        last_objective = np.inf
+        while last_objective - scaled_objective > _MIN_RELATIVE_GAIN * abs(scaled_objective):
+            last_objective = scaled_objective
+            scaled_objective, scaled = self._minimise_objective(
+                subspace, scaled, _DESCENT_ITERATIONS
+            )
+        return scaled_objective, scaled
 
     def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
-        """Minimise the level (scaled objective) over all coordinates, and update ``best``.
+        """Minimise the scaled objective over all coordinates, and update ``best``.
 
         The descent starts at ``coordinates`` and has at most ``iterations`` SLSQP iterations.
         """
         subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
-        self._minimise_level(subspace, subspace.start, iterations)
+        self._minimise_objective(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
-        """Return the merit of a stance [1], to be minimised: level (scaled objective) + penalty.
+        """Return the merit of a stance [1], to be minimised: scaled objective + penalty.
 
         The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations of the constraints that
-        do not depend on the level. Infinite for None.
+        do not depend on the scaled objective. Infinite for None.
         """
         if stance is None:
             return np.inf
-        slacks = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
-        return stance.level - _CONSTRAINT_PENALTY * float(np.minimum(slacks, 0).sum())
+        slacks = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on t
+        return stance.scaled_objective - _CONSTRAINT_PENALTY * float(np.minimum(slacks, 0).sum())
 
-    def _minimise_level(
+    def _minimise_objective(
         self, subspace: Subspace, start: Array, iterations: int
     ) -> tuple[float, Array]:
-        """Minimise the level (scaled objective) over a subspace by SLSQP, and update ``best``.
+        """Minimise the scaled objective over a subspace by SLSQP, and update ``best``.
 
-        The level is an additional variable of SLSQP, bounded by constraints.
+        The scaled objective is an additional variable of SLSQP, bounded by constraints.
 
         Args:
             subspace: Subspace of the stances.
@@ -435,82 +481,126 @@ class StanceSearch:
             iterations: Largest number of SLSQP iterations.
 
         Returns:
-            Smallest level of the allowed stances that SLSQP evaluated (finite-difference steps are
-            not included), and its scaled coordinates. Infinity and ``start`` without such a stance.
+            Smallest scaled objective of the allowed stances that SLSQP evaluated (finite-difference
+            steps are not included), and its scaled coordinates. Infinity and ``start`` without such
+            a stance.
         """
+        first = self.evaluate(subspace.compute_coordinates(start))
+        if first is None:
+            return np.inf, start
+        return _Descent(self, subspace, start, first).run(iterations)
+
+
+class _Descent:
+    """Minimisation of the scaled objective t over a subspace of stances by SLSQP.
+
+    The variables of SLSQP are the scaled coordinates, 0 to 1, and t: shape (size + 1,). The
+    constraints are a + b t >= 0, with the rows (a, b) of each evaluated stance.
+
+    Args:
+        search: Search that evaluates stances, and keeps the best.
+        subspace: Subspace of the stances.
+        start: Initial scaled coordinates, shape (size,).
+        first: Stance at the start.
+
+    Attributes:
+        best: Smallest scaled objective of the allowed stances that SLSQP evaluated, and its scaled
+            coordinates; infinity and ``start`` without such a stance.
+    """
+
+    def __init__(
+        self, search: StanceSearch, subspace: Subspace, start: Array, first: EvaluatedStance
+    ) -> None:
+        self._search, self._subspace, self._first = search, subspace, first
+        self._missing: Array = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
+        self.best: tuple[float, Array] = (np.inf, start)
+
+    def run(self, iterations: int) -> tuple[float, Array]:
+        """Minimise with at most ``iterations`` SLSQP iterations, and return ``best``."""
         from scipy import optimize  # slow to import
 
-        first = self.evaluate(subspace.compute_coordinates(start))
-        best = np.inf, start
-        if first is None:
-            return best
-        missing = first.rows - np.array([_CONSTRAINT_PENALTY, 0.0])
-
-        def evaluate_rows(share: Array) -> Array:
-            """Solve a stance, and return (a, b) of each constraint a + b t >= 0, shape (k, 2).
-
-            t (level) is the scaled objective. ``best`` is updated if the stance is allowed and has
-            the smallest level so far.
-
-            Args:
-                share: Scaled coordinates of the stance, 0 to 1, shape (size,).
-            """
-            nonlocal best
-            stance = self.evaluate(subspace.compute_coordinates(share))
-            if stance is not None and stance.allowed and stance.level < best[0]:
-                best = stance.level, share.copy()
-            return missing if stance is None else stance.rows
-
-        def derivative(values: Array) -> Array:
-            """Return the Jacobian of the constraint functions a + b t, shape (k, size + 1).
-
-            The objective is to minimise t (level), the scaled objective. a and b are the columns of
-            ``evaluate_rows``. The first columns are derivatives by the scaled coordinates (0 to 1),
-            in closed form if known (`differentiate_rows`). Otherwise they are one-sided differences
-            with step ``_DIFFERENCE_STEP``, forward or backward; a column is zero if no stand exists
-            at either end. The last column is b, the derivative by t.
-
-            Args:
-                values: Scaled coordinates, then t, shape (size + 1,).
-            """
-            share, level = values[:-1], values[-1]
-            current, stance = (
-                evaluate_rows(share),
-                self.evaluate(subspace.compute_coordinates(share)),
-            )
-            exact = None if stance is None else self.differentiate_rows(stance)
-            if exact is not None:
-                rates = exact @ (subspace.directions * subspace.width)
-                return np.column_stack([rates, current[:, 1]])
-            near = None if stance is None else stance.stand
-            columns = []
-            for index in range(len(share)):
-                step = np.zeros(len(share))
-                step[index] = (
-                    _DIFFERENCE_STEP if share[index] + _DIFFERENCE_STEP <= 1 else -_DIFFERENCE_STEP
-                )
-                ahead = self.evaluate(subspace.compute_coordinates(share + step), near)
-                if ahead is None:
-                    step = -step
-                    ahead = self.evaluate(subspace.compute_coordinates(share + step), near)
-                change = np.zeros_like(current) if ahead is None else ahead.rows - current
-                columns.append((change @ (1.0, level)) / step[index])
-            return np.column_stack([*columns, current[:, 1]])
-
+        start = self.best[1]
         optimize.minimize(
             lambda values: values[-1],
-            np.append(start, first.level),
+            np.append(start, self._first.scaled_objective),
             jac=lambda values: np.eye(len(values))[-1],
             method="SLSQP",
             bounds=[(0.0, 1.0)] * len(start) + [(None, None)],
             constraints={
                 "type": "ineq",
-                "fun": lambda values: evaluate_rows(values[:-1]) @ (1.0, values[-1]),
-                "jac": derivative,
+                "fun": lambda values: self._evaluate_rows(values[:-1]) @ (1.0, values[-1]),
+                "jac": self._constraint_jacobian,
             },
             options={"maxiter": iterations, "ftol": _SLSQP_FTOL},
         )
-        return best
+        return self.best
+
+    def _evaluate(self, scaled: Array, near: Stand | None = None) -> EvaluatedStance | None:
+        """Evaluate the stance with scaled coordinates ``scaled`` (`StanceSearch.evaluate`)."""
+        return self._search.evaluate(self._subspace.compute_coordinates(scaled), near)
+
+    def _evaluate_rows(self, scaled: Array) -> Array:
+        """Evaluate a stance, update ``best``, and return the constraint rows (a, b), shape (k, 2).
+
+        If no stance exists, the rows are those of the start, with a reduced by
+        `_CONSTRAINT_PENALTY`.
+
+        Args:
+            scaled: Scaled coordinates of the stance, 0 to 1, shape (size,).
+        """
+        stance = self._evaluate(scaled)
+        if stance is None:
+            return self._missing
+        if stance.allowed and stance.scaled_objective < self.best[0]:
+            self.best = stance.scaled_objective, scaled.copy()
+        return stance.rows
+
+    def _constraint_jacobian(self, values: Array) -> Array:
+        """Return the Jacobian of the constraint functions a + b t, shape (k, size + 1).
+
+        The first columns are derivatives by the scaled coordinates, in closed form if known
+        (`StanceSearch.differentiate_rows`), else by differences. The last column is b.
+
+        Args:
+            values: Scaled coordinates, then t, shape (size + 1,).
+        """
+        scaled = values[:-1]
+        rows, stance = self._evaluate_rows(scaled), self._evaluate(scaled)
+        exact = None if stance is None else self._search.differentiate_rows(stance)
+        if exact is not None:
+            rates = exact @ (self._subspace.directions * self._subspace.width)
+            jacobian: Array = np.column_stack([rates, rows[:, 1]])
+            return jacobian
+        near = None if stance is None else stance.stand
+        columns = [
+            self._difference_constraints(values, index, rows, near) for index in range(len(scaled))
+        ]
+        return np.column_stack([*columns, rows[:, 1]])
+
+    def _difference_constraints(
+        self, values: Array, index: int, rows: Array, near: Stand | None
+    ) -> Array:
+        """Return the one-sided difference quotient of the constraints a + b t, shape (k,).
+
+        The step is `_DIFFERENCE_STEP`: forward if the bound 1 permits the step, else backward. If
+        no stance exists there, the step is reversed; zeros if no stance exists there either.
+
+        Args:
+            values: Scaled coordinates, then t, shape (size + 1,).
+            index: Index of the coordinate by which to differentiate.
+            rows: Rows (a, b) at these coordinates, shape (k, 2).
+            near: Stand at these coordinates; None if no stance exists.
+        """
+        scaled, scaled_objective = values[:-1], values[-1]
+        forward = scaled[index] + _DIFFERENCE_STEP <= 1
+        for length in (1, -1) if forward else (-1, 1):
+            step = np.zeros(len(scaled))
+            step[index] = length * _DIFFERENCE_STEP
+            ahead = self._evaluate(scaled + step, near)
+            if ahead is not None:
+                quotient: Array = ((ahead.rows - rows) @ (1.0, scaled_objective)) / step[index]
+                return quotient
+        return np.zeros(len(rows))
 
 
 def _draw_latin_hypercube(size: int) -> Array:
@@ -562,12 +652,12 @@ class Subspace:
         self.size = int(movable.sum())
         self.start = np.clip(-self.low / self.width, 0, 1)
 
-    def compute_coordinates(self, share: Array) -> Array:
+    def compute_coordinates(self, scaled: Array) -> Array:
         """Compute the coordinates of a stance, shape (n,) [m or rad], from scaled coordinates.
 
         Args:
-            share: Scaled coordinates, shape (size,), clipped to 0 to 1.
+            scaled: Scaled coordinates, shape (size,), clipped to 0 to 1.
         """
-        multiples = self.low + np.clip(share, 0, 1) * self.width
+        multiples = self.low + np.clip(scaled, 0, 1) * self.width
         coordinates: Array = self.origin + self.directions @ multiples
         return coordinates

@@ -193,11 +193,12 @@ def test_best_stance_for_an_offset_payload_carries_more_than_its_neighbours() ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", list(Objective))
-def test_unit_of_levels_fits_the_objective_if_its_initial_value_is_zero(
+def test_unit_of_scaled_objectives_fits_the_objective_if_its_initial_value_is_zero(
     objective: Objective, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reference: utilisation has no unit; scales of margin [m] and payload [kg] of v3."""
-    monkeypatch.setattr(StanceSearch, "evaluate_stand", lambda *_: SimpleNamespace(level=0.0))
+    zero = SimpleNamespace(scaled_objective=0.0)
+    monkeypatch.setattr(StanceSearch, "evaluate_stand", lambda *_: zero)
     robot = load("v3")
     unit = StanceSearch(robot, objective).scale
     expected = {"utilisation": 1.0, "margin": robot.stand_height, "payload": robot.total_mass}

@@ -13,7 +13,7 @@ from tests.support.variants import load, stand_of
 def test_violated_constraints_worsen_a_stance_in_proportion_to_their_sum() -> None:
     """Reference: the exact penalty function of Nocedal and Wright (2006), equation 17.22.
 
-    The first row contains the level, so that it is no constraint of the ranking.
+    The first row contains the scaled objective, so that it is no constraint of the ranking.
     """
     search = object.__new__(StanceSearch)
 
