@@ -318,12 +318,14 @@ class ControlledStand:
             kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
 
         Returns:
-            Damping ratio [1], at most 1; 1 if no mode oscillates. Modes with a negative real
-            eigenvalue, which change sign in each control period, are not considered.
+            Damping ratio [1], at most 1; 1 if no mode oscillates, negative if an oscillation grows.
+            An eigenvalue z of the control period T is exp(s T). The damping ratio of the mode is
+            -Re(s) / abs(s). A negative real z is an oscillation at half of the control rate.
         """
-        values = np.linalg.eigvals(self._closed_loop(kp, kd))
-        values = values[(np.abs(values) > _DELAY_TOLERANCE) & (values.imag > _DELAY_TOLERANCE)]
-        exponents = np.log(values)
+        values = np.linalg.eigvals(self._closed_loop(kp, kd)).astype(complex)
+        is_at_half_rate = (np.abs(values.imag) <= _DELAY_TOLERANCE) & (values.real < 0)
+        oscillates = is_at_half_rate | (values.imag > _DELAY_TOLERANCE)
+        exponents = np.log(values[(np.abs(values) > _DELAY_TOLERANCE) & oscillates])
         return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
 
     def _closed_loop(self, kp: Array, kd: Array) -> Array:

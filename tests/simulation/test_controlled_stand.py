@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,6 +14,24 @@ import pupper_analysis as pa
 from pupper_analysis.simulation.controlled_stand import ControlledStand, _divide_period
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
 from tests.support.variants import load
+
+
+SERVO = """
+<mujoco model="servo">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="base">
+      <geom size="0.05" mass="1"/>
+      <body name="arm">
+        <joint name="yaw" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="0.1" diaginertia="0.01 0.01 0.02"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position joint="yaw" kp="5" kv="0.1" forcerange="-10 10"/></actuator>
+</mujoco>
+"""
+"""Servo with an inertia of 0.02 kg m^2 about a vertical axis, which gravity does not load."""
 
 
 def start_of(name: str) -> StandStart:
@@ -145,6 +164,25 @@ def test_stable_dampings_decay_in_bare_mujoco(name: str, kp: float) -> None:
         speeds = velocities(held, kp, kd, timestep=loop.timestep, steps=1, delay=0, periods=400)
         grows.append(bool(speeds[-50:].max() > speeds[:50].max()))
     assert grows == [False, True]
+
+
+@pytest.mark.parametrize("kd", [0.1, 5.0, 12.0, 19.9, 21.0])
+def test_damping_ratio_of_a_single_servo_equals_the_closed_form(tmp_path: Path, kd: float) -> None:
+    """Reference: z^2 - (2 - a - b) z + 1 - a = 0 with a = kd T / I and b = kp T^2 / I, and s = ln z
+    / T. From kd = I / T = 10 N m s/rad, z is negative: an oscillation with a period of 2 T.
+    """
+    path = tmp_path / "servo.xml"
+    path.write_text(SERVO)
+    robot = pa.load_robot(path)
+    task = pa.StandTask(contacts={"base": pa.Weld()})
+    held = make_stand_start(robot, pa.solve_stand_as_simulated(robot, task))
+    kp, inertia, period = 5.0, 0.02, 0.002
+    a, b = kd * period / inertia, kp * period**2 / inertia
+    poles = np.log(np.roots([1.0, a + b - 2.0, 1.0 - a]).astype(complex))
+    ratio = ControlledStand(held).find_smallest_damping_ratio(np.array([kp]), np.array([kd]))
+    assert ratio == pytest.approx(np.min(-poles.real / np.abs(poles)), rel=1e-5)
+    assert (ratio < 0.5) == (kd not in (5.0,))
+    assert (ratio < 0) == (kd > 20.0)
 
 
 def test_joint_inertias_equal_the_acceleration_by_a_torque_in_mujoco() -> None:
