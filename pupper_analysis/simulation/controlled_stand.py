@@ -68,9 +68,10 @@ tuned.
 - The imaginary part of an eigenvalue of the closed loop counts as zero (absolute value)."""
 
 _TRANSIENT_RATIO = 0.1
-"""Ratio [1] of the amplitudes of a mode after and before the delay plus a control period. Modes with
-a smaller ratio do not count for the damping ratio: a delay adds modes that decay before a command
-acts. Chosen, not tuned; measured with a delay of 4 ms on v3: such a mode decays at 800 1/s."""
+"""Ratio [1] of the amplitudes of a mode after and before the delay plus a control period. Modes
+with a smaller ratio do not count for the damping ratio: a delay adds modes that decay before a
+command acts. Chosen, not tuned. Measured with a delay of 4 ms on v3: such a mode decays at 800 1/s.
+"""
 
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
