@@ -18,23 +18,28 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.units import UNIT_KINDS
 
 MAX_STALL_RATIO = 1.1
-"""Largest accepted ratio between a stated stall torque and Kt V N / R of the same motor, and
-between a stated stall current and V / R. A motor with a larger ratio is refused. (Kt torque
-constant, V supply voltage, N gear ratio, R resistance.) Losses in a gear only reduce the torque; 10
-% permit rounded numbers. Chosen, not tuned."""
+"""Largest accepted ratio between a stated stall torque and K I of the same motor, and between a
+stated stall current and V / R. A motor with a larger ratio is refused. (K torque at the output per
+current, I stall current or V / R, V supply voltage, R resistance.) Losses in a gear only reduce the
+torque; 10 % permit rounded numbers. Chosen, not tuned."""
 
 MIN_STALL_RATIO = 0.3
-"""Smallest accepted ratio between a stated stall torque and Kt V N / R of the same motor; a motor
-with a smaller ratio is refused. Below this ratio, friction and gear would lose more than 70 % of
-the torque, which suggests other units. The smallest ratio in the data files is 0.57
-(feetech-sts3215-7v4). Chosen, not tuned."""
+"""Smallest accepted ratio between a stated stall torque and K I of the same motor (see
+`MAX_STALL_RATIO`); a motor with a smaller ratio is refused. Below this ratio, friction and gear
+would lose more than 70 % of the torque, which suggests other units. The smallest ratio in the data
+files is 0.57 (feetech-sts3215-7v4). Chosen, not tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
 """Largest accepted ratio between two stated numbers that define the same constant of a motor. The
-compared pairs are output torque constant and Kt N, and speed without load and V / (Kt N). (Kt
-torque constant, V supply voltage, N gear ratio.) A motor with a larger ratio, or with a ratio below
-`MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase currents, and rms and peak values,
-differ by up to sqrt(3)."""
+compared pairs are output torque constant and Kt N, and speed without load and V / K. (Kt torque
+constant, N gear ratio, V supply voltage, K output torque constant or Kt N.) A motor with a larger
+ratio, or with a ratio below `MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase
+currents, and rms and peak values, differ by up to sqrt(3)."""
+
+
+def _multiply(first: float | None, second: float | None) -> float | None:
+    """Return the product of two numbers; None if a number is unknown."""
+    return None if first is None or second is None else first * second
 
 
 def _number(kind: str) -> float | None:
@@ -125,21 +130,8 @@ class Motor:
         Raises:
             ModelError: If numbers contradict each other.
         """
-        torque, current = self.stall_torque, self.stall_current
+        current = self.stall_current
         resistance, voltage = self.resistance, self.supply_voltage
-        if None not in (self.torque_constant, self.gear_ratio, resistance, voltage, torque):
-            expected = self.get("torque_constant") * self.get("gear_ratio")
-            expected *= self.get("supply_voltage") / self.get("resistance")
-            ratio = self.get("stall_torque") / expected
-            if not MIN_STALL_RATIO <= ratio <= MAX_STALL_RATIO:
-                raise ModelError(
-                    self.name,
-                    diagnose(
-                        "motor-stall-torque",
-                        stated=Quantity(self.get("stall_torque"), "N m"),
-                        expected=Quantity(expected, "N m"),
-                    ),
-                )
         if current is not None and resistance is not None and voltage is not None:
             expected = voltage / resistance
             if not 1 / MAX_STALL_RATIO <= current / expected <= MAX_STALL_RATIO:
@@ -165,25 +157,64 @@ class Motor:
             )
 
     def _check_conventions(self) -> None:
-        """Raise a ModelError if two stated numbers for the same constant contradict each other.
+        """Raise a ModelError if stated numbers contradict a product or quotient of other numbers.
 
-        - Output torque constant / (torque constant x gear ratio).
-        - Speed without load / (supply voltage / (torque constant x gear ratio)).
+        K is the torque at the output per current: the output torque constant, or torque constant x
+        gear ratio. I is the stall current, or supply voltage / resistance. The compared pairs are:
 
-        Each ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
+        - The output torque constant and torque constant x gear ratio.
+        - The speed without load and supply voltage / K.
+        - The stall torque and K I.
+
+        Each ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`]; that of the stall torque
+        in [`MIN_STALL_RATIO`, `MAX_STALL_RATIO`]. Each unknown number omits the pairs that need it.
         """
-        if self.torque_constant is None or self.gear_ratio is None:
+        constants: dict[str, float | None] = {
+            "torque_constant x gear_ratio": _multiply(self.torque_constant, self.gear_ratio),
+            "output_torque_constant": self.output_torque_constant,
+        }
+        voltage, resistance = self.supply_voltage, self.resistance
+        currents = {
+            "supply_voltage / resistance": _multiply(voltage, resistance and 1 / resistance),
+            "stall_current": self.stall_current,
+        }
+        (first, expected), _ = constants.items()
+        number = "output_torque_constant"
+        self._check_ratio(number, expected, first, "N m/A", MAX_CONVENTION_RATIO)
+        for name, constant in constants.items():
+            free = _multiply(voltage, constant and 1 / constant)
+            formula = f"supply_voltage / ({name})"
+            self._check_ratio("no_load_speed", free, formula, "rad/s", MAX_CONVENTION_RATIO)
+            for current_name, current in currents.items():
+                formula = f"{name} x {current_name}"
+                expected = _multiply(constant, current)
+                self._check_ratio("stall_torque", expected, formula, "N m", MAX_STALL_RATIO)
+
+    def _check_ratio(
+        self, number: str, expected: float | None, formula: str, unit: str, most: float
+    ) -> None:
+        """Raise a ModelError if a number divided by its expected value is out of range.
+
+        The range is [`MIN_STALL_RATIO`, ``most``]. An unknown value (None) is not checked.
+
+        Args:
+            number: Name of the field.
+            expected: Value [unit] of the formula.
+            formula: Formula of the expected value, with names of fields.
+            unit: Unit of both values.
+            most: Largest accepted ratio.
+        """
+        stated: float | None = getattr(self, number)
+        if stated is None or expected is None:
             return
-        constant = self.torque_constant * self.gear_ratio
-        pairs = [("output_torque_constant", self.output_torque_constant, constant, "N m/A")]
-        if self.supply_voltage is not None:
-            free = self.supply_voltage / constant
-            pairs.append(("no_load_speed", self.no_load_speed, free, "rad/s"))
-        for number, stated, expected, unit in pairs:
-            if stated is None or MIN_STALL_RATIO <= stated / expected <= MAX_CONVENTION_RATIO:
-                continue
+        if not MIN_STALL_RATIO <= stated / expected <= most:
             problem = diagnose(
-                "motor-contradiction", number=number, stated=stated, expected=expected, unit=unit
+                "motor-contradiction",
+                number=number,
+                stated=stated,
+                expected=expected,
+                unit=unit,
+                formula=formula,
             )
             raise ModelError(self.name, problem)
 

@@ -91,13 +91,22 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ('stall_torque = "288 N m"', r"stall torque of 288 N m contradicts Kt V N / R = 28\.8 N m"),
+        (
+            'stall_torque = "288 N m"',
+            r"gear_ratio x supply_voltage / resistance = 28\.8 N m: check",
+        ),
         ('stall_torque = "0.3 N m"', "check the units"),
         ('stall_current = "5 A"', r"contradicts supply voltage / resistance = 48 A"),
         ('ambient_temperature = "90 degC"\nlimit_temperature = "85 degC"', "not above the ambient"),
         ("torque_constnt = 1", "torque_constant"),
-        ('output_torque_constant = "600 N m/A"', r"600 N m/A contradicts 0\.6 N m/A"),
-        ('no_load_speed = "400 rad/s"', r"no_load_speed of 400 rad/s contradicts 40 rad/s"),
+        (
+            'output_torque_constant = "600 N m/A"',
+            r"contradicts torque_constant x gear_ratio = 0\.6 N m/A",
+        ),
+        (
+            'no_load_speed = "400 rad/s"',
+            r"400 rad/s contradicts .*\(torque_constant x gear_ratio\) = 40 rad/s",
+        ),
         ('peak_torque = "1 N m"\ncontinuous_torque = "2 N m"', "2 N m is above the peak torque"),
         ('kp = "5 N m"', "N m is not a unit"),
         ("gear_efficiency = 0", "gear_efficiency: 0 is out of range"),
@@ -107,6 +116,22 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
 def test_contradictions_are_named(tmp_path: Path, more: str, words: str) -> None:
     with pytest.raises(ModelError, match=words):
         read_motor(write(tmp_path, f"{TEXT}{more}\n"))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ({"stall_torque": 28.0, "stall_current": 40.0}, r"stall_current = 20 N m"),
+        ({"stall_torque": 28.0, "supply_voltage": 24.0, "resistance": 0.6}, r"resistance = 20 N m"),
+        ({"no_load_speed": 200.0, "supply_voltage": 24.0}, r"output_torque_constant\) = 48 rad/s"),
+    ],
+)
+def test_output_torque_constant_contradicts_other_numbers(
+    numbers: dict[str, float], words: str
+) -> None:
+    """Reference: 0.5 N m/A x 40 A = 20 N m, and 24 V / 0.5 V s/rad = 48 rad/s."""
+    with pytest.raises(ModelError, match=words):
+        Motor("test", "bench", output_torque_constant=0.5, **numbers)  # type: ignore[arg-type]
 
 
 def test_a_file_without_source_is_refused(tmp_path: Path) -> None:
