@@ -29,6 +29,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -279,55 +280,83 @@ def test_kills(count: int, kinds: tuple[str, ...]) -> None:
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 
-def loop_over_part(count: int, part: int, parts: int) -> float:
-    """Evaluate a part of about ``count`` designs without a store; return processor time [s]."""
+def process_seconds() -> float:
+    """Return the processor time [s] of this process, without child processes."""
+    return sum(os.times()[:2])
+
+
+def evaluate_chunk(chunk: running.Chunk) -> float:
+    """Evaluate the designs of a chunk without a store; return the processor time [s]."""
+    before = process_seconds()
+    running.measure_designs(chunk)
+    return process_seconds() - before
+
+
+def split_study(study: pa.Study, parts: int) -> list[running.Chunk]:
+    """Return the designs of a study in equal parts, sorted so that neighbours share a robot."""
     import numpy as np
 
-    study = pa.Study("v3", reduce_axes(count), SAG)
-    before = processor_time()
-    for names, numbers in study.designs():
-        robot_columns = [
-            index
-            for index, name in enumerate(study.variables)
-            if not running.is_servo_variable(name)
-        ]
-        order = np.lexsort(numbers[:, robot_columns[::-1]].T)  # neighbours share a robot
-        order = np.array_split(order, parts)[part]
-        chunk = running.Chunk(
+    robot_columns = [
+        index for index, name in enumerate(study.variables) if not running.is_servo_variable(name)
+    ]
+    ((names, numbers),) = study.designs()
+    orders = np.array_split(np.lexsort(numbers[:, robot_columns[::-1]].T), parts)
+    return [
+        running.Chunk(
             study.work(),
             tuple(names[index] for index in order),
             tuple(map(tuple, numbers[order].tolist())),
         )
-        running.measure_designs(chunk)
-    return processor_time() - before
+        for order in orders
+    ]
 
 
 def measure_dask(count: int) -> None:
-    """Print the processor time of a study on two Dask workers, and of bare loops.
+    """Print the time of a study on two Dask workers, relative to two bare loops at once.
 
-    Two bare loops evaluate half of the designs each, at the same time: if both cores of a machine
-    compute, a process needs more processor time than alone, also if it waits for nothing. The start
-    of a worker is measured by a study of a single design.
+    The designs are divided into four blocks, if two leg lengths are varied. The bare loops and the
+    Dask workers evaluate each block in turn, so that other load of the machine affects both. The
+    start of the processes is not measured. Times are processor times of all processes, and elapsed
+    times.
     """
     from pupper_analysis.tools.study.cluster import connect_dask
 
-    def run(study: pa.Study) -> float:
-        before = processor_time()
-        with tempfile.TemporaryDirectory() as folder, connect_dask("local:2") as (executor, number):
-            study.execute(folder, executor=executor, workers=number)
-        return processor_time() - before
-
-    study = pa.Study("v3", reduce_axes(count), SAG)
-    run(pa.Study("v3", {"kp": [5.0]}, SAG))  # byte code, and caches of the system
-    start = run(pa.Study("v3", {"kp": [5.0, 6.0]}, SAG))
-    alone = loop_over_part(count, 0, 1)
-    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        together = sum(pool.map(loop_over_part, [count] * 2, range(2), [2] * 2))
-    total = run(study)
-    more = 100 * ((total - start) / together - 1)
-    print(f"{len(study)} designs: a bare loop alone {alone:.1f} s, two at once {together:.1f} s")
-    print(f"two Dask workers {total:.1f} s, of which their start {start:.1f} s")
-    print(f"without the start {more:.1f} % more than two bare loops")
+    axes = reduce_axes(count)
+    scales: Any = (axes["leg_scale"], axes["torso_mass_scale"])
+    legs, torsos = (getattr(levels, "levels", levels) for levels in scales)
+    half = len(torsos) // 2
+    blocks = product(legs, (torsos[:half], torsos[half:]))
+    bare = workers = client = bare_elapsed = elapsed = 0.0
+    done = 0
+    with (
+        connect_dask("local:2") as (executor, number),
+        ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        cluster: Any = executor._client  # type: ignore[attr-defined]
+        first = pa.Study("v3", {"payload": [0.0, 0.1], "kp": [5.0, 6.0]}, SAG)
+        first.execute(Path(folder) / "start", executor=executor, workers=number)
+        list(pool.map(evaluate_chunk, split_study(first, 2)))
+        for block, (leg, part) in enumerate(blocks):
+            chosen = {"leg_scale": [leg], "torso_mass_scale": part}
+            study = pa.Study("v3", {**axes, **chosen}, SAG)
+            start = time.monotonic()
+            bare += sum(pool.map(evaluate_chunk, split_study(study, 2)))
+            bare_elapsed += time.monotonic() - start
+            start, before = time.monotonic(), process_seconds()
+            workers -= sum(cluster.run(process_seconds).values())
+            target = Path(folder) / str(block)
+            done += study.execute(target, executor=executor, workers=number).done
+            workers += sum(cluster.run(process_seconds).values())
+            client += process_seconds() - before
+            elapsed += time.monotonic() - start
+            print(f"{done} designs: two bare loops {bare:.1f} s of processor, {bare_elapsed:.0f} s")
+            print(f"two Dask workers {workers:.1f} s, scheduler and client {client:.1f} s")
+            print(
+                f"processor {100 * ((workers + client) / bare - 1):+.1f} %, elapsed time "
+                f"{elapsed:.0f} s, {100 * (elapsed / bare_elapsed - 1):+.1f} %",
+                flush=True,
+            )
 
 
 def return_rows(chunk: running.Chunk) -> running.ChunkOutcome:

@@ -15,7 +15,6 @@ from pupper_analysis.simulation.controlled_stand import ControlledStand, _divide
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
 from tests.support.variants import load
 
-
 SERVO = """
 <mujoco model="servo">
   <option timestep="0.002" integrator="implicitfast"/>

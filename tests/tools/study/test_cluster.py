@@ -48,15 +48,19 @@ def occupy_port(number: int) -> Iterator[None]:
 @pytest.mark.filterwarnings("ignore")  # of Dask and its dependencies
 def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
     """Reference: the serial run, to the last digit; each design is stored once. The default port
-    of Dask is in use, as if another study ran.
+    of Dask is in use, as if another study ran. No profiler of Dask runs on the workers.
     """
     with ThreadPoolExecutor(1) as thread:
         serial = make_study(24).run(tmp_path / "serial", executor=thread)
     killed: list[int] = []
     warnings.filterwarnings("error", "Port")
+    dask: Any = pytest.importorskip("dask")
     with occupy_port(8787), connect_dask("local:2") as (executor, workers):
         assert workers == 2
-        processes = executor._client.run(os.getpid)  # type: ignore[attr-defined]
+        client = executor._client  # type: ignore[attr-defined]
+        profiled = client.run(dask.config.get, "distributed.worker.profile.enabled")
+        assert set(profiled.values()) == {False}
+        processes = client.run(os.getpid)
         assert len(processes) == 2
         assert os.getpid() not in processes.values()
 
