@@ -223,21 +223,21 @@ def _list_model_remarks(
 def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
     """Report that the ctrl of a keyframe moves a joint far from the qpos of the same keyframe.
 
-    The robot may stand nevertheless, if the joint belongs to an arm, or to one of several legs. The
-    verdict is about the computed stand, which the servos hold with other commands.
+    The robot may stand nevertheless, for example if the joint belongs to an arm. The verdict is
+    about the computed stand, which the servos hold with other commands.
 
     Args:
         run: Simulation of the published file from the keyframe; None if there is none.
 
     Returns:
-        Message about the joint with the largest displacement, if this exceeds
-        ``MIN_POSTURE_DEVIATION`` and the command explains it. Empty otherwise, if the keyframe has
-        no ctrl, or if the run fails.
+        Message about the joint with the largest displacement among the joints whose command
+        explains the displacement, if this exceeds ``MIN_POSTURE_DEVIATION``. Empty otherwise, if
+        the keyframe has no ctrl, or if the run fails.
     """
-    if run is None or run.fails or run.commands is not OwnCommands.STATED or run.worst is None:
+    if run is None or run.fails or run.commands is not OwnCommands.STATED:
         return ()
-    joint = run.worst
-    if not joint.commanded_away or abs(joint.off) <= MIN_POSTURE_DEVIATION:
+    joint = run.redirected
+    if joint is None or abs(joint.off) <= MIN_POSTURE_DEVIATION:
         return ()
     moved = Quantity(abs(joint.off), joint.unit)
     return (

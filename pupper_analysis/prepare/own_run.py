@@ -46,12 +46,14 @@ from pupper_analysis.prepare.published_model import (
 from pupper_analysis.prepare.servo_tuning import TIMESTEP_DIVISORS
 from pupper_analysis.prepare.start import is_standing_pose
 from pupper_analysis.robot.as_published import (
+    MIN_POSTURE_DEVIATION,
     MIN_UNHELD_DISPLACEMENT,
     JointOff,
     OwnCommands,
     OwnRun,
 )
 from pupper_analysis.robot.fall import (
+    find_touching_bodies,
     initial_height,
     keyframe_duration,
     measure_motion,
@@ -60,7 +62,7 @@ from pupper_analysis.robot.fall import (
     simulate_keyframe,
     was_reset_by_mujoco,
 )
-from pupper_analysis.robot.joints import joint_unit
+from pupper_analysis.robot.joints import joint_unit, leg_joints
 from pupper_analysis.robot.robot import Robot
 
 _CTRL_ANGLE_RTOL = 0.1
@@ -573,6 +575,7 @@ def _simulate_commands(
         motion, end = simulate_held_keyframe(published.model, start, advance)
     joints = _joint_deviations(published, robot, start, end, hold.ctrl)
     unheld = _unheld_joints(published, robot, joints)
+    lifted = _list_lifted_legs(published, robot, joints, end)
     imported = robot.published is not None and robot.published.imported is not None
     timestep = float(published.model.opt.timestep)
     is_finer = imported and timestep < robot.mj_model.opt.timestep
@@ -584,7 +587,53 @@ def _simulate_commands(
         unheld=None if motion.diverged else max(unheld, key=_absolute_displacement, default=None),
         standing=robot.floating,
         missing=_missing_files(robot),
+        redirected=max(
+            (joint for joint in joints if not motion.diverged and joint.commanded_away),
+            key=_absolute_displacement,
+            default=None,
+        ),
+        lifted_leg=None
+        if motion.diverged
+        else max(lifted, key=_absolute_displacement, default=None),
     )
+
+
+def _list_lifted_legs(
+    published: PublishedModel, robot: Robot, joints: list[JointOff], end: mujoco.MjData
+) -> list[JointOff]:
+    """Return the joints that moved far in legs that do not touch the world at the end of a run.
+
+    The displacement must exceed `MIN_POSTURE_DEVIATION`: a foot that carries almost no load may
+    leave the ground by micrometres. A leg touches the world if the body of its last joint, or a
+    descendant of this body, touches the world.
+    """
+    far = {
+        joint.joint: joint
+        for joint in joints
+        if _absolute_displacement(joint) > MIN_POSTURE_DEVIATION
+    }
+    if not far or not robot.floating:
+        return []
+    model = published.model
+    state = copy.copy(end)
+    mujoco.mj_forward(model, state)
+    touching = find_touching_bodies(model, state)
+    lifted: list[JointOff] = []
+    for points in robot.feet.values():
+        leg = leg_joints(robot, points[0])
+        moved = [far[name] for name in leg if name in far]
+        if moved and not touching & _list_descendants(model, model.joint(leg[-1]).bodyid[0]):
+            lifted += moved
+    return lifted
+
+
+def _list_descendants(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return the ids of a body and of all its descendants."""
+    found = {int(body)}
+    for child in range(int(body) + 1, model.nbody):  # parents have smaller ids than children
+        if int(model.body_parentid[child]) in found:
+            found.add(child)
+    return found
 
 
 def _missing_files(robot: Robot) -> tuple[str, ...]:

@@ -831,10 +831,10 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
     """Return the probable cause of a failed simulation of the file, without further simulations.
 
-    The cause is the joint without servo that moved, else the joint with the largest displacement.
-    If no joint is known, the cause is that the simulation diverges.
+    The cause is the joint without servo that moved, else a joint of a lifted leg, else the joint
+    with the largest displacement. If no joint is known, the cause is that the simulation diverges.
     """
-    joint = run.unheld or run.worst
+    joint = run.unheld or run.lifted_leg or run.worst
     if joint is None:
         return (Cause("diverges", ()),)
     if run.unheld is not None:

@@ -389,7 +389,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             yield Clause(False, diagnose("own-run-diverges", **how))
             continue
         how["standing"] = run.standing
-        joint = run.unheld or run.worst
+        joint = run.unheld or run.lifted_leg or run.worst
         if joint is not None:
             how |= {"off": Quantity(abs(joint.off), joint.unit), "drive": Term(joint.drive.value)}
         message = diagnose(
@@ -397,7 +397,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             collapses=run.collapses and not run.is_lifted,
             lifted=run.is_lifted,
             gives=(run.has_left_posture or run.unheld is not None) and not run.collapses,
-            place=run.has_left_place,
+            place=run.has_left_place or (run.has_left_stance and not run.collapses),
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
             drop=Quantity(run.clearance, "m") if run.clearance > _MIN_STATED_CLEARANCE else None,
@@ -409,7 +409,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
             commanded=joint is not None and joint.commanded_away,
             **how,
         )
-        yield Clause(not (run.falls or run.is_tilted or run.missing), message)
+        yield Clause(run.keeps_stance and not run.missing, message)
     for cause in () if keyframe_run is None else keyframe_run.causes:
         yield Clause(False, describe_cause(cause))
 

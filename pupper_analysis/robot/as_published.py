@@ -82,8 +82,9 @@ with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v
 Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Displacement [rad, m] of a joint above which a robot with a fixed base has left its posture
-(`OwnRun.has_left_posture`). Chosen, not tuned."""
+"""Displacement [rad, m] of a joint above which the joint has left the posture: of a robot with a
+fixed base (`OwnRun.has_left_posture`), or of a leg whose foot is lifted (`OwnRun.lifted_leg`).
+Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):
@@ -119,11 +120,12 @@ class JointOff:
         Both conditions must hold; without a command, the result is False:
 
         - The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
-        - The distance of the command from the initial position exceeds half of the displacement.
+        - The command lies in the direction of the displacement, and its distance from the initial
+          position exceeds half of the displacement.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
-        return abs(self.commanded) > abs(self.off) / 2
+        return self.commanded * math.copysign(1.0, self.off) > abs(self.off) / 2
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,13 @@ keyframe, relative to the initial orientation. With a larger tilt, the run fails
 Go1).
 """
 
+MAX_OWN_TRAVEL_RATIO = 0.3
+"""Largest accepted horizontal travel of the CoM, relative to its initial height [1], in a
+simulation of the published file from its keyframe. With a larger travel, the run fails
+(`OwnRun.has_left_stance`). Chosen, not tuned: equal to the limit of the height loss
+(`MAX_HEIGHT_LOSS_RATIO`). Keyframes of 30 public MJCFs that stand give 0.00; a knee servo of ANYmal
+with a gear of -1 gives 0.54."""
+
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
@@ -189,6 +198,10 @@ class OwnRun(BodyMotion):
         standing: Whether the robot stands on the ground. If False, the base is fixed.
         causes: Causes of a failure, if found.
         missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
+        redirected: Joint with the largest displacement among the joints that the ctrl moves away
+            from the initial position (`JointOff.commanded_away`); None if there is none.
+        lifted_leg: Joint with the largest displacement in the legs whose feet are off the ground at
+            the end. None if no such displacement exceeds 0.5 rad or m (``MIN_POSTURE_DEVIATION``).
     """
 
     imported: bool = False
@@ -202,6 +215,8 @@ class OwnRun(BodyMotion):
     standing: bool = True
     causes: tuple[Cause, ...] = ()
     missing: tuple[str, ...] = ()
+    redirected: JointOff | None = None
+    lifted_leg: JointOff | None = None
 
     @property
     def has_left_posture(self) -> bool:
@@ -235,6 +250,17 @@ class OwnRun(BodyMotion):
         return self.standing and not self.diverged and self.lean > MAX_OWN_TILT
 
     @property
+    def has_left_stance(self) -> bool:
+        """True if a standing robot does not fall, but ends in another stance than the initial one.
+
+        Either the CoM has travelled horizontally by more than 30 % of its initial height
+        (``MAX_OWN_TRAVEL_RATIO``), or a leg has moved away from the ground (``lifted_leg``).
+        """
+        if not self.standing or self.diverged:
+            return False
+        return self.away > MAX_OWN_TRAVEL_RATIO * self.height or self.lifted_leg is not None
+
+    @property
     def falls(self) -> bool:
         """True if the robot collapses (``collapses``), or a joint does not stay in place.
 
@@ -247,13 +273,18 @@ class OwnRun(BodyMotion):
         """True if the published file does not stand in this simulation.
 
         - If most joints have no servo and no command (``limp``): False.
-        - With a keyframe: True if the robot ``falls`` or ``is_tilted``. The commands are the ctrl
-          of the keyframe, or zeros if the keyframe has no ctrl.
+        - With a keyframe: True if the robot ``falls``, ``is_tilted`` or ``has_left_stance``. The
+          commands are the ctrl of the keyframe, or zeros if the keyframe has no ctrl.
         - Without a keyframe: True if a joint is not held (``unheld``).
         """
         if self.limp:
             return False
-        return self.falls or self.is_tilted if self.keyframe else self.unheld is not None
+        return not self.keeps_stance if self.keyframe else self.unheld is not None
+
+    @property
+    def keeps_stance(self) -> bool:
+        """True if the robot neither ``falls``, nor ``is_tilted``, nor ``has_left_stance``."""
+        return not (self.falls or self.is_tilted or self.has_left_stance)
 
 
 @dataclass(frozen=True)

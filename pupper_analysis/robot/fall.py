@@ -434,7 +434,7 @@ def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[
     return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 
 
-def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+def find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
     """Return the ids of moving bodies that touch the world.
 
     A body that is fixed to a moving body counts as this moving body.
@@ -453,7 +453,7 @@ def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> boo
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
     carrying = {int(above[body]) for body in moving}
     trunk = {own} | {body for body in moving if above[body] == own and body in carrying}
-    touching = _find_touching_bodies(model, data)
+    touching = find_touching_bodies(model, data)
     return bool(touching & trunk) or (bool(touching) and touching <= carrying)
 
 

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,18 +17,24 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare import own_run as own_run_module
 from pupper_analysis.prepare import published_model
-from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.own_run import _is_ctrl_angles, own_run, settles_in_place
-from pupper_analysis.prepare.published_model import HoldCommands
+from pupper_analysis.prepare.judge import _report_distant_command, judge_stand
+from pupper_analysis.prepare.own_run import (
+    _is_ctrl_angles,
+    _list_lifted_legs,
+    own_run,
+    settles_in_place,
+)
+from pupper_analysis.prepare.published_model import HoldCommands, PublishedModel
 from pupper_analysis.prepare.self_check import name_remaining_cause
 from pupper_analysis.present.verdict import split_verdict_lines, verdict_clauses
-from pupper_analysis.robot.as_published import OwnCommands
+from pupper_analysis.robot.as_published import JointOff, OwnCommands, OwnRun
 from pupper_analysis.robot.fall import BodyMotion
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
 from tests.prepare.test_planted import stands
-from tests.support.legged import edited_by
+from tests.support.legged import biped, edited_by, rewrite_file
 from tests.support.slips import standing
 
 Slip = Callable[[str], str]
@@ -134,6 +141,34 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
     assert own.lean == pytest.approx(tilt, abs=0.02)
     assert own.is_tilted is fails
     assert judge_nominal_stand(robot).passed is not fails
+
+
+@pytest.mark.slow
+def test_a_leg_that_its_ctrl_lifts_from_the_ground_fails(tmp_path: Path) -> None:
+    """The robot stands on three legs, since a weight is behind the fourth. Reference: bare MuJoCo,
+    in which the robot stays upright, and the foot is far above the ground.
+    """
+    pair = standing(tmp_path)
+    place = 'pos="-0.12 -0.06 0" contype="0" conaffinity="0"'
+    weight = f'<freejoint/><geom type="sphere" size="0.03" mass="9" {place}/>'
+    bent = ('ctrl="0 0.6 -1.2 ', 'ctrl="0 0.6 -2.4 ')
+    rewrite_file(pair.mjcf, ("<freejoint/>", weight), bent)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(5 / model.opt.timestep))
+    assert data.body("trunk").xmat[8] > math.cos(math.radians(10))
+    tip = data.body("FL_calf").xpos + data.body("FL_calf").xmat.reshape(3, 3) @ [0, 0, -0.2]
+    assert tip[2] > 0.04
+    run = own_run(pa.load_robot(mjcf=pair.mjcf))
+    assert run is not None
+    assert not run.falls
+    assert not run.is_tilted
+    assert run.lifted_leg is not None
+    assert run.lifted_leg.joint == "FL_knee"
+    assert run.redirected == run.lifted_leg
+    assert run.has_left_stance
+    assert run.fails
 
 
 @pytest.mark.slow
@@ -372,3 +407,63 @@ def test_lever_of_a_motor_is_independent_of_its_ctrlrange(ctrlrange: str) -> Non
     law = published_model._measure_command_law(model, mujoco.MjData(model), 0, [0])
     assert law == pytest.approx((0, 6.0, 0.0))
     assert model.opt.disableflags == flags
+
+
+@pytest.mark.parametrize(
+    ("off", "commanded", "explained"),
+    [
+        (0.4, 0.3, True),
+        (-0.4, -0.3, True),
+        (0.4, -0.3, False),
+        (-0.4, 0.3, False),
+        (0.4, 0.1, False),
+    ],
+)
+def test_a_command_explains_only_displacements_in_its_direction(
+    off: float, commanded: float, explained: bool
+) -> None:
+    assert JointOff("knee", off, Drive.SERVO, commanded).commanded_away is explained
+
+
+@pytest.mark.parametrize(("away", "fails"), [(0.31, True), (0.29, False)])
+def test_travel_of_more_than_a_third_of_the_height_leaves_the_stance(
+    away: float, fails: bool
+) -> None:
+    """The CoM is 1 m high, and remains so. A fixed base and a free fall are other failures."""
+    run = OwnRun(5.0, 1.0, 1.0, 0.0, away, False, keyframe="home")
+    assert not run.falls
+    assert run.has_left_stance is fails
+    assert run.fails is fails
+    assert run.keeps_stance is not fails
+    assert not replace(run, standing=False).has_left_stance
+    assert not replace(run, limp=True).fails
+
+
+def test_the_reported_command_is_not_that_of_the_joint_with_the_largest_displacement() -> None:
+    """A soft ankle gives way by 0.9 rad; the ctrl moves an elbow by 0.7 rad."""
+    ankle = JointOff("ankle", 0.9, Drive.SERVO, 0.0)
+    elbow = JointOff("elbow", -0.7, Drive.SERVO, -0.7)
+    run = OwnRun(5.0, 1.0, 1.0, 0.0, 0.0, False, keyframe="home", worst=ankle, redirected=elbow)
+    (remark,) = _report_distant_command(run)
+    assert remark.values["joint"] == "elbow"
+    assert not _report_distant_command(replace(run, redirected=replace(elbow, off=-0.49)))
+    assert not _report_distant_command(replace(run, redirected=None))
+    assert not _report_distant_command(replace(run, commands=OwnCommands.ABSENT))
+
+
+@pytest.mark.parametrize(("lift", "lifted"), [(0.0, False), (0.05, True)])
+def test_a_leg_with_a_flat_sole_is_lifted_if_no_part_of_it_touches(
+    tmp_path: Path, lift: float, lifted: bool
+) -> None:
+    """A sole has four contact points, which are no names of feet. The base is moved upward."""
+    robot = pa.load_robot(mjcf=biped(tmp_path).mjcf)
+    assert not set(robot.feet) & set(robot.contacts)
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.home)
+    data.qpos[2] += lift - 1e-4  # the soles press on the ground
+    published = PublishedModel.from_model(robot.mj_model, robot)
+    knee = JointOff("left_pitch", 0.9, Drive.SERVO)
+    still = JointOff("right_pitch", 0.4, Drive.SERVO)
+    assert {"left_pitch", "right_pitch"} <= set(robot.joint_names)
+    found = _list_lifted_legs(published, robot, [knee, still], data)
+    assert found == ([knee] if lifted else [])
