@@ -30,8 +30,9 @@ from pupper_analysis.tools.audit.audit import (
 )
 from pupper_analysis.tools.audit.registry import CHECKS, compute_hull_distance
 from pupper_analysis.tools.audit.rules.joints import infer_axis_from_name
-from tests.support.legged import fuse_trunk, quadruped
+from tests.support.legged import fuse_trunk, quadruped, rewrite_file
 from tests.support.repository import ROOT
+from tests.support.slips import standing
 
 OWN = {
     "urdf": ROOT / "urdf/pupper_skeleton.urdf",
@@ -1239,8 +1240,23 @@ def test_fall_from_a_keyframe_states_the_height_of_the_centre_of_mass(tmp_path: 
     start = finding.diagnostic.values["start"]
     assert isinstance(start, Quantity)
     assert start.value == pytest.approx(0.1, abs=1e-3)
-    assert "its centre of mass is" in finding.message
+    assert "has fallen or moved away: CoM height 0.1 m" in finding.message
     assert "质心" in finding.diagnostic.text("zh")
+
+
+def test_a_keyframe_from_which_a_weld_lifts_the_robot_is_no_fall(tmp_path: Path) -> None:
+    """By hand: the weld holds the base at 0.65 m, and the CoM is 46 mm below the base."""
+    pair = standing(tmp_path)
+    weld = '<equality><weld body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
+    rewrite_file(pair.mjcf, ("</mujoco>", f"{weld}</mujoco>"))
+    (finding,) = find_findings(audit_model(pair.mjcf), "keyframe-falls")
+    end = finding.diagnostic.values["end"]
+    assert isinstance(end, Quantity)
+    assert end.value == pytest.approx(0.65 - 0.046, abs=0.01)
+    for language, lifted, fallen in (("en", "is lifted", "fallen"), ("zh", "被提起", "倒下")):
+        text = finding.diagnostic.text(language)
+        assert lifted in text
+        assert fallen not in text
 
 
 def test_parallel_axes_beside_mirrored_axes_are_not_reported_as_opposite(tmp_path: Path) -> None:

@@ -371,7 +371,7 @@ def _compute_heights(
 
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find a keyframe from which the robot falls or moves away, or MuJoCo's simulation diverges.
+    """Find a keyframe from which the robot falls, rises or moves away, or the simulation diverges.
 
     `simulate_keyframe` simulates the keyframe ``home``, or the first keyframe if ``home`` is
     missing, with and without a small velocity disturbance at the start. The actuators receive the
@@ -404,6 +404,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     elif motion.collapses:
         message = diagnose(
             "keyframe-falls",
+            lifted=motion.is_lifted,
             time=Quantity(motion.duration, "s"),
             end=_round_quantity(motion.end_height, "m"),
             start=_round_quantity(motion.height, "m"),
