@@ -77,6 +77,11 @@ def test_remote_access_requires_the_token() -> None:
             == "token-missing"
         )
     assert access.find_refusal("/assets/index.js", headers) is None  # a public file of viser
+    for name in ("websocket", "WebSocket"):  # RFC 6455, 4.2.1: compared without regard to case
+        upgrade = headers | {"Upgrade": name}
+        assert get_code(access.find_refusal("/assets/index.js", upgrade)) == "token-missing"
+    flags = {part.strip().lower() for part in access.cookie_header.split(";")}
+    assert {"httponly", "samesite=strict", "path=/"} <= flags
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
     assert get_code(access.find_refusal(f"/?token={access.token}", evil)) == "another-page-asks"
 
