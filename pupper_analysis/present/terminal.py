@@ -35,10 +35,11 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
-MAX_ANSWER_WIDTH = 104
-"""Maximum width [characters] of the line of joined messages in a short answer. The first message is
-always printed. If a message exceeds the width, this message and all later messages are only
-counted. Chosen, not tuned.
+MAX_ANSWER_WIDTH = 100
+"""Maximum width [characters] of the line of joined messages in a short answer. If the first message
+exceeds the width, the message ends at a clause, with "…". If a later message exceeds the width,
+this message and all messages after it are only counted. Chosen: the width that a reader of terminals
+and documentation pages sees without wrapping.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -247,21 +248,40 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 def _join_short_messages(messages: Sequence[Words]) -> Text:
     """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
 
-    The first message is always contained. If a message does not fit, this message and all later
-    messages are only counted.
+    The first message is always contained, if necessary only up to the end of a clause. If another
+    message does not fit, this message and all later messages are only counted.
     """
     line, left = Text(), len(messages)
     for message in messages:
         part = _style_words(message, short=True)
         more = f"; {left - 1} more with -v" if left > 1 else ""
-        if line.plain and cell_len(line.plain) + cell_len(part.plain) + 2 + len(more) > (
-            MAX_ANSWER_WIDTH
-        ):
+        room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - len(more)
+        if line.plain and cell_len(part.plain) > room:
             line.append(f"; {left} more with -v", "dim")
             break
-        line.append("; " if line.plain else "  ").append_text(part)
+        line.append("; " if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1
     return line
+
+
+_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
+"""Place at which a message may end: a comma, semicolon or colon before a space, or a bracket."""
+
+
+def _end_at_clause(message: Text, room: int) -> Text:
+    """Cut a message that is wider than ``room`` characters at the last clause that fits; add "…".
+
+    The message is returned as is if it fits, or if not even the first clause fits.
+    """
+    if cell_len(message.plain) <= room:
+        return message
+    starts = [message.plain[: match.start()] for match in _CLAUSE_END_PATTERN.finditer(message.plain)]
+    fitting = [
+        start
+        for start in starts
+        if cell_len(start) + 2 <= room and start.count("(") == start.count(")")
+    ]
+    return message[: len(fitting[-1])].append(" …") if fitting else message
 
 
 def print_table(out: Console, table: Table) -> None:

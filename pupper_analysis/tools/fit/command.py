@@ -15,7 +15,6 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
-from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
     VARIANT_OPTIONS,
@@ -269,22 +268,23 @@ def command(
             )
     if style == "text":
         print_robot_notes(robot, everything=everything)
-    shared.show_results(
-        [(robot.name, result)],
-        style,
-        robots=[robot],
-        everything=everything,
-        next_step=_select_next_step(result, output),
-    )
+    step, written = _select_next_step(result, output), ([], ())
+    try:
+        if output is not None and isinstance(result, Fit):
+            written = _write_models(robot, selection, result, output, anyway=anyway)
+            if models := written[1]:
+                step = NextStep(
+                    "stand" if robot.floating else "hold", models, robot_typed=False
+                )
+    finally:  # the result is shown even if the files cannot be written
+        shared.show_results(
+            [(robot.name, result)], style, robots=[robot], everything=everything, next_step=step
+        )
+    for message in written[0]:
+        click.echo(message, err=True)
     shared.write_page(report_path, result, [robot])
-    if output is not None and mode == "--plan":
+    if output is not None and (mode == "--plan" or written[1]):
         shared.confirm_written(output)
-    elif output is not None and isinstance(result, Fit):
-        models = _write_models(robot, selection, result, output, anyway=anyway)
-        if models and style == "text":
-            print_next_step(
-                NextStep("stand" if robot.floating else "hold", models, robot_typed=False)
-            )
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 
@@ -354,7 +354,7 @@ def _select_next_step(
 
     For example, a plan is followed by a recording of the planned stands, and a complete recording
     by a fit. The result is None after an explained fit with an output folder. In this case
-    `command` suggests a command with the written files.
+    `command` proposes a command with the written files.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -432,21 +432,23 @@ def _write_models(
     folder: Path,
     *,
     anyway: bool,
-) -> tuple[str, ...]:
-    """Write a fit of the selected robot ``selection`` to a folder, and return the model paths.
+) -> tuple[list[str], tuple[str, ...]]:
+    """Write a fit of the selected robot ``selection`` to a folder.
 
     A fit that does not explain the measurements is written only if ``anyway`` is True, with
-    inflated intervals. Otherwise nothing is written, and the result is empty.
+    inflated intervals.
+
+    Returns:
+        Notes on the written or refused files; paths of the models, empty if nothing was written.
     """
     from pupper_analysis.tools.fit.write import write_fit
 
-    posterior = found.posterior
+    posterior, messages = found.posterior, list[str]()
     if not found.explained and anyway:
         posterior = replace(posterior, covariance=found.noise_inflation**2 * posterior.covariance)
-        click.echo(f"note: {diagnose('fit-written-anyway', times=found.noise_inflation)}", err=True)
+        messages.append(f"note: {diagnose('fit-written-anyway', times=found.noise_inflation)}")
     elif not found.explained:
-        click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
-        return ()
+        return [str(diagnose("fit-not-written", folder=str(folder)))], ()
     with TemporaryDirectory() as temporary:
         files = None
         if not isinstance(selection, RobotFiles):  # a variant may have no files of its own
@@ -458,7 +460,6 @@ def _write_models(
     for note in reversed(first_notes.values()):
         num_similar = sum(similar.code == note.code for similar in written.diagnostics) - 1
         more = f" (and {num_similar} more of this kind)" if num_similar else ""
-        click.echo(f"note: {note}{more}", err=True)
-    shared.confirm_written(folder)
-    models = written.models
-    return tuple(str(folder / path) for path in (models.urdf, models.mjcf) if path is not None)
+        messages.append(f"note: {note}{more}")
+    models = (written.models.urdf, written.models.mjcf)
+    return messages, tuple(str(folder / path) for path in models if path is not None)

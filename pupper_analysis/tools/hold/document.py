@@ -76,6 +76,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             force_plot(hold.force),
         ),
         (_describe_worst_posture(hold), *_describe_loads(hold), *_list_warnings(hold)),
+        limit=_describe_worst_payload(hold),
         leading=map(doc.diagnostic_text, hold.weak_motors[:1]),
         details=(*_list_findings(hold),),
         word=_select_verdict_word(hold),
@@ -132,23 +133,32 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
-    """Return the text of the most utilised motor over all postures found, and of the payload limit.
+    """Return the text of the most utilised motor over all postures found.
 
-    If no utilisation is known, the text states the largest torque of a motor instead. If effort
-    limits are unknown, a word replaces the payload.
+    If no utilisation is known, the text states the largest torque of a motor instead.
     """
     worst = hold.worst
     known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)
     torques = np.abs(worst.joint_torques)
     index = int(np.argmax(np.where(known, worst.utilisation, -1.0) if known.any() else torques))
     share = float(worst.utilisation[index]) if known.any() else math.nan
-    payload = hold.payload.worst_posture_mass
     return text(
         "worst-posture-in-short",
         torque=format_number(float(torques[index]), ".3g"),
         unit=hold.statics.torque_units[index],
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
         joint=doc.Name(worst.joint_names[index]),
+    )
+
+
+def _describe_worst_payload(hold: Hold) -> doc.Words:
+    """Return the text of the payload limit over all postures found.
+
+    If effort limits are unknown, a word replaces the payload.
+    """
+    payload = hold.payload.worst_posture_mass
+    return text(
+        "worst-posture-payload",
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
         loaded=hold.carried > 0,

@@ -145,13 +145,27 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure that limits the payload.
+    """Return the text of the failure that limits the payload, and of the next larger bound.
 
-    None if the limit is unknown: torque limits are unknown, and the upper bound is above 0 kg.
+    The next bound is left out if it is infinite or belongs to the same failure. None if the limit
+    is unknown: torque limits are unknown, and the upper bound is above 0 kg.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
-    return text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
+    following = next(
+        (
+            bound
+            for bound in limit.bounds.values()
+            if limit.mass < bound.mass < math.inf and bound.failure is not limit.failure
+        ),
+        None,
+    )
+    return text(
+        "payload-limited",
+        failure=_describe_failure(limit.failure, limit.failing_parts),
+        next="" if following is None else mass_text(following.mass),
+        cause="" if following is None else word(following.failure.value),
+    )
 
 
 def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:

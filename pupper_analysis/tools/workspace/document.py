@@ -67,6 +67,12 @@ def _list_names(limit: Diagnostic) -> tuple[str, ...]:
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
 
+def _format_rounded_range(low: float, high: float) -> str:
+    """Return a range of whole mm or degrees for the short answer: ``-40 to 44``, or ``±40``."""
+    first, last = f"{low:z.0f}", f"{high:z.0f}"
+    return f"±{last}" if first == f"-{last}" else f"{first} to {last}"
+
+
 @build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
     """Create the report of a base workspace: reachable range of each direction [mm, deg].
@@ -89,12 +95,15 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         rows.append((text(direction), low, high, doc.Name(unit), *limits))
         following = directions[number + 1 : number + 2]
         is_last = not following or (following[0] in _ANGLE_DIRECTIONS) != angle
-        ends = {"low": low.text, "high": high.text, "unit": unit, "last": is_last}
+        values: dict[str, object] = {
+            **{"low": low.text, "high": high.text, "unit": unit, "last": is_last},
+            "ends": _format_rounded_range(scale * interval.low, scale * interval.high),
+        }
         mirrored = high.text.startswith("+") and low.text == high.text.replace("+", "-")
         key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
         if mirrored:
-            ends["high"] = high.text.removeprefix("+")
-        ranges.append(text(key, direction=text(direction), **ends))
+            values["high"] = high.text.removeprefix("+")
+        ranges.append(text(key, direction=text(direction), **values))
     table = doc.Table(
         text("how-far-the-base"),
         (
