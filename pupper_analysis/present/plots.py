@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.present.document import Plot
+from pupper_analysis.present.document import Document, Name, Plot, get_english
 from pupper_analysis.present.documents.registry import load_builder, make_document
 from pupper_analysis.robot.robot import Robot
 
@@ -61,7 +61,23 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     if not plots:
         kind = type(result).__name__
         raise ConfigurationError("plot", diagnose("result-without-plot", kind=kind))
-    return tuple(make_plots_figure(plots, create=create_figure).axes)
+    figure = make_plots_figure(
+        plots,
+        title=make_figure_title(document),
+        names=[get_english(plot.title) for plot in plots],
+        max_columns=1,  # half as wide, the words are illegible on a screen
+        create=create_figure,
+    )
+    return tuple(figure.axes)
+
+
+def make_figure_title(document: Document) -> Name:
+    """Return the title of a result's figure: verdict, name of the robot or files, kind of result.
+
+    For example: ``HOLDS v3: Stance``.
+    """
+    verdict = "" if document.verdict is None else f"{get_english(document.verdict)} "
+    return Name(f"{verdict}{get_english(document.title)}: {get_english(document.kind)}")
 
 
 def make_axes(title: str, height: float) -> Axes:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.document import Name, get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.plots import create_figure, draw_result, make_axes
 from pupper_analysis.robot.robot import Robot
@@ -73,7 +74,12 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
     from pupper_analysis.present.figures.drawing import make_plots_figure
 
     height = run.base_height + run.height_loss
-    return tuple(make_plots_figure([height_plot([run], height)], create=create_figure).axes)
+    robot = None if run.stand is None else run.stand.own_robot
+    plot = height_plot([run], height)
+    verdict = "HOLDS" if run.passed else "FAILS"
+    name = f"{verdict} {robot.name}" if robot is not None else verdict
+    title = Name(f"{name}: {get_english(plot.title)}")
+    return tuple(make_plots_figure([plot], title=title, create=create_figure).axes)
 
 
 @draw_result.register(Equilibrium)
@@ -83,9 +89,11 @@ def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes
     If the torque limit of a motor is known, the utilisation of the motor is beside the bar. The
     label of the x axis states whether all limits, some limits or no limits are known.
     """
+    from pupper_analysis.present.figures.drawing import BLUE_COLOUR
+
     axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
     torques = statics.joint_torques.tolist()
-    bars = axes.barh(statics.joint_names, torques, color="tab:blue")
+    bars = axes.barh(statics.joint_names, torques, color=BLUE_COLOUR)
     shares = statics.motor_utilisation.tolist()
     labels = ["" if math.isnan(share) else f"{100 * share:.0f} %" for share in shares]
     axes.bar_label(bars, labels, padding=3)

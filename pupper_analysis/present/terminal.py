@@ -275,7 +275,9 @@ def _end_at_clause(message: Text, room: int) -> Text:
     """
     if cell_len(message.plain) <= room:
         return message
-    starts = [message.plain[: match.start()] for match in _CLAUSE_END_PATTERN.finditer(message.plain)]
+    starts = [
+        message.plain[: match.start()] for match in _CLAUSE_END_PATTERN.finditer(message.plain)
+    ]
     fitting = [
         start
         for start in starts

@@ -122,19 +122,21 @@ def make_plots_figure(
     *,
     title: Words | None = None,
     names: Sequence[str] = (),
+    max_columns: int = _NUM_COLUMNS,
     create: Callable[..., Figure] = Figure,
 ) -> Figure:
-    """Draw plots in a figure with a panel per plot, at most two panels in a row.
+    """Draw plots in a figure with a panel per plot.
 
     Args:
         plots: Plots, at least one.
         title: Title of the figure. Default: the title of the first plot.
         names: Title of each panel. Default: the titles of the plots, if there are several.
+        max_columns: Largest number of panels in a row.
         create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
             or ``pyplot.figure``.
     """
     drawings = [draw_svg(plot) for plot in plots]
-    columns = min(len(plots), _NUM_COLUMNS)
+    columns = min(len(plots), max_columns)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
     heights = [max(drawing.height / drawing.width for drawing in row) for row in rows]
     across, several = PAGE_WIDTH / columns, bool(names or len(plots) > 1)
@@ -234,6 +236,9 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
     If the drawing has a note, the note is the last entry, with an empty class.
     """
     entries = {get_english(words): kind for words, kind in drawing.legend}
+    words = {get_english(mark["words"]) for mark in drawing.marks if mark["tag"] == "text"}
+    if len(entries) == 1 and words.issuperset(entries):
+        entries = {}  # the only entry repeats the name of an axis
     return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 

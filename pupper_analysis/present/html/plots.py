@@ -99,14 +99,23 @@ def format_axis_value(axis: Axis, value: float) -> str:
     return f"{number_cell(value, axis.form).text} {axis.unit}"
 
 
-def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
+_MIN_SPAN_OF_ANGLES = 60.0
+"""Smallest range of an axis [deg] with ticks at multiples of 15, 30, 45 or 90 deg. Chosen, not
+tuned."""
+
+
+def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = False) -> list[float]:
     """Choose about ``count`` round tick values of an axis from ``low`` to ``high``, ascending.
 
-    The values are multiples of 1, 2 or 5 times a power of 10.
+    The values are multiples of 1, 2 or 5 times a power of 10. If ``degrees`` is True and the range
+    is large, the values are multiples of 15, 30, 45 or 90.
     """
     span = max(high - low, 1e-12)
     power = 10.0 ** math.floor(math.log10(span / count))
-    step = next(size * power for size in (1, 2, 5, 10) if size * power * count >= span)
+    steps = (size * power for size in (1, 2, 5, 10))
+    if degrees and span > _MIN_SPAN_OF_ANGLES:
+        steps = (float(size) for size in (15, 30, 45, 90))
+    step = next((size for size in steps if size * count >= span), 90.0)
     first = math.ceil(low / step - 1e-9)
     return [round(index * step, 12) for index in range(first, math.floor(high / step + 1e-9) + 1)]
 
@@ -139,7 +148,7 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
         return np.column_stack([across, up])
 
     columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
-              for v in round_ticks(left, right, 6)}  # fmt: skip
+              for v in round_ticks(left, right, 6, degrees=x.unit in ("°", "deg"))}  # fmt: skip
     rows = {v: place(np.array([[points[0, 0], v]]))[0, 1]
           for v in round_ticks(low, high, 6)}  # fmt: skip
     marks = [

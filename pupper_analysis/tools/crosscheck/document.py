@@ -24,10 +24,10 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import get_english, join_words, text, word
-from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
-from pupper_analysis.present.plots import draw_result, make_axes
+from pupper_analysis.present.plots import draw_result, make_axes, make_figure_title
 from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
@@ -409,6 +409,8 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 
     The deviations are on a logarithmic axis, with the tolerance; zeros are left out.
     """
+    from pupper_analysis.present.figures.drawing import SERIES_COLOURS
+
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [
@@ -417,17 +419,21 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
         if any(quantity.edge_deviations.get(side) for quantity in check.quantities)
     ]
     names = [get_english(word(quantity.name)) for quantity in check.quantities]
-    axes = make_axes(get_english(text("cross-check")), 0.16 * len(names) + 1.2)
-    for side, marker in zip(sides, itertools.cycle("osv^Dx")):
+    title = get_english(make_figure_title(make_document(comparison)))
+    axes = make_axes(title, 0.16 * len(names) + 1.6)
+    styles = zip(itertools.cycle("osv^Dx"), itertools.cycle(SERIES_COLOURS))
+    for side, (marker, colour) in zip(sides, styles):
         deviations = [
             quantity.edge_deviations.get(side) or math.nan for quantity in check.quantities
         ]
-        axes.plot(deviations, names, marker, label=get_english(word(side)), alpha=0.8)
+        label = get_english(word(side))
+        axes.plot(deviations, names, marker, color=colour, label=label, alpha=0.8)
     tolerance = f"tolerance {check.tolerance:g}"
     axes.axvline(check.tolerance, color="black", ls="--", lw=1, label=tolerance)
     axes.set(xscale="log", xlabel="largest relative deviation (1); zeros are left out")
     axes.invert_yaxis()
-    axes.legend(fontsize="small")
+    handles, labels = axes.get_legend_handles_labels()
+    axes.figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
     return (axes,)
 
 

@@ -273,9 +273,7 @@ def command(
         if output is not None and isinstance(result, Fit):
             written = _write_models(robot, selection, result, output, anyway=anyway)
             if models := written[1]:
-                step = NextStep(
-                    "stand" if robot.floating else "hold", models, robot_typed=False
-                )
+                step = NextStep("stand" if robot.floating else "hold", models, robot_typed=False)
     finally:  # the result is shown even if the files cannot be written
         shared.show_results(
             [(robot.name, result)], style, robots=[robot], everything=everything, next_step=step

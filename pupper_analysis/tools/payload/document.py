@@ -7,7 +7,7 @@ masses in kg and positions in mm.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +49,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
     return judged_document(
         text("payload-title"),
         limit,
-        (view_block(robot, limit.stand, None), payload_table(limit)),
+        (view_block(robot, limit.stand, None), payload_table(limit), *_make_bound_plots(limit)),
         (payload_text(limit),),
         limit=_describe_limiting_failure(limit),
         leading=map(doc.diagnostic_text, limit.weak_motors[:1]),
@@ -216,6 +216,18 @@ def payload_table(limit: PayloadLimit) -> doc.Table:
         tuple(rows),
         tuple(notes),
     )
+
+
+def _make_bound_plots(limit: PayloadLimit) -> Iterator[doc.BarPlot]:
+    """Yield the bar plot of the finite bounds of the payload [kg], if there is such a bound."""
+    bars = [
+        doc.PlotBar(text(_BOUND_KEYS[name]), bound.mass)
+        for name, bound in limit.bounds.items()
+        if math.isfinite(bound.mass)
+    ]
+    if bars:
+        axis = doc.Axis(text("payload"), "kg", ".2f")
+        yield doc.BarPlot(text("what-bounds-the-payload"), axis, bars, (axis.name, None, None))
 
 
 _BOUND_KEYS = {

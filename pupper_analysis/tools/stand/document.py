@@ -335,7 +335,7 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
         added=bool(stance.verdict.servos.made),
         over=over,
-        within=bounded and not over,
+        needed="" if least is None or over else f"{_round_bound(least * kp):g}",
         step=f"{1e3 * servos.timestep:.3g}",
         implicit=servos.integrator if implicit else "",
     )

@@ -58,7 +58,8 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
         )
         for key in sorted(limits, key=lambda key: -len(directions[key]))
     ]
-    return join_words(parts, "semicolon")
+    shorts = dict.fromkeys(part.short for part in parts)  # several pairs of links have one name
+    return replace(join_words(parts, "semicolon"), short=", ".join(shorts))
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:

@@ -24,8 +24,8 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         word = out.partition(" v3:")[0].replace(" only with gravity compensation", "")
         found[option] = word, json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
-    assert found["--continuous"][0] == "CARRIES (permanently)"
-    assert found["--effort"][0] == "CARRIES (short-term, peak torque)"
+    assert found["--continuous"][0] == "CARRIES (continuous torque)"
+    assert found["--effort"][0] == "CARRIES (peak torque)"
 
 
 @pytest.mark.slow

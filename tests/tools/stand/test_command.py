@@ -14,6 +14,7 @@ from pupper_analysis import StandTask, Weld, load_variant, solve_stand
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, prepare_robot
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.pupper import VariantSpec
 from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance
@@ -266,11 +267,11 @@ def test_base_of_a_robot_on_a_welded_foot_is_not_reported_as_bolted(
 def test_the_second_line_states_the_gains_with_their_bounds(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """Reference: least kp 2.44 (bare MuJoCo: 2.25 to 2.38), largest kd 2.6 (2.7 to 3.0)."""
+    """Reference: least kp 2.44 (bare MuJoCo: 2.25 to 2.38)."""
     status, out, err = run_command(capfd, "stand", "v3")
     assert status == 0, err
-    assert "kp 5 (needs 2.4), kd 0.1 (at most 2.6)" in out.splitlines()[1]
-    assert max(map(len, out.splitlines())) <= 106
+    assert "kp 5 N m/rad (min 2.4); sag" in out.splitlines()[1]
+    assert max(map(len, out.splitlines())) <= MAX_ANSWER_WIDTH
 
 
 @pytest.mark.slow
@@ -280,7 +281,7 @@ def test_servos_below_the_least_stiffness_get_one_that_stands(
     """Reference: the command with the stated kp stands without gravity compensation."""
     ended, out, _ = run_command(capfd, "stand", "v3", "--kp", "2.3")
     assert (ended, out.startswith("HOLDS only with gravity compensation v3: ")) == (0, True)
-    stated = "kp 2.3 too soft without compensation: stands with "
+    stated = "kp 2.3 N m/rad too low without gravity compensation: stands with "
     assert stated in out.splitlines()[1]
     number = out.partition(stated)[2].partition(";")[0]
     ended, out, _ = run_command(capfd, "stand", "v3", "--kp", number)
@@ -294,7 +295,7 @@ def test_next_command_of_soft_servos_keeps_the_typed_gains(
     """The gains of some joints are doubled, the others keep the typed kp; the command stands."""
     ended, out, _ = run_command(capfd, "stand", "v3", "--kp", "1")
     assert (ended, out.startswith("FAILS v3: ")) == (1, True)
-    assert "leg_*_1 too soft (kp 1): stands with 2 times these gains" in out.splitlines()[1]
+    assert "leg_*_1 too soft (kp 1 N m/rad): stands with 2 times these gains" in out.splitlines()[1]
     words = shlex.split(out.splitlines()[2].partition("next: ")[2])
     assert words[1:] == [
         *("stand", "v3", "--kp", "1", "--kp", "leg_*_1=2", "--kd", "leg_*_1=0.2"),
