@@ -477,16 +477,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
 
     units, cache = read_units(file.stage), UsdGeom.XformCache()
     prims = {name: file.stage.GetPrimAtPath(path) for name, path in file.bodies.items()}
-    placements = {
-        name: split_transform(file, prim, compute_world_matrix(file, prim, cache), units)
-        for name, prim in prims.items()
-    }
-    for name, placement in placements.items():
-        if np.ptp(placement.scale) > 1e-4 * placement.scale.max():
-            message = diagnose(
-                "usd-body-scaled-unevenly", scale=Vector(tuple(placement.scale), "1")
-            )
-            raise make_file_error(file.place("body", name), message)
+    placements = _read_placements(file, prims, units, cache)
     edges = {edge.name: edge for edge in _read_edges(file, placements, units, cache)}
     forest = _JointForest(list(prims), edges, _find_articulation_roots(file))
     base = forest.base
@@ -501,22 +492,11 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     links = {}
     for name in forest.order:
         parent_edge = parents.get(name)
-        parent = parent_edge[0] if parent_edge is not None else None
-        world_edge = forest.find_world_edge(name)
-        joints: tuple[Joint, ...] = ()
-        if parent_edge is not None:
-            joints = (
-                _make_joint(parent_edge[1], parent_edge[0], name, to_base * poses[parent_edge[0]]),
-            )
-        elif world_edge is None:
-            joints = (_make_free_joint(name, to_base * poses[name]),)
-        elif world_edge.kind != FIXED_JOINT:
-            joints = (_make_joint(world_edge, "", name, to_base),)
         links[name] = Link(
             name,
-            parent,
+            None if parent_edge is None else parent_edge[0],
             to_base * poses[name],
-            joints,
+            _make_link_joints(name, parent_edge, forest.find_world_edge(name), poses, to_base),
             weights[name].inertial,
             (),
         )
@@ -534,6 +514,59 @@ def read_usd_model(file: UsdFile) -> UsdModel:
         Pose(units.up @ poses[base].position, units.up @ poses[base].rotation),
         _read_gravity(file, units),
     )
+
+
+def _read_placements(
+    file: UsdFile, prims: Mapping[str, Any], units: StageUnits, cache: Any
+) -> dict[str, PrimPlacement]:
+    """Return {body: pose and scale of the body in the world} for the prims of a stage.
+
+    Args:
+        file: USD file.
+        prims: {body: prim}.
+        units: Units of the stage.
+        cache: USD's cache of transforms.
+
+    Raises:
+        ModelError: If a body is scaled unevenly, or its transform is not valid.
+    """
+    placements = {
+        name: split_transform(file, prim, compute_world_matrix(file, prim, cache), units)
+        for name, prim in prims.items()
+    }
+    for name, placement in placements.items():
+        if np.ptp(placement.scale) > 1e-4 * placement.scale.max():
+            message = diagnose(
+                "usd-body-scaled-unevenly", scale=Vector(tuple(placement.scale), "1")
+            )
+            raise make_file_error(file.place("body", name), message)
+    return placements
+
+
+def _make_link_joints(
+    name: str,
+    parent_edge: tuple[str, Edge] | None,
+    world_edge: Edge | None,
+    poses: Mapping[str, Pose],
+    to_base: Pose,
+) -> tuple[Joint, ...]:
+    """Create the joint that moves a link; no joint if the link is fixed in the world.
+
+    Args:
+        name: Link.
+        parent_edge: Parent link, and the joint to this link; None for a link without parent.
+        world_edge: Joint between link and world; None if there is no such joint.
+        poses: {link: pose in the axes of the stage [m], at zero joint positions}.
+        to_base: Transform from the axes of the stage to the base.
+    """
+    if parent_edge is not None:
+        parent, edge = parent_edge
+        return (_make_joint(edge, parent, name, to_base * poses[parent]),)
+    if world_edge is None:
+        return (_make_free_joint(name, to_base * poses[name]),)
+    if world_edge.kind != FIXED_JOINT:
+        return (_make_joint(world_edge, "", name, to_base),)
+    return ()
 
 
 def _read_edges(
