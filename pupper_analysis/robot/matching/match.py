@@ -17,6 +17,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -334,19 +335,11 @@ def match_models(
             the MJCF has closed loops, or couplings with these joints.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
-    root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
-    urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
-    naming_notes = name_elements(spec, urdf_joint_names)
-    joined = join_free_base(spec, stated=urdf_joint_names)
-    scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
-    scene_notes = drop_other_objects(spec, mjcf.path, root)
-    mjcf_joints, balls, ball_notes = delete_ball_joints(spec, mjcf.path)
-    tree = mjcf_tree(spec, mjcf.path)
-    root, root_notes = strip_roots(root, urdf.path, tree)
-    urdf_joints, other_urdf_joints, fixed_notes = fix_other_joints(root)
-    notes = [*urdf.notes, *mjcf.notes, *naming_notes, *([joined] if joined else [])]
-    notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
+    trees = _prepare_trees(urdf, mjcf, with_shapes=complete)
+    root, spec, tree = trees.root, trees.spec, trees.mjcf_tree
+    notes = [*urdf.notes, *mjcf.notes, *trees.notes]
     requested = dict(names or {})
+    urdf_joints, mjcf_joints = trees.urdf_joints, trees.mjcf_joints
     _check_mapping(requested, (urdf_joints, root, urdf.path), (mjcf_joints, spec, mjcf.path))
     matched = match_joints(
         root, tree, (urdf.path, mjcf.path), (urdf_joints, mjcf_joints), requested
@@ -354,9 +347,7 @@ def match_models(
     pairs, notes = matched.pairs, [*notes, *matched.notes]
     if is_fused(spec, pairs.values()):
         notes += remove_base_mass(root, urdf.path)
-    only_urdf = (*other_urdf_joints, *(name for name in urdf_joints if name not in pairs))
-    partners = set(pairs.values())
-    only_mjcf = (*balls, *(name for name in mjcf_joints if name not in partners))
+    only_urdf, only_mjcf = trees.list_unmatched_joints(pairs)
     for key in list(spec.keys):
         spec.delete(key)  # the number of coordinates may have changed
     if complete:
@@ -366,8 +357,7 @@ def match_models(
     mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
     # The weight of the parts affects a stand, so a complete robot keeps the parts.
     parts = [] if complete else remove_parts(sides, paths, removals, pairs)
-    own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # a copy is slow
-    models = scene_model, scene_model if joined else own_model
+    models = trees.scene_model, _choose_values_model(mjcf, trees)
     notes += copy_unknown_values(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else copy_unstated_values(root, tree.joints, urdf.unknown, pairs)
     frames = common_frames(root, spec, requested)
@@ -396,7 +386,7 @@ def match_models(
         notes=(*notes, *base_notes),
         reference=Reference(
             robot.mj_model if only_mjcf else models[1],
-            robot.mj_model if only_mjcf else scene_model,
+            robot.mj_model if only_mjcf else trees.scene_model,
             robot.joint_names,
             robot.mj_base,
         ),
@@ -405,6 +395,95 @@ def match_models(
         parts=tuple(parts),
         unstated=unstated,
     )
+
+
+class _PreparedTrees(NamedTuple):
+    """Trees of both files with only the robot's links and joints, before the joints are matched.
+
+    Attributes:
+        root: Root element of the URDF (a copy), without joints other than hinges and slides.
+        spec: Spec of the MJCF (a copy), without other objects and ball joints.
+        mjcf_tree: Joints and links of ``spec``.
+        scene_model: Compiled MJCF, with the objects and joints that ``spec`` lacks.
+        is_base_joined: Whether free joints and slides of the base were joined in ``spec``.
+        urdf_joints: Hinges and slides of the URDF.
+        mjcf_joints: Hinges and slides of the MJCF.
+        fixed_urdf_joints: Joints of the URDF that were fixed.
+        deleted_balls: Ball joints of the MJCF that were deleted.
+        notes: Notes about the changes.
+    """
+
+    root: etree._Element
+    spec: mujoco.MjSpec
+    mjcf_tree: multibody.MultibodyTree
+    scene_model: mujoco.MjModel
+    is_base_joined: bool
+    urdf_joints: list[str]
+    mjcf_joints: list[str]
+    fixed_urdf_joints: list[str]
+    deleted_balls: list[str]
+    notes: list[Diagnostic]
+
+    def list_unmatched_joints(
+        self, pairs: Mapping[str, str]
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the joints that only the URDF contains, and those that only the MJCF contains.
+
+        Args:
+            pairs: {joint in the URDF: joint in the MJCF}.
+        """
+        partners = set(pairs.values())
+        return (
+            (*self.fixed_urdf_joints, *(name for name in self.urdf_joints if name not in pairs)),
+            (*self.deleted_balls, *(name for name in self.mjcf_joints if name not in partners)),
+        )
+
+
+def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _PreparedTrees:
+    """Copy both files, and keep only the links, hinges and slides of the robot.
+
+    Args:
+        urdf: The URDF.
+        mjcf: The MJCF.
+        with_shapes: True to keep the shapes of the URDF.
+
+    Raises:
+        ModelError: If a file cannot be analysed.
+    """
+    root = copy.deepcopy(urdf.root) if with_shapes else without_shapes(urdf.root)
+    urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
+    naming_notes = name_elements(spec, urdf_joint_names)
+    joined = join_free_base(spec, stated=urdf_joint_names)
+    scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
+    scene_notes = drop_other_objects(spec, mjcf.path, root)
+    mjcf_joints, balls, ball_notes = delete_ball_joints(spec, mjcf.path)
+    tree = mjcf_tree(spec, mjcf.path)
+    root, root_notes = strip_roots(root, urdf.path, tree)
+    urdf_joints, other_urdf_joints, fixed_notes = fix_other_joints(root)
+    notes = [*naming_notes, *([joined] if joined else [])]
+    notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
+    return _PreparedTrees(
+        root,
+        spec,
+        tree,
+        scene_model,
+        bool(joined),
+        urdf_joints,
+        mjcf_joints,
+        other_urdf_joints,
+        balls,
+        notes,
+    )
+
+
+def _choose_values_model(mjcf: MjcfFile, trees: _PreparedTrees) -> mujoco.MjModel:
+    """Return the model with the MJCF's values: of the scene if the base was joined, else a copy.
+
+    `copy_unknown_values` changes the model, so the model of the file itself is copied.
+    """
+    if trees.is_base_joined:
+        return trees.scene_model
+    return copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # a copy is slow
 
 
 def _check_foot_frames(
