@@ -373,7 +373,7 @@ def make_xacro_request(
 
 
 def is_xacro(path: Path) -> bool:
-    """Return True if a file is a xacro file by its suffix, or contains xacro elements."""
+    """Return True if the suffix of a file, or an element in the file, is that of xacro."""
     if path.suffix.lower() == XACRO_SUFFIX:
         return True
     try:

@@ -152,7 +152,7 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 
 
 def blank_faulty_declaration(data: bytes) -> bytes:
-    """Replace an XML declaration that parsers reject by blanks.
+    """Overwrite a faulty XML declaration, which parsers reject, with blanks.
 
     All other bytes keep their positions and lines. The encoding in the declaration is lost: the
     caller passes UTF-8.

@@ -170,8 +170,7 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
         poses: Joint positions of each pose, at least one, shape (nu,) [rad, m].
 
     Raises:
-        ModelError: If, in at least one of the poses, no limb with collision geoms ends below the
-            base.
+        ModelError: If any of the poses has no limb with collision geoms that ends below the base.
     """
     return max((_find_lowest_limbs(robot, pose) for pose in poses), key=len)
 

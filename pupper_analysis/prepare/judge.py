@@ -81,13 +81,16 @@ def judge_simulation(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Create the verdict of a simulated stand or posture, including checks of the published file.
+    """Create the verdict of a simulated stand or posture: holds, fails or cannot be judged.
 
-    The stand may be nudged here: the base gets a small initial velocity, and the stand must not
-    fail afterwards. This happens if ``fed`` passed, ``trial`` is None, ``statics`` contains a CoM
-    margin, and the base is free. A stand that is near a limit, or that fails without feed-forward,
-    is nudged in all directions (`simulate_nudges`). Other stands get large nudges
-    (`simulate_large_nudges`).
+    The verdict combines the simulations of the caller with simulations of the published file (the
+    unmodified MJCF), and with a nudge test, in which the base gets a small initial velocity. The
+    nudge test runs if ``fed`` passed, ``trial`` is None, ``statics`` contains a CoM margin, and the
+    base is free. Its nudges are:
+
+    - In all directions (`simulate_nudges`) for a stand near a limit, or a stand that fails
+      without feed-forward.
+    - Large (`simulate_large_nudges`) for other stands.
 
     Args:
         robot: Robot.

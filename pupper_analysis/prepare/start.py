@@ -905,13 +905,13 @@ def find_start_pose(
     sunk: Mapping[str, float],
     rest_depth: Callable[[str], float | None] | None = None,
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Find the start pose of a robot, from a keyframe or by a search, and set the pose.
+    """Choose the start pose (`Robot.home`) of a robot: a keyframe, or else a searched pose.
 
-    The first of these poses with which the nominal stand exists is used:
+    The start pose is the first of these poses from which the nominal stand is found:
 
     1. A keyframe whose feet are level, and whose joints are within the limits.
-    2. A keyframe from which the unmodified file stands (``rest_depth``), with the joints clipped to
-       the limits, and with the penetration of the feet at rest.
+    2. A keyframe from which the unmodified file stands in a simulation (``rest_depth``). The joints
+       are clipped to the limits, and the base is lowered by the penetration of the feet at rest.
     3. A searched pose (`search_start`).
 
     If no pose is found, a note reports the failure. The start pose is then the last keyframe that

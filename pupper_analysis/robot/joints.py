@@ -362,7 +362,7 @@ def check_in_range(
 
 
 def get_joint_units(robot: Robot, joint: str) -> JointUnits:
-    """Return the units of position, velocity, effort etc. of a joint: of a hinge, or of a slide."""
+    """Return the units of a joint's position, velocity and effort, by its type (hinge or slide)."""
     return select_joint_units(slides=is_slide(robot, joint))
 
 

@@ -197,7 +197,7 @@ class Bar:
         return replace(self, point=(*self.point[:2], number))
 
     def point_above(self, x: float, y: float) -> Position3:
-        """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
+        """Return a point (x, y, z) [m] above the axis of this bar, near a horizontal position [m].
 
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
         perpendicular to the axis. The displacement is 1 m times the cosine of the bar's

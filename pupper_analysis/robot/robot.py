@@ -72,10 +72,9 @@ def efforts_of(
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints; they define the order of the result.
-        original_limits: {joint: limit with its source}. The limit was requested by the user, or
-            belongs to a motor that was replaced by a servo. If both bounds equal the bounds from
-            the models, up to rounding, the result contains this limit, because its source is more
-            exact.
+        original_limits: {joint: limit that the user requested, or limit of a motor that a servo
+            replaced}. If the models state the same bounds, up to rounding, the result contains this
+            limit, because it names its source exactly.
         null: {joint: force range of the MJCF that permits no force}, such as "0 0". MuJoCo ignores
             such a range.
     """

@@ -499,7 +499,7 @@ def has_underactuated_feet(robot: Robot) -> bool:
 
 
 def count_joints_of_short_legs(robot: Robot) -> dict[str, int]:
-    """Count the joints of each leg with fewer than six joints and a sole, as {foot: joints}."""
+    """Return {foot: number of joints} of the legs with a sole and fewer than six joints."""
     counts = {
         foot: _count_leg_joints(robot, points[0])
         for foot, points in robot.feet.items()

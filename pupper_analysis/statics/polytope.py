@@ -68,9 +68,12 @@ class ForcePolytope(Tabular):
     def largest_force(self, direction: ArrayLike) -> float:
         """Return the largest external force [N] along a direction that the motors withstand.
 
-        NaN if a motor that bears the force has an unknown limit. Otherwise 0 if the static load
-        alone exceeds the limit of a motor of ``joints``, even if the force would relieve the motor.
-        Otherwise infinite if no motor bears the force.
+        Special values, the first that applies:
+
+        - NaN if a motor that bears the force has an unknown torque limit.
+        - 0 if the static load alone exceeds the limit of a motor in ``joints``, even if the force
+          would relieve this motor.
+        - Infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.

@@ -757,9 +757,9 @@ class SagEquilibrium:
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
         """Insert weld constraints into the equilibrium equations, in place of the unknown wrenches.
 
-        The balance along motions that the welds permit remains; the weld constraints replace the
-        other balance equations. For a derivative, the constraints are their Jacobian. A grip is a
-        weld of a point. If nothing is welded or grips, the equations are returned unchanged.
+        Balance equations along motions that the welds permit remain; weld constraints replace the
+        others. A grip counts as a weld of a point. If ``equations`` is a derivative, the inserted
+        rows are the Jacobian of the constraints. Without welds and grips, the result is unchanged.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -209,7 +209,7 @@ class StanceSpace:
         return offset
 
     def outward_signs(self) -> dict[str, Array]:
-        """Return the signs of the directions away from the centre of the feet, for each free foot.
+        """Return, for each free foot, the signs of x and y that lead away from the feet centre.
 
         Returns:
             {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,) [1]}. The search

@@ -517,7 +517,7 @@ def mark_known_remarks(
 
 
 def count_findings(remarks: Iterable[Remark]) -> int:
-    """Count the findings that remarks report; equal cause or equal values make one finding."""
+    """Count the distinct findings of remarks; remarks with an equal `Remark.finding` count once."""
     return len({remark.finding for remark in remarks})
 
 

@@ -213,7 +213,7 @@ def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callab
     """
 
     def place(word: str) -> Place:
-        """Return the place of the first element that has the attribute ``word``."""
+        """Return file and line of the first element that has the attribute ``word``."""
         stated = (where for words, where in file.elements(tag) if word in words)
         return next(stated, otherwise)
 

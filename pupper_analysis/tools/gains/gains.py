@@ -640,13 +640,14 @@ class _Gains:
     def make_bound(
         self, factor: float | None, gains: Callable[[float], _Pair], *, below: bool
     ) -> GainBound:
-        """Create the result of one stability bound of the gains.
+        """Confirm a stability bound of the gains, found by the linear model, in simulations.
 
         The result contains the bound of the linear model, the mode that grows if the factor is 5 %
         beyond this bound, and the bound found by simulation.
 
         Args:
-            factor: Factor on the gains at the bound of the linear model; None without a bound.
+            factor: Factor on the present gains at which the linear model becomes unstable; None if
+                there is no such factor.
             gains: Function that returns kp and kd of all joints for a factor.
             below: Whether smaller factors (otherwise larger factors) are unstable.
         """

@@ -200,7 +200,7 @@ class HeatStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether each motor is known to exert the torque and to stay below the limit."""
+        """Whether each motor is known to exert its torque in the stance without overheating."""
         return self.known and not self.overheats and not self.weak
 
 

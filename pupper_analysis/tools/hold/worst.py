@@ -128,7 +128,11 @@ class TorqueSearch:
     def find_local_maximum(
         self, joint: int, sign: float, qpos: Array, *, fine: bool = False
     ) -> tuple[float, Array]:
-        """Find a local maximum of the torque of a motor by sweeps along the joint motions.
+        """Find a local maximum of a motor torque over the postures, one joint motion at a time.
+
+        A motion moves an independent joint with the joints coupled to it. Each motion in turn is
+        set to its best position, until the torque no longer increases noticeably, at most
+        `_MAX_SWEEPS` times.
 
         Args:
             joint: Index of the joint.

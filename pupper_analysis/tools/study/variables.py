@@ -118,7 +118,7 @@ class Variable:
         return float(value)
 
     def name_values(self, column: pd.Series[Any]) -> pd.Series[Any]:
-        """Replace the codes of motors in a column of values by names; other values are kept."""
+        """Replace motor numbers in a column by motor names; columns of other variables are kept."""
         if not self.labels:
             return column
         return column.map(dict(zip(self.numbers, self.labels, strict=True)))

@@ -339,8 +339,9 @@ reported as too large. Measured: the largest ratio of 1500 published links is 2.
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    The mass is the mass of a root link or moving link with all fixed links. Visual and collision
-    shapes, and the origins of link, frames and children, define the hull. Plausible densities:
+    A rigid body is checked: a root link or moving link, with the links fixed to it. The hull
+    contains visual and collision shapes, and the origins of link, frames and children. Plausible
+    densities:
 
     - 2 to 20000 kg/m^3 (`MIN_DENSITY`, `MAX_DENSITY`).
     - At most 100000 kg/m^3 if the size of a shape is unknown, for example because a mesh was not

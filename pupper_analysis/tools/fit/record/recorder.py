@@ -332,8 +332,9 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        Positions at rest are averaged over approaches from both sides (`LEAD_RATIOS`). Positions of
-        a bridge without ramps (typed positions) are read once.
+        If the bridge (connection to the robot) can move the joints in ramps, each joint approaches
+        from both sides, and the two positions at rest are averaged (`LEAD_RATIOS`). Otherwise the
+        positions, for example typed by the operator, are read once.
 
         Args:
             stand: Planned stand.

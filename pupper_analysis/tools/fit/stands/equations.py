@@ -638,10 +638,11 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return the values for one stand, with its known masses and heading; self without both.
+        """Return these values adapted to one stand: with its attached masses and its heading.
 
-        Known masses are added to the Pinocchio model. Gravity is expressed in axes that are rotated
-        by the heading of the stand.
+        Known masses are added to a copy of the Pinocchio model. Gravity is expressed in axes that
+        are rotated about z by the heading of the stand. Without mass and heading, the result is
+        this object.
 
         Args:
             reading: Measurements of the stand.

@@ -1406,7 +1406,10 @@ def estimate_noise(
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:
-        """Return the noise for factors exp(log_levels) on expected levels, shape (3,)."""
+        """Scale the expected noise of moment, flatness and friction by exp(log_levels), shape (3,).
+
+        Each level has a lower bound.
+        """
         moment, flatness, friction = np.exp(log_levels)
         return replace(
             expected,

@@ -367,7 +367,11 @@ def choose_stands(
     rare_indices = set(np.flatnonzero(is_rare).tolist())
 
     def list_available(chosen_indices: Sequence[int]) -> list[int]:
-        """Return the indices that may be chosen next; rare ones only up to ``max_rare``."""
+        """Return the indices of the measurements that may be chosen next.
+
+        Rare measurements are excluded after ``max_rare`` of these were chosen, unless no other
+        measurement remains.
+        """
         candidates = [index for index in range(len(informations)) if index not in chosen_indices]
         full = len(rare_indices & set(chosen_indices)) >= max_rare
         return [
