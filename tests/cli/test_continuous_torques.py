@@ -70,7 +70,7 @@ def test_payload_and_hold_name_a_motor_that_cannot_exert_the_torque(
 
 
 @pytest.mark.slow
-def test_hold_compares_torques_with_the_continuous_ones(
+def test_hold_compares_torques_with_the_continuous_torques(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Reference: the typed numbers."""

@@ -161,7 +161,7 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     ],
     ids=str,
 )
-def test_error_of_a_wrong_argument_says_which_is_expected(
+def test_error_of_a_wrong_argument_states_the_expected_argument(
     arguments: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "a.urdf")

@@ -143,7 +143,7 @@ def write_stiff_quadruped(folder: Path) -> Path:
     return path
 
 
-def test_robot_without_stand_on_its_feet_is_not_said_to_have_none(tmp_path: Path) -> None:
+def test_robot_with_feet_but_without_stand_is_not_reported_without_feet(tmp_path: Path) -> None:
     """Reference: the geometry; one leg is 20 mm shorter than the others, at any joint position."""
     path = write_stiff_quadruped(tmp_path)
     fixed = pa.load_robot(path)

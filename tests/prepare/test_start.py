@@ -264,7 +264,7 @@ def test_start_keyframe_is_at_the_origin_and_has_the_height_of_the_stand() -> No
 
 
 @pytest.mark.slow
-def test_legs_of_two_joints_stand_where_forward_kinematics_reaches(tmp_path: Path) -> None:
+def test_legs_of_two_joints_stand_within_the_reach_of_forward_kinematics(tmp_path: Path) -> None:
     """Closed form: with the ankle at angle a, the base is l sin(a) + r above the ground.
 
     The hips only yaw and each ankle has one angle, so that height and horizontal position of a foot

@@ -153,7 +153,7 @@ def test_the_force_range_of_a_tendon_itself_limits_its_joint(tmp_path: Path) -> 
         ("", 'actuatorfrcrange="-0.99 0.99"', ()),
     ],
 )
-def test_motors_at_a_tendon_exert_what_the_tendon_leaves(
+def test_motor_beside_a_tendon_exerts_the_remaining_torque(
     tmp_path: Path, pitch: str, tendon: str, overloaded: tuple[str, ...]
 ) -> None:
     """Closed form: the pitch motor exerts tau_pitch - tau_knee / 4, the tendon tau_knee / 2.
@@ -171,7 +171,7 @@ def test_motors_at_a_tendon_exert_what_the_tendon_leaves(
 
 
 @pytest.mark.slow
-def test_the_payload_ends_where_the_tendon_overloads_another_motor(tmp_path: Path) -> None:
+def test_payload_is_limited_by_another_motor_that_the_tendon_overloads(tmp_path: Path) -> None:
     """Closed form: |tau_pitch - tau_knee / 4| = 1.2 N m at the limit.
 
     In bare MuJoCo the pitch joint stays within 1e-9 rad for 20 s with 97 % of this mass, and moves

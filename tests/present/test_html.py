@@ -472,7 +472,7 @@ def test_robots_share_equal_meshes_in_one_page() -> None:
             assert meshes[geom["mesh"]] == write._pack_mesh(whole[shape.mesh])
 
 
-def test_shapes_of_a_page_are_where_mujoco_has_their_geoms() -> None:
+def test_shapes_of_a_page_have_the_poses_of_mujoco_geoms() -> None:
     """The body index counts bodies without the world; the reference is ``geom_xpos``."""
     model = load("v3").mj_model
     data = mujoco.MjData(model)

@@ -48,7 +48,7 @@ def test_plot_of_a_stand_has_the_two_views_of_its_figure() -> None:
 
 
 @pytest.mark.parametrize("junk", [3, "v3", object()])
-def test_plot_for_no_robot_names_what_is_valid(junk: object) -> None:
+def test_plot_for_no_robot_names_the_valid_inputs(junk: object) -> None:
     """The argument of ``plot`` is often taken for the axes to draw in."""
     stand = stand_of("v3")
     statics = pa.gravity_compensation(pa.Configuration(load("v3"), stand.qpos))

@@ -190,7 +190,7 @@ def test_files_are_not_confirmed_if_data_goes_to_standard_output(
     assert "written" not in out + err
 
 
-def test_answer_joins_the_short_forms_of_warnings_and_counts_what_does_not_fit() -> None:
+def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warnings() -> None:
     """The full text with -v; without, one line of at most ``MAX_ANSWER_WIDTH`` characters."""
     warnings = [
         Text(f"{name} is a long explanation", "zh", "warn", short=f"{name} is short")

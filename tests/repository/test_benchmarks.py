@@ -258,7 +258,7 @@ def test_tables_have_the_names_of_the_recorded_files(tmp_path: Path) -> None:
     }
 
 
-def test_foot_of_the_grid_search_is_where_pinocchio_has_it() -> None:
+def test_foot_of_the_grid_search_has_the_position_of_pinocchio() -> None:
     """Reference: Pinocchio's foot and hip positions [m] at the found joint angles."""
     robot, stand = load("original"), stand_of("original")
     thigh, calf = whole.measure_leg_lengths(robot)

@@ -225,7 +225,7 @@ def test_shapes_without_contacts_have_no_clearance(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_workspace_ends_where_a_mesh_touches_the_ground(robot: pa.Robot) -> None:
+def test_workspace_ends_at_the_contact_of_a_mesh_with_the_ground(robot: pa.Robot) -> None:
     """Reference: MuJoCo's distance to the ground at the largest pitch, and 0.01 rad beyond it."""
     start = pa.StandTask(height=0.22)
     pitch = pa.stance.base_workspace(robot, start).intervals["pitch"].high

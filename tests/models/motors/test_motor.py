@@ -139,7 +139,7 @@ def test_a_file_without_source_is_refused(tmp_path: Path) -> None:
         read_motor(write(tmp_path, TEXT.replace('source = "bench"\n', "")))
 
 
-def test_what_needs_an_unknown_number_names_it() -> None:
+def test_calculation_with_an_unknown_motor_number_is_refused_by_its_name() -> None:
     motor = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0)
     with pytest.raises(ModelError, match="output_torque_constant, gear_efficiency"):
         _ = motor.output_torque_per_ampere

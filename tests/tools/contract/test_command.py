@@ -80,7 +80,7 @@ def test_paths_are_shown_relative_to_the_working_folder(tmp_path: Path) -> None:
     assert str(tmp_path) not in result.stdout
 
 
-def test_agreement_states_what_was_done_and_the_next_command(tmp_path: Path) -> None:
+def test_agreement_states_the_comparison_and_the_next_command(tmp_path: Path) -> None:
     """The second line was missing if no numbers differ."""
     lines = run(tmp_path, URDF, MJCF).stdout.splitlines()
     assert lines[0].startswith("AGREE ")

@@ -64,7 +64,7 @@ def test_stance_on_telescopic_legs_is_in_metres_and_newtons(tmp_path: Path) -> N
     assert header.startswith("joint,position (rad or m),torque (N m or N),limit (N m or N)")
 
 
-def test_effort_of_a_slide_is_asked_for_in_newtons(tmp_path: Path) -> None:
+def test_efforts_of_a_slide_are_stated_in_newtons(tmp_path: Path) -> None:
     robot = telescopic(tmp_path)
     with pytest.raises(pa.ConfigurationError, match="-30 N at FL_knee"):
         pa.robot.with_efforts(robot, {"FL_knee": -30.0})

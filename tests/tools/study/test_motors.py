@@ -265,7 +265,7 @@ def test_designs_agree_with_bare_mujoco(measured: tuple[Study, Path]) -> None:
 
 
 @pytest.mark.slow
-def test_a_design_that_stands_only_undisturbed_says_so(
+def test_design_that_stands_only_undisturbed_is_marked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reference: the simulated drop, here from a height from which the robot collapses."""

@@ -573,7 +573,9 @@ def test_design_without_equilibrium_is_a_row_with_its_reason(undisturbed: pd.Dat
 
 
 @pytest.mark.slow
-def test_further_samples_are_added_to_the_existing_ones(tmp_path: Path, threads: Executor) -> None:
+def test_further_samples_are_added_to_the_existing_samples(
+    tmp_path: Path, threads: Executor
+) -> None:
     vary = {"kp": pa.study.uniform(5, 20)}
     study(vary, "servo_sag", samples=4).execute(tmp_path, executor=threads)
     assert study(vary, "servo_sag", samples=6).execute(tmp_path, executor=threads).done == 2

@@ -458,7 +458,7 @@ def test_layout_by_frame_with_different_histories_is_refused(tmp_path: Path) -> 
         Policy.load(policy, toml)
 
 
-def test_template_states_known_keys_and_asks_for_the_others(tmp_path: Path) -> None:
+def test_template_states_known_keys_and_lists_missing_keys(tmp_path: Path) -> None:
     """Without the comment signs of known keys, the template equals the files."""
     policy, deploy, robot = write_policy(tmp_path), tmp_path / "deploy.yaml", load("v3")
     path, missing = write_template(policy, robot)
