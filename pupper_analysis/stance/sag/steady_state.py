@@ -732,7 +732,7 @@ def find_sag_failure(
     - the result of `steady_state` has failures.
 
     Args:
-        robot: Robot, with the contacts of the stand (``touching``).
+        robot: Robot, with the contacts of the stand (`with_contacts`).
         stand: Stand.
         kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,

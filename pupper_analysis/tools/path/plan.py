@@ -83,7 +83,7 @@ def compute_path_sample(
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
-        """Return the inverse dynamics of the sample if only the contact points ``feet`` carry load.
+        """Return the inverse dynamics of this path sample with load only on the points ``feet``.
 
         If ``held``, friction cones and unilateral limits are omitted.
         """
