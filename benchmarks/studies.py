@@ -311,13 +311,49 @@ def split_study(study: pa.Study, parts: int) -> list[running.Chunk]:
     ]
 
 
+def call_with_time(
+    function: Callable[..., running.ChunkOutcome], chunk: running.Chunk
+) -> tuple[running.ChunkOutcome, float]:
+    """Return the result of a function, and the processor time [s] of its thread."""
+    before = time.thread_time()
+    return function(chunk), time.thread_time() - before
+
+
+class TimedExecutor(Executor):
+    """Executor that adds the processor times of the evaluations on the workers of a Dask cluster.
+
+    Attributes:
+        seconds: Processor time of the evaluations [s].
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self.executor = executor
+        self.seconds = 0.0
+
+    def submit(self, function: Any, /, *given: Any, **_named: Any) -> Future[Any]:
+        """Submit the evaluation of a chunk."""
+        result: Future[Any] = Future()
+
+        def finish(done: Future[tuple[running.ChunkOutcome, float]]) -> None:
+            if done.exception() is not None:
+                result.set_exception(done.exception())
+                return
+            outcome, seconds = done.result()
+            self.seconds += seconds
+            result.set_result(outcome)
+
+        self.executor.submit(call_with_time, function, *given).add_done_callback(finish)
+        return result
+
+
 def measure_dask(count: int) -> None:
     """Print the time of a study on two Dask workers, relative to two bare loops at once.
 
     The designs are divided into four blocks, if two leg lengths are varied. The bare loops and the
     Dask workers evaluate each block in turn, so that other load of the machine affects both. The
     start of the processes is not measured. Times are processor times of all processes, and elapsed
-    times.
+    times. The processor time of an evaluation depends on the load of the other core. The overhead
+    is therefore relative to the time of the evaluations on the same workers.
     """
     from pupper_analysis.tools.study.cluster import connect_dask
 
@@ -337,6 +373,7 @@ def measure_dask(count: int) -> None:
         first = pa.Study("v3", {"payload": [0.0, 0.1], "kp": [5.0, 6.0]}, SAG)
         first.execute(Path(folder) / "start", executor=executor, workers=number)
         list(pool.map(evaluate_chunk, split_study(first, 2)))
+        timed = TimedExecutor(executor)
         for block, (leg, part) in enumerate(blocks):
             chosen = {"leg_scale": [leg], "torso_mass_scale": part}
             study = pa.Study("v3", {**axes, **chosen}, SAG)
@@ -346,15 +383,20 @@ def measure_dask(count: int) -> None:
             start, before = time.monotonic(), process_seconds()
             workers -= sum(cluster.run(process_seconds).values())
             target = Path(folder) / str(block)
-            done += study.execute(target, executor=executor, workers=number).done
+            done += study.execute(target, executor=timed, workers=number).done
             workers += sum(cluster.run(process_seconds).values())
             client += process_seconds() - before
             elapsed += time.monotonic() - start
+            rest = workers - timed.seconds
             print(f"{done} designs: two bare loops {bare:.1f} s of processor, {bare_elapsed:.0f} s")
-            print(f"two Dask workers {workers:.1f} s, scheduler and client {client:.1f} s")
             print(
-                f"processor {100 * ((workers + client) / bare - 1):+.1f} %, elapsed time "
-                f"{elapsed:.0f} s, {100 * (elapsed / bare_elapsed - 1):+.1f} %",
+                f"two Dask workers {workers:.1f} s, of which evaluation {timed.seconds:.1f} s; "
+                f"scheduler and client {client:.1f} s; {elapsed:.0f} s"
+            )
+            print(
+                f"overhead {100 * (rest + client) / timed.seconds:.1f} % of the evaluation "
+                f"(workers {100 * rest / timed.seconds:.1f} %); elapsed time "
+                f"{100 * (elapsed / bare_elapsed - 1):+.1f} %",
                 flush=True,
             )
 
