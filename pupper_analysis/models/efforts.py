@@ -48,10 +48,10 @@ _BOUNDED_DYNAMICS = (
 largest control, if the initial activation is within the range of the controls."""
 
 
-MIN_EFFORT = 1e-9
-"""Smallest torque limit [N m, N] of a motor. A smaller limit in a file counts as zero; a smaller
-limit as argument is refused. Reason: the utilisation torque / limit could overflow. Chosen: the
-smallest geared motors have 1e-4 N m."""
+MIN_EFFORT = 1e-6
+"""Smallest torque limit [N m, N] of a motor. A smaller limit in a file counts as zero, for example
+1e-9 as a placeholder; a smaller limit as argument is refused. Chosen: a hundredth of the torque of
+the smallest geared motors, 1e-4 N m."""
 
 
 class EffortCode(StrEnum):
@@ -227,7 +227,7 @@ class EffortLimit(Result):
         """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
 
         The value is min(-lower, upper). It is 0 if the range does not contain both signs, or if the
-        value is below 1e-9 (`MIN_EFFORT`).
+        value is below 1e-6 (`MIN_EFFORT`).
         """
         torque = min(-self.lower, self.upper)
         return torque if torque >= MIN_EFFORT else 0.0

@@ -687,7 +687,7 @@ class Robot(EngineModels):
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
         The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). Values below
-        1e-9 (``MIN_EFFORT``) are set to 0, for example if both bounds have the same sign.
+        1e-6 (``MIN_EFFORT``) are set to 0, for example if both bounds have the same sign.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False

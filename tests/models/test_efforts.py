@@ -290,7 +290,15 @@ def test_converted_hinge_has_no_limits_without_a_range(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("effort", "code"),
-    [(80.0, "stated"), (0.0, "zero"), (-1.0, "negative"), (None, "unknown"), (2e9, "unknown")],
+    [
+        (80.0, "stated"),
+        (1e-4, "stated"),  # of the smallest geared motors
+        (1e-9, "zero"),
+        (0.0, "zero"),
+        (-1.0, "negative"),
+        (None, "unknown"),
+        (2e9, "unknown"),
+    ],
 )
 def test_code_of_a_limit_names_zero_negative_and_unknown(effort: float | None, code: str) -> None:
     limit = resolve_effort_limit(arm('<motor joint="turn"/>'), 0, effort)
