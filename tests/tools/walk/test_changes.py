@@ -295,8 +295,7 @@ def row(
     return {"kind": kind, "subject": subject, "component": part, **values}
 
 
-@pytest.mark.slow
-def test_measured_intervals_are_read_from_a_fit(still: Policy, tmp_path: Path) -> None:
+def test_measured_intervals_are_read_from_a_fit(tmp_path: Path) -> None:
     """Reference by hand: the widest interval of all links, as a ratio to the nominal value, or as a
     difference for CoM [m] and delay [s].
     """
@@ -318,6 +317,11 @@ def test_measured_intervals_are_read_from_a_fit(still: Policy, tmp_path: Path) -
     assert found["kp"] == pytest.approx((0.8, 1.1))
     assert found["delay"] == pytest.approx((0.0, 0.01))
     assert set(found) == {"mass", "com", "kp", "delay"}
+
+
+@pytest.mark.slow
+def test_interval_of_a_fit_is_compared_with_the_tracked_interval(still: Policy) -> None:
+    robot = load("v3")
     weak = {"strength": (0.01, 1.0), "delay": (0.0, 0.01)}
     held = tracked_intervals(
         robot, still, (0, 0, 0), seeds=1, quantities=tuple(weak), seconds=3, measured=weak
