@@ -361,7 +361,7 @@ def _fail_if_upset(
         if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
             return fed
         held = solve_stand_as_simulated(robot, stand)
-        if fragile or is_near_limit(robot, held, statics):
+        if fragile or is_near_limit(robot, held, statics, kp):
             trial = simulate_nudges(robot, held, kp=kp, kd=kd)
         else:
             trial, speed = simulate_large_nudges(robot, held, kp=kp, kd=kd), LARGE_NUDGE_SPEED

@@ -24,6 +24,7 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, compute_creep_speeds
@@ -90,6 +91,13 @@ _MIN_LOAD_RATIO = 0.02
 True for a smaller ratio, since a nudge may lift such a foot. On unequal slopes, contact forces with
 minimum tangential forces may load two of four feet with only 1/10,000 of the weight. Chosen, not
 tuned."""
+
+_MIN_SATURATION_DEVIATION = 1e-3
+"""Lower bound of the deviation of a joint [rad, m] that saturates the motor: (distance of the
+static torque from the effort limit) / kp. `is_near_limit` returns True for a smaller deviation: a
+small nudge saturates the motor, which then has no stiffness. Measured on a quadruped with 8.4 kg:
+with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the robot; at 7e-5 rad it does
+not."""
 
 _LIMIT_ATOL = 1e-6
 """Tolerance of joint positions [rad, m]. A joint rests on a limit if the distance from the limit is
@@ -352,7 +360,12 @@ def simulate_large_nudges(
     )
 
 
-def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> bool:
+def is_near_limit(
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation,
+    kp: ArrayLike | None = None,
+) -> bool:
     """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
@@ -360,6 +373,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
     - The CoM margin is below 5 times the displacement of the CoM (`_MIN_MARGIN_RATIO`).
     - A motor utilisation or friction utilisation is above 90 % (`_MAX_UTILISATION`).
+    - A deviation of less than 0.001 rad or m saturates a servo (`_MIN_SATURATION_DEVIATION`).
     - A foot bears less than 2 % of the mean load (`_MIN_LOAD_RATIO`), and there are no welds or
       grips.
     - A joint is less than 0.02 rad or m from a limit (`_MIN_LIMIT_DISTANCE`). Joints whose range
@@ -371,6 +385,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
         robot: Robot, with the payload.
         stand: Stand, solved for the simulated ground.
         statics: Statics of the stand.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
     """
     if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
         return False
@@ -391,9 +406,25 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
         statics.com_margin < _MIN_MARGIN_RATIO * com_displacement
         or (not robot.fixed_parts and min(loads) < _MIN_LOAD_RATIO * sum(loads) / len(loads))
         or bool((statics.motor_utilisation > _MAX_UTILISATION).any())
+        or _saturates_after_nudge(robot, statics, kp)
         or max(statics.friction_utilisation.values(), default=0.0) > _MAX_UTILISATION
         or bool((limit_distances[~(is_free | is_locked)] < _MIN_LIMIT_DISTANCE).any())
     )
+
+
+def _saturates_after_nudge(
+    robot: Robot, statics: GravityCompensation, kp: ArrayLike | None
+) -> bool:
+    """Return True if a deviation below `_MIN_SATURATION_DEVIATION` saturates a servo.
+
+    Args:
+        robot: Robot.
+        statics: Statics of the stand.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); None: value of the model.
+    """
+    stiffness = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
+    distances = np.abs(robot.effort_ranges - statics.joint_torques[:, None]).min(axis=1)
+    return bool((distances < _MIN_SATURATION_DEVIATION * stiffness).any())
 
 
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:

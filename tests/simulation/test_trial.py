@@ -25,7 +25,7 @@ from pupper_analysis.simulation.trial import (
 )
 from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.legged import quadruped, rewrite_file
+from tests.support.legged import quadruped, quadruped_with_slides, rewrite_file
 from tests.support.variants import load, stand_of
 
 
@@ -234,3 +234,30 @@ def test_nudges_of_the_base_enclose_a_circle_of_the_stated_speed() -> None:
     np.testing.assert_allclose(speeds[10:, 5] * height, [BASE_NUDGE_SPEED, -BASE_NUDGE_SPEED])
     np.testing.assert_allclose(speeds.sum(axis=0), 0.0, atol=1e-15)
     np.testing.assert_array_equal(speeds[:, 6:], 0.0)
+
+
+def test_servo_that_a_small_deviation_saturates_counts_as_near_a_limit(tmp_path: Path) -> None:
+    """A hip without static torque gives at most 1 uN m; bare MuJoCo overturns after a nudge.
+
+    The linearised servo has stiffness, and the static torque is within the limit.
+    """
+    mjcf = quadruped_with_slides(tmp_path)
+    hip = 'joint="FL_roll" kp="1500" forcerange="-{0} {0}"'
+    rewrite_file(mjcf, ('pos="0 0.05 0"', 'pos="0 0 0"'), ('pos="0 -0.05 0"', 'pos="0 0 0"'))
+    strong = pa.load_robot(mjcf)
+    stand = pa.solve_stand_as_simulated(strong)
+    assert not is_near_limit(strong, stand, stand_statics(strong, stand))
+    rewrite_file(mjcf, (hip.format(60), hip.format(1e-6)))
+    weak = pa.load_robot(mjcf)
+    stand = pa.solve_stand_as_simulated(weak)
+    statics = stand_statics(weak, stand)
+    assert is_near_limit(weak, stand, statics)
+    assert is_near_limit(weak, stand, statics, kp=1500.0)
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(model)
+    data.qpos[:] = weak.compute_kinematics(stand.qpos).qpos
+    data.ctrl[:] = stand.joint_positions(weak) + statics.joint_torques / 1500
+    data.qvel[1] = BASE_NUDGE_SPEED
+    mujoco.mj_step(model, data, nstep=round(20 / model.opt.timestep))
+    assert data.qpos[3] < 0.99  # tilted by more than 16 deg
+    assert "upset-by-nudge" in {failure.code for failure in pa.judge_stand(weak, stand).failures}
