@@ -5,10 +5,11 @@
     python benchmarks/payload_stand.py FOLDER [--seconds 600] [--only ROBOT] [--contact KIND]
 
 Robots are the six variants, random robots of the tests, and public robots of FOLDER. Each case runs
-in its own process, within a time limit. Its limit is that of `payload`; `stand` then judges
-0, 30, 60, 97 and 103 % of this limit. Some robots also stand with one foot on a slope, a vertical
-wall or a bar, and every robot with two kinds of contact that are drawn from ``DRAWN``. A row of the
-table is consistent if `stand` holds up to 97 % of the limit, and fails or has no stance at 103 %.
+in its own process, within a limit of processor time. Its limit is that of `payload`; `stand` then
+judges 0, 30, 60, 97 and 103 % of this limit. Some robots also stand with one foot on a slope, a
+vertical wall or a bar, and every robot with two kinds of contact that are drawn from ``DRAWN``. A
+row of the table is consistent if `stand` holds up to 97 % of the limit, and fails or has no stance
+at 103 %.
 Rows are written to `docs/data/payload-stand.csv` as soon as a robot is
 finished; a further run omits robots with a row, unless `--again` is given.
 """
@@ -20,6 +21,8 @@ import json
 import math
 import random
 import re
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -274,19 +277,23 @@ def is_consistent(found: dict[str, Any]) -> bool:
 
 
 def run_case(case: Case, seconds: float) -> tuple[str, ...]:
-    """Judge a case in a process of its own, and return its row."""
+    """Judge a case in a process of its own, and return its row.
+
+    Args:
+        case: Case.
+        seconds: Limit of the process's processor time [s].
+    """
     argument = json.dumps([case.robot, case.contact, case.selection])
-    try:
-        done = subprocess.run(
-            [sys.executable, __file__, "--one", argument],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=seconds,
-        )
-    except subprocess.TimeoutExpired:
+    done = subprocess.run(
+        [sys.executable, __file__, "--one", argument, "--seconds", str(seconds)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode == -signal.SIGXCPU:
         empty = [""] * len(FRACTIONS)
-        return (case.robot, case.contact, "", f"no answer within {seconds:.0f} s", *empty, "")
+        message = f"no answer within {seconds:.0f} s of processor time"
+        return (case.robot, case.contact, "", message, *empty, "")
     if done.returncode:
         (*_, message) = done.stderr.strip().splitlines() or [""]
         found = {"error": message}
@@ -315,7 +322,7 @@ def read_rows() -> dict[tuple[str, str], Sequence[str]]:
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), default=ROOT / "build" / "robots")
-@click.option("--seconds", default=600.0, help="Time limit of a robot [s].")
+@click.option("--seconds", default=600.0, help="Limit of processor time of a case [s].")
 @click.option("--only", multiple=True, help="Name of a robot; default: all robots.")
 @click.option(
     "--contact", multiple=True, help='Kind of contact, "" for level ground; default: all.'
@@ -332,6 +339,8 @@ def main(
 ) -> None:
     """Compare `stand` with `payload` for the robots of FOLDER, variants and random robots."""
     if one:
+        limit = math.ceil(seconds)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 10))
         name, contact, selection = json.loads(one)
         print(json.dumps(judge_case(Case(name, contact, tuple(selection)))))
         return
