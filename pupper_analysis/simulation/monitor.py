@@ -472,6 +472,8 @@ class ContactRecord:
             constraint}, shape (3,) each [N], in world axes.
         feet_settled: {contact point: settled position of the centre in the world, shape (3,) [m]}.
         lifted: {light foot that left the ground: time at which it first left the ground [s]}.
+        idle_late: Stance feet without load at any time after the start of the last second before
+            the nudge.
     """
 
     failures: tuple[Diagnostic, ...]
@@ -480,6 +482,7 @@ class ContactRecord:
     forces: dict[str, Array]
     feet_settled: dict[str, Array]
     lifted: dict[str, float] = field(default_factory=dict)
+    idle_late: frozenset[str] = frozenset()
 
     def compute_foot_drops(self, stand: Stand) -> dict[str, Array]:
         """Compute how far contact points moved from their targets: target minus mean position.
@@ -531,6 +534,7 @@ def record_contacts(
     touched: dict[str, float] = {}
     surfaces: dict[str, Diagnostic | None] = {}
     unloaded: dict[str, float] = {}
+    idle_late: set[str] = set()
     means = _SettledMeans(robot, model)
     carrying = robot.feet_with(stand.stance_feet)
     touching, pressed = set[tuple[str, str]](), set[tuple[str, str]]()
@@ -560,6 +564,8 @@ def record_contacts(
                 surfaces |= {body: sampler.find_surface(body) for body in sample.bodies}
         touched |= dict.fromkeys(on_ground, float(state[0]))
         unloaded |= dict.fromkeys(idle_feet, float(state[0]))
+        if index >= last_second.start:
+            idle_late.update(idle_feet)
         if is_measured:
             means.add(sampler.data, sample.forces)
             pushing = find_pushing_bodies(model, sampler.data, min_force)
@@ -572,6 +578,7 @@ def record_contacts(
         forces={foot: force / means.count for foot, force in means.forces.items()},
         feet_settled={foot: place / means.count for foot, place in means.positions.items()},
         lifted={foot: moment for foot, moment in sorted(unloaded.items()) if foot not in loaded},
+        idle_late=frozenset(idle_late),
     )
 
 
