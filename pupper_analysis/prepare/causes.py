@@ -107,6 +107,7 @@ _XML_SECTIONS = {
     "motors-elsewhere": "actuator",
     "soft-servos": "actuator",
     "ctrl-absent": "key",
+    "keyframe-tilted": "key",
     "angles-to-motors": "key",
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",

@@ -53,6 +53,8 @@ from pupper_analysis.robot.as_published import (
     OwnRun,
 )
 from pupper_analysis.robot.fall import (
+    FALLEN_TILT,
+    BodyMotion,
     find_touching_bodies,
     initial_height,
     keyframe_duration,
@@ -60,6 +62,7 @@ from pupper_analysis.robot.fall import (
     nudge_velocity,
     simulate_held_keyframe,
     simulate_keyframe,
+    tilt_between,
     was_reset_by_mujoco,
 )
 from pupper_analysis.robot.joints import joint_unit, leg_joints
@@ -373,7 +376,7 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
     Returns:
         Index of the keyframe. None if the model has no keyframe, or none with the wanted name.
     """
-    names = [_keyframe_name(model, key) for key in range(model.nkey)]
+    names = [keyframe_name(model, key) for key in range(model.nkey)]
     if wanted is not None:
         return names.index(wanted) if wanted in names else None
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -405,7 +408,7 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     )
     run = replace(
         run,
-        keyframe=_keyframe_name(model, key),
+        keyframe=keyframe_name(model, key),
         commands=OwnCommands.STATED if stated else OwnCommands.ABSENT,
         limp=limp and not _is_ctrl_angles(model, key),
     )
@@ -530,7 +533,7 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     return replace(run, limp=has_few_servos(published))
 
 
-def _keyframe_name(model: mujoco.MjModel, key: int) -> str:
+def keyframe_name(model: mujoco.MjModel, key: int) -> str:
     """Return the name of a keyframe; "keyframe 1" etc. for keyframes without a name."""
     return model.key(key).name or f"keyframe {key + 1}"
 
@@ -571,6 +574,7 @@ def _simulate_commands(
         motion, end = simulate_keyframe(
             published.model, start, published.base_body, published.ground_height or 0.0, advance
         )
+        motion = _measure_lean_from_upright(published, robot, motion, end)
     else:
         motion, end = simulate_held_keyframe(published.model, start, advance)
     joints = _joint_deviations(published, robot, start, end, hold.ctrl)
@@ -634,6 +638,32 @@ def _list_descendants(model: mujoco.MjModel, body: int) -> set[int]:
         if int(model.body_parentid[child]) in found:
             found.add(child)
     return found
+
+
+def _measure_lean_from_upright(
+    published: PublishedModel, robot: Robot, motion: BodyMotion, end: mujoco.MjData
+) -> BodyMotion:
+    """Replace the tilt of a motion if the keyframe itself is tilted; return the motion.
+
+    The upright orientation is that of the start pose (`Robot.home`). If the base ends tilted from
+    it by more than ``FALLEN_TILT``, as on its back, this is the tilt. Otherwise the smaller tilt
+    counts: relative to the start pose, or to reset.
+
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot.
+        motion: Motion from the keyframe.
+        end: State at the end.
+    """
+    upright = place_published(published, robot, robot.home)
+    if upright is None or motion.diverged:
+        return motion
+    last = copy.copy(end)
+    for data in (upright, last):
+        mujoco.mj_kinematics(published.model, data)
+    base = published.base_body
+    lean = tilt_between(upright.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3))
+    return replace(motion, lean=lean if lean > FALLEN_TILT else min(lean, motion.lean))
 
 
 def _missing_files(robot: Robot) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ from pupper_analysis.prepare.causes import (
 from pupper_analysis.prepare.own_run import (
     get_loaded_robot,
     get_published_model,
+    keyframe_name,
     own_run,
     simulate_model_from_keyframe,
 )
@@ -62,7 +63,13 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.fall import InitialHeight, measure_motion, nudge_velocity
+from pupper_analysis.robot.fall import (
+    FALLEN_TILT,
+    InitialHeight,
+    measure_motion,
+    nudge_velocity,
+    tilt_between,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
@@ -723,8 +730,31 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     published = PublishedModel.from_model(model, robot)
     if any(drive.has_invalid_stiffness for drive in published.drives):
         return run  # the bad servos are reported, and make other causes meaningless
-    causes = list_command_causes(run, published) or _find_run_causes(run, published, robot)
+    causes = (
+        _list_pose_causes(run, published, robot)
+        or list_command_causes(run, published)
+        or _find_run_causes(run, published, robot)
+    )
     return replace(run, causes=add_lines(causes, robot))
+
+
+def _list_pose_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
+    """Return the keyframe of a simulation as cause if the robot is not upright at reset.
+
+    The tilt of the base from the start pose (`Robot.home`) exceeds ``FALLEN_TILT``, as on its back.
+    """
+    upright = place_published(published, robot, robot.home)
+    if not run.keyframe or upright is None:
+        return ()
+    model = published.model
+    reset = mujoco.MjData(model)
+    key = next(key for key in range(model.nkey) if keyframe_name(model, key) == run.keyframe)
+    mujoco.mj_resetDataKeyframe(model, reset, key)
+    for data in (reset, upright):
+        mujoco.mj_kinematics(model, data)
+    base = published.base_body
+    tilt = tilt_between(reset.xmat[base].reshape(3, 3), upright.xmat[base].reshape(3, 3))
+    return (Cause("keyframe-tilted", (run.keyframe,)),) if tilt > FALLEN_TILT else ()
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:

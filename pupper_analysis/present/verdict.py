@@ -599,6 +599,7 @@ _CAUSE_MESSAGES = {
     "slippery": "contacts-slip",
     "soft": "contacts-give-way",
     "ctrl-absent": "keyframe-states-no-ctrl",
+    "keyframe-tilted": "keyframe-not-upright",
     "ctrl-elsewhere": "keyframe-commands-another-pose",
     "angles-to-motors": "motors-commanded-angles",
     "soft-servos": "servos-too-soft",

@@ -163,9 +163,8 @@ deviation, but is not FAILS.
 
 MAX_OWN_TILT = math.radians(10.0)
 """Largest accepted tilt of the base [rad] at the end of a simulation of the published file from its
-keyframe, relative to the initial orientation. With a larger tilt, the run fails
-(`OwnRun.is_tilted`). Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12,
-Go1).
+keyframe (`BodyMotion.lean`). With a larger tilt, the run fails (`OwnRun.is_tilted`). Chosen, not
+tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
 """
 
 MAX_OWN_TRAVEL_RATIO = 0.3
@@ -180,7 +179,9 @@ with a gear of -1 gives 0.54."""
 class OwnRun(BodyMotion):
     """Simulation of a published file from its keyframe, with small nudges (`simulate_keyframe`).
 
-    An MJCF is simulated without changes; for a URDF see ``imported``.
+    An MJCF is simulated without changes; for a URDF see ``imported``. The tilt ``lean`` is relative
+    to the upright start pose if it exceeds ``FALLEN_TILT`` (0.5 rad) or is smaller than that
+    relative to reset.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,

@@ -143,6 +143,32 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
     assert judge_nominal_stand(robot).passed is not fails
 
 
+@pytest.mark.parametrize(
+    ("pose", "tilt"),
+    [("0 0 0.05 0 1 0 0", math.pi), ("0 0 0.4 0.9921977 0 0.1246747 0", 0.0)],
+    ids=["on its back", "pitched by 0.25 rad"],
+)
+def test_tilt_of_a_tilted_keyframe_is_that_from_the_upright_start_pose(
+    tmp_path: Path, pose: str, tilt: float
+) -> None:
+    """Bare MuJoCo: the first robot rests on its back; the second falls on its feet, level."""
+    robot = load_slip(
+        tmp_path, lambda text: text.replace('qpos="0 0 0.35 1 0 0 0', f'qpos="{pose}')
+    )
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert math.acos(data.xmat[int(model.jnt_bodyid[0])][8]) == pytest.approx(tilt, abs=0.03)
+    own = own_run(robot)
+    assert own is not None
+    assert own.lean == pytest.approx(tilt, abs=0.03)
+    assert own.fails is own.collapses is (tilt > 0)
+    verdict = judge_nominal_stand(robot)
+    assert verdict.passed is (tilt == 0)
+    assert ("keyframe-not-upright" in codes(verdict)) is (tilt > 0)
+
+
 @pytest.mark.slow
 def test_a_leg_that_its_ctrl_lifts_from_the_ground_fails(tmp_path: Path) -> None:
     """The robot stands on three legs, since a weight is behind the fourth. Reference: bare MuJoCo,
