@@ -37,6 +37,7 @@ from pupper_analysis.prepare.published_model import (
     list_unmatched_joints,
 )
 from pupper_analysis.robot.as_published import Cause
+from pupper_analysis.robot.build import compile_with_visuals
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
 
@@ -629,7 +630,7 @@ def _list_disabled_geoms(published: PublishedModel, robot: Robot) -> list[int]:
 
     The counterpart of a geom has the same index on the body of the same name in the prepared robot.
     """
-    model, robot_model = published.model, robot.mj_model
+    model, robot_model = published.model, robot.compute_once(compile_with_visuals)
     geoms = []
     for body in range(1, model.nbody):
         robot_body = mujoco.mj_name2id(

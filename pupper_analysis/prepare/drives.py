@@ -45,7 +45,6 @@ from pupper_analysis.prepare.servo_tuning import (
     suggest_fixed_base_gains,
     suggest_standing_gains,
 )
-from pupper_analysis.prepare.touching import copy_visual_option
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
@@ -190,7 +189,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
             chattering = chattering or candidate
             continue
         good = good or candidate
-        made = _build_with_servos(robot, candidate, original)
+        made = _build_with_servos(robot, candidate)
         _, kp, kd = candidate
         if candidate.divisor > 1 or file is None:
             return AddedServos(made, kp, kd, 2)
@@ -198,7 +197,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
             return AddedServos(made, kp, kd, 2)
     fed = None if resting else trials.choose_calm_candidate()
     chosen = good or chattering or resting or fed or trials.candidates[0]
-    made = _build_with_servos(robot, chosen, original)
+    made = _build_with_servos(robot, chosen)
     return AddedServos(made, chosen.kp, chosen.kd, 2 if resting else int(fed is not None))
 
 
@@ -228,15 +227,11 @@ def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Serv
     return candidates
 
 
-def _build_with_servos(robot: Robot, candidate: _ServoCandidate, original: MjcfFile) -> Robot:
-    """Return a robot with added position servos that have the gains and time step of a candidate.
-
-    ``original`` is the MJCF as read; the compiler option for visual geoms is copied from this file.
-    """
+def _build_with_servos(robot: Robot, candidate: _ServoCandidate) -> Robot:
+    """Add position servos with the gains and time step of a candidate; return the robot."""
     divisor, kp, kd = candidate
     timestep = float(robot.description.mjcf.option.timestep) / divisor
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
-    copy_visual_option(given.mjcf, original.spec)
     efforts = {limit.joint: limit for limit in robot.efforts}
     return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=efforts)
 

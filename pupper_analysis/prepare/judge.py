@@ -43,7 +43,7 @@ from pupper_analysis.robot.as_published import (
     OwnRun,
     ServoSource,
 )
-from pupper_analysis.robot.build import report_placeholder_efforts
+from pupper_analysis.robot.build import compile_with_visuals, report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
@@ -451,18 +451,21 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     if locked.size:
         messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
-    impossible = (
-        describe_impossible_masses(loaded.mj_model),
-        describe_impossible_inertias(loaded.mj_model),
-    )
     gravity_notes = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (
-        *(message for message in impossible if message is not None),
+        *loaded.compute_once(_list_impossible_bodies),
         *assumptions,
         *gravity_notes,
         *report_placeholder_efforts(robot),
         *describe_import_failure(robot),
     )
+
+
+def _list_impossible_bodies(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Return messages about impossible masses and inertias; visual geoms count as shapes."""
+    model = robot.compute_once(compile_with_visuals)
+    messages = describe_impossible_masses(model), describe_impossible_inertias(model)
+    return tuple(message for message in messages if message is not None)
 
 
 _MAX_DENSITY, _MIN_RADIUS = 19_300.0, 0.02

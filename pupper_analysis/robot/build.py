@@ -349,6 +349,29 @@ def _compile_mujoco_model(
     return model, keyframe if len(keyframe) else np.array(model.qpos0), notes
 
 
+def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
+    """Return the MuJoCo model of a robot with the visual geoms of its files.
+
+    The model of a robot that is not drawn lacks visual geoms (``load_robot``, option ``visuals``).
+    Sizes of bodies and names of geoms must not depend on this option. Bodies, joints and their
+    addresses are the same in both models. The result is the robot's own model if this model
+    contains the visual geoms, or if the user's MJCF has ``discardvisual="true"``.
+
+    Raises:
+        ModelError: If MuJoCo rejects the MJCF.
+    """
+    published = robot.published
+    if published is None or published.is_unchanged:
+        return robot.mj_model
+    spec = robot.description.mjcf.copy()
+    file = published.file
+    discards = file is not None and bool(file.spec.compiler.discardvisual)
+    if bool(spec.compiler.discardvisual) == discards:
+        return robot.mj_model
+    spec.compiler.discardvisual = discards
+    return _compile_mujoco_model(replace(robot.description, mjcf=spec), not robot.floating)[0]
+
+
 def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
     """List the joints of a MuJoCo model in actuator order; joints without actuators come last.
 

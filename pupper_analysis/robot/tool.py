@@ -30,7 +30,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import ModelTree
 from pupper_analysis.models.mjcf import find_invalid_number
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot.build import copy_metadata, rebuild_robot
+from pupper_analysis.robot.build import compile_with_visuals, copy_metadata, rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -159,7 +159,7 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
     """
     if name in robot.structure.links:
         return Tool(name, name, np.zeros(3), _find_chain(robot, name)), np.eye(3)
-    model, data = robot.mj_model, robot.compute_kinematics()
+    model, data = _compute_kinematics_with_visuals(robot)
     for kind, places, rotations, bodies in (
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, data.site_xmat, model.site_bodyid),
         (mujoco.mjtObj.mjOBJ_BODY, data.xpos, data.xmat, range(model.nbody)),
@@ -195,13 +195,24 @@ def measure_size(robot: Robot) -> float:
 
 def _compute_size(robot: Robot) -> float:
     """Return the result of `measure_size`; zero for a robot with all points at the base."""
-    model, data = robot.mj_model, robot.compute_kinematics()
+    model, data = _compute_kinematics_with_visuals(robot)
     bodies = model.body_weldid > 0
     geoms = bodies[model.geom_bodyid]
     centres = np.vstack([data.xpos[bodies], data.xipos[bodies], data.geom_xpos[geoms]])
     radii = np.r_[np.zeros(2 * int(bodies.sum())), model.geom_rbound[geoms]]
     distances = np.linalg.norm(centres - data.body(robot.mj_base).xpos, axis=1) + radii
     return float(distances.max(initial=0.0))
+
+
+def _compute_kinematics_with_visuals(robot: Robot) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return the model with visual geoms, and its data in the neutral configuration."""
+    model, data = robot.compute_once(compile_with_visuals), robot.compute_kinematics()
+    if model is robot.mj_model:
+        return model, data
+    complete = mujoco.MjData(model)
+    complete.qpos[:] = data.qpos
+    mujoco.mj_kinematics(model, complete)
+    return model, complete
 
 
 def find_place(robot: Robot, point: FramePoint) -> Tool:
@@ -228,7 +239,9 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
     if not isinstance(point, Tool):
         frame, at = split_place(point)
         place = check_point(at)
-        distance, size = float(np.linalg.norm(place)), measure_size(robot)
+        distance = float(np.linalg.norm(place))
+        # The size of the robot needs the postponed stages: no point at the origin is too far.
+        size = measure_size(robot) if distance else math.inf
         if 0 < MAX_DISTANCE_RATIO * size < distance:
             problem = diagnose(
                 "point-too-far",
