@@ -11,8 +11,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.prepare.published_model import compile_published_model
 from pupper_analysis.prepare.touching import discard_visuals
+from pupper_analysis.robot.tool import find_place, measure_size
 from tests.support.legged import quadruped, rewrite_file
 
 SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
@@ -75,3 +77,26 @@ def test_published_model_has_geoms_in_the_order_of_the_robot(tmp_path: Path) -> 
         for index in range(int(model.body_geomnum[body])):
             kinds = model.geom_type[first + index], robot.mj_model.geom_type[there + index]
             assert kinds[0] == kinds[1]
+
+
+def test_robot_that_is_not_drawn_has_no_visuals_and_equal_remarks(tmp_path: Path) -> None:
+    """Reference: the same MJCF with its visual geoms.
+
+    A hip of 12 kg has only a visual geom: without this shape, its density is unknown. The payload
+    is at the frame of this geom.
+    """
+    pair = quadruped(tmp_path)
+    seen = '<geom name="hat" size=".01" pos=".01 0 0" contype="0" conaffinity="0" mass="0"/>'
+    hip = '<inertial pos="0 0 0" mass="0.4" diaginertia="4e-4 4e-4 4e-4"/>'
+    rewrite_file(pair.mjcf, (hip, hip.replace("0.4", "12") + seen), count=1)
+    drawn, undrawn = (pa.load_robot(pair.mjcf, visuals=visuals) for visuals in (True, False))
+    assert undrawn.mj_model.ngeom == drawn.mj_model.ngeom - 1
+    assert "mass-beyond-metal" in {remark.code for remark in list_file_remarks(undrawn)}
+    assert list_file_remarks(undrawn) == list_file_remarks(drawn)
+    assert measure_size(undrawn) == measure_size(drawn)
+    tools = [find_place(robot, ("hat", 0.0, 0.0, 0.1)) for robot in (drawn, undrawn)]
+    assert tools[0].link == tools[1].link
+    np.testing.assert_array_equal(tools[0].offset, tools[1].offset)
+    for field in ("body_mass", "body_inertia", "actuator_gainprm", "key_qpos"):
+        expected = getattr(drawn.mj_model, field)
+        np.testing.assert_array_equal(getattr(undrawn.mj_model, field), expected)

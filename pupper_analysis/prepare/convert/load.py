@@ -299,10 +299,11 @@ def load_robot(
             default values.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are then not replaced by balls.
-        visuals: Whether to convert the visual meshes of a URDF that MuJoCo cannot read (.dae, .glb,
-            .off, .ply). The conversion takes up to seconds. Use False if the robot is not drawn or
-            written: tetrahedra with edges of 1 cm then represent these meshes, and a mesh that
-            cannot be converted is not reported. Without effect if ``feet`` is given.
+        visuals: Whether the robot has visual geoms. Use False if the robot is not drawn or written.
+            The MuJoCo model then lacks the visual geoms and meshes of the files, and is smaller; a
+            visual mesh that cannot be converted is not reported. Meshes that MuJoCo cannot read
+            (.dae, .glb, .off, .ply) are not converted, which saves up to seconds. Without effect
+            if ``feet`` is given.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a converted model.
