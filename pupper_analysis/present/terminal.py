@@ -38,8 +38,7 @@ from pupper_analysis.present.formats import escape_control
 MAX_ANSWER_WIDTH = 100
 """Maximum width [characters] of the line of joined messages in a short answer. If the first message
 exceeds the width, the message ends at a clause, with "…". If a later message exceeds the width,
-this message and all messages after it are only counted. Chosen: the width that a reader of terminals
-and documentation pages sees without wrapping.
+this message and all messages after it are only counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -254,10 +253,10 @@ def _join_short_messages(messages: Sequence[Words]) -> Text:
     line, left = Text(), len(messages)
     for message in messages:
         part = _style_words(message, short=True)
-        more = f"; {left - 1} more with -v" if left > 1 else ""
+        more = f"; {left - 1} more: -v" if left > 1 else ""
         room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - len(more)
         if line.plain and cell_len(part.plain) > room:
-            line.append(f"; {left} more with -v", "dim")
+            line.append(f"; {left} more: -v", "dim")
             break
         line.append("; " if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1

@@ -13,10 +13,15 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import BarPlot, Plot, get_english
+from pupper_analysis.present.figures.drawing import make_plots_figure
 from pupper_analysis.present.figures.pose import make_skeleton_figure
+from pupper_analysis.present.html.plots import round_ticks
+from pupper_analysis.present.plots import make_figure_title
 from tests.support.arm import load_arm
 from tests.support.engines import with_efforts
 from tests.support.repository import ROOT
+from tests.support.stubs import REPORTS
 from tests.support.variants import load, stand_of
 
 
@@ -96,6 +101,27 @@ def test_plot_of_a_verification_shows_the_height() -> None:
     later = report.motion_time > 1.0
     np.testing.assert_allclose(drawn[later], 1e3 * report.motion[later, 2], atol=1e-2)
     assert np.ptp(drawn) > 1.0
+
+
+def test_plot_of_a_result_names_verdict_robot_and_panels() -> None:
+    """Reference: verdict and title of the document; the page's plots, one below the other."""
+    document = REPORTS["analysis"]().documents[0]
+    plots = [block for block in document.blocks if isinstance(block, Plot)]
+    assert get_english(make_figure_title(document)) == "FAILED stub: Analysis"
+    figure = make_plots_figure(plots, max_columns=1)
+    first, second = (axes.get_subplotspec().rowspan.start for axes in figure.axes)
+    assert (first, second) == (0, 1)
+    payload = REPORTS["payload"]().documents[0]
+    (plot,) = (block for block in payload.blocks if isinstance(block, BarPlot))
+    assert [bar.value for bar in plot.bars] == sorted(bar.value for bar in plot.bars)
+    assert not make_plots_figure([plot]).axes[0].get_legend()  # it would repeat the axis
+
+
+def test_ticks_of_angles_are_parts_of_a_turn() -> None:
+    """Reference: quarters of a turn, and multiples of 15 deg; short ranges have decimal ticks."""
+    assert round_ticks(0.0, 360.0, 6, degrees=True) == [0.0, 90.0, 180.0, 270.0, 360.0]
+    assert round_ticks(-40.0, 44.0, 6, degrees=True) == [-30.0, -15.0, 0.0, 15.0, 30.0]
+    assert round_ticks(0.0, 4.0, 6, degrees=True) == round_ticks(0.0, 4.0, 6)
 
 
 def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:

@@ -30,7 +30,7 @@ from pupper_analysis.present.terminal import (
 from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.repository import ROOT
-from tests.support.stubs import problem
+from tests.support.stubs import REPORTS, problem
 
 
 def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Table:
@@ -209,7 +209,7 @@ def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warni
     short = printed(document, everything=False).splitlines()
     assert short == [
         "HOLDS robot: largest load 1 N m",
-        f"  first is short; {'second' * 5} is short; 1 more with -v",
+        f"  first is short; {'second' * 5} is short; 1 more: -v",
         "  with -v: 2 notes",
     ]
     assert all(len(line) <= MAX_ANSWER_WIDTH for line in short)
@@ -218,6 +218,27 @@ def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warni
         "HOLDS (in full) robot: largest load 1 N m",
         *(f"  {warning.en}" for warning in warnings),
     ]
+
+
+def test_message_that_is_too_wide_ends_at_a_clause() -> None:
+    """No word and no bracket is cut; the omitted clauses are with -v."""
+    clauses = (
+        "link 'base': joint knee at 0 deg, outside " + "the limits (4 of 12, " + "9 " * 40 + ")"
+    )
+    document = Document(
+        Name("audit"), Name("r"), (), findings=(Name("OK"), Name(clauses), Name("x")), brief=True
+    )
+    short = printed(document, everything=False).splitlines()
+    assert short[1] == "  link 'base': joint knee at 0 deg, outside the limits …; 1 more: -v"
+    assert clauses.rstrip() in printed(document)
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_answers_have_at_most_100_characters(name: str) -> None:
+    """The first two lines of each result; the third is a command to copy."""
+    for document in REPORTS[name]().documents:
+        for line in printed(document, everything=False).splitlines()[:2]:
+            assert len(line) <= MAX_ANSWER_WIDTH == 100
 
 
 def test_short_view_counts_the_findings_beyond_the_first() -> None:

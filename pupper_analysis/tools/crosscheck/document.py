@@ -422,7 +422,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
     title = get_english(make_figure_title(make_document(comparison)))
     axes = make_axes(title, 0.16 * len(names) + 1.6)
     styles = zip(itertools.cycle("osv^Dx"), itertools.cycle(SERIES_COLOURS))
-    for side, (marker, colour) in zip(sides, styles):
+    for side, (marker, colour) in zip(sides, styles, strict=False):
         deviations = [
             quantity.edge_deviations.get(side) or math.nan for quantity in check.quantities
         ]
