@@ -142,6 +142,17 @@ def test_states_are_read_and_a_command_holds_until_the_next(
         assert refused.value.cause.code == code
 
 
+def test_states_without_names_have_the_names_of_the_option(tmp_path: Path) -> None:
+    """Drivers publish JointState messages whose list of names is empty."""
+    nameless = [
+        (topic, kind, moment, state((), message.position, (), moment - LATE))
+        for topic, kind, moment, message in states(effort=False)
+    ]
+    found = read_log(bag(tmp_path, [*nameless, *commands()]), joints=NAMED)
+    assert found.joints == NAMED
+    assert found.position == pytest.approx(POSITION)
+
+
 def test_lost_messages_leave_gaps_in_the_log(tmp_path: Path) -> None:
     """The hip has its own messages: half as many, 1 ms later, and ten of them are lost."""
     messages: list[Message] = []

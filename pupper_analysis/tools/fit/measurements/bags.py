@@ -298,7 +298,8 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec in ROS 1
         nanoseconds = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
         moment = (stamp.sec + 1e-9 * nanoseconds if stamp else 0.0) or np.nan
-        names = getattr(message, "name", getattr(message, "joint_names", joints))
+        own_names = getattr(message, "name", getattr(message, "joint_names", ()))
+        names = own_names if len(own_names) else joints  # a JointState may have empty names
         if not len(names):
             error = diagnose("joints-not-named", topic=connection.topic, type=connection.msgtype)
             raise MeasurementError("", error)
