@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.estimate import (
@@ -83,6 +84,47 @@ def test_bounded_parameter_stops_at_zero_and_others_stay_optimal(kind: str) -> N
     weight = 1 / given.width[1] ** 2
     alone = (rows[:, 1] @ right + weight * given.stated[1]) / (rows[:, 1] @ rows[:, 1] + weight)
     assert found.mean == pytest.approx([0.0, alone], abs=1e-6)
+
+
+def test_several_bounds_are_fixed_and_released_as_the_cost_requires() -> None:
+    """Half of the parameters are bounded and coupled. Reference: scipy's interior-point solver of
+    the same bounded problem, and a case in which a step beyond both bounds must release one.
+    """
+    random = np.random.default_rng(0)
+    problems = [random.normal(size=(8, 6)) * random.uniform(0.3, 3, 6) for _ in range(30)]
+    problems.append(np.array([[100.0, -99.0], [0.0, 14.1]]))
+    for rows in problems:
+        size = rows.shape[1]
+        given = table(*(["damping", "friction"] * size)[:size])
+        right = rows @ (np.array([-0.5, -4.0]) if size == 2 else 3 * random.normal(size=size))
+        prior = np.diag(1 / given.width)
+        reference = lsq_linear(
+            np.vstack([rows, prior]),
+            np.concatenate([right, prior @ given.stated]),
+            (0, np.inf),
+            method="trf",
+            tol=1e-14,
+        ).x
+        found = estimate_parameters(
+            given,
+            lambda x, _, a=rows, b=right: LinearisedResiduals.from_residuals(a @ x - b, a),
+        )
+        assert found.mean == pytest.approx(reference, abs=1e-3)
+
+
+def test_stalled_minimisation_gives_a_wide_interval() -> None:
+    """A wrong derivative predicts a decrease by 4 % of the cost, and no step realises it.
+
+    Closed form: variance of the undamped step added to the posterior variance.
+    """
+    given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
+
+    def linearise(x: Array, _: Array) -> LinearisedResiduals:
+        left = np.array([3.0 + 0.1 * np.abs(x[0]), 13.0])
+        return LinearisedResiduals.from_residuals(left, np.array([[-2.0], [0.0]]))
+
+    found = estimate_parameters(given, linearise)
+    assert found.covariance[0, 0] == pytest.approx(1 / 5 + (6 / 5) ** 2)
 
 
 def evaluate_rosenbrock(x: Array) -> tuple[Array, Array]:

@@ -453,6 +453,12 @@ _ROUGH_MIN_DECREASE = 10.0
 assumes white noise. Chosen, not tuned.
 """
 
+_MIN_RELATIVE_DECREASE = 5e-3
+"""Decrease of the cost, relative to the cost, at or below which slow progress is a stall. The cost
+is then limited by the model, for example by joints that stick: 0.5 % of the cost changes the RMS
+residual by 0.25 %. Chosen, not tuned.
+"""
+
 _MAX_DERIVATIVE_DISTANCE = 4.0
 """Largest squared distance [posterior variances] of the parameters from the point of the last
 derivatives. Up to this distance the derivatives are reused, since they need many simulations. A
@@ -581,7 +587,11 @@ class MotionResiduals:
             (True, _MIN_DECREASE),
         ):
             posterior = estimate_parameters(
-                self.table, self.linearise, moments, min_decrease=min_decrease
+                self.table,
+                self.linearise,
+                moments,
+                min_decrease=min_decrease,
+                min_relative_decrease=_MIN_RELATIVE_DECREASE,
             )
             moments = posterior.mean
         width = self.table.width
