@@ -268,20 +268,22 @@ def command(
             )
     if style == "text":
         print_robot_notes(robot, everything=everything)
-    step, written = _select_next_step(result, output), ([], ())
+    step = _select_next_step(result, output)
+    messages: list[str] = []
+    models: tuple[str, ...] = ()
     try:
         if output is not None and isinstance(result, Fit):
-            written = _write_models(robot, selection, result, output, anyway=anyway)
-            if models := written[1]:
+            messages, models = _write_models(robot, selection, result, output, anyway=anyway)
+            if models:
                 step = NextStep("stand" if robot.floating else "hold", models, robot_typed=False)
     finally:  # the result is shown even if the files cannot be written
         shared.show_results(
             [(robot.name, result)], style, robots=[robot], everything=everything, next_step=step
         )
-    for message in written[0]:
+    for message in messages:
         click.echo(message, err=True)
     shared.write_page(report_path, result, [robot])
-    if output is not None and (mode == "--plan" or written[1]):
+    if output is not None and (mode == "--plan" or models):
         shared.confirm_written(output)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
