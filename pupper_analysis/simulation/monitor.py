@@ -508,6 +508,8 @@ def record_contacts(
     ctrl: Array,
     settling: int,
     loaded: Container[str],
+    *,
+    is_released: bool = False,
 ) -> ContactRecord:
     """Find contact failures in a rollout of a stand, and average torques and forces before a nudge.
 
@@ -528,6 +530,9 @@ def record_contacts(
         settling: Number of states before the nudge (a small velocity of all coordinates).
         loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
             a predicted load below `LIGHT_FOOT_LOAD`.
+        is_released: Whether the servos start without the static torques, so that the robot drops
+            by its sag and bounces. These feet may then leave the ground until the last second
+            before the nudge.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
@@ -563,7 +568,10 @@ def record_contacts(
                 on_ground = sample.bodies | (sample.forces.keys() - carrying)
                 surfaces |= {body: sampler.find_surface(body) for body in sample.bodies}
         touched |= dict.fromkeys(on_ground, float(state[0]))
-        unloaded |= dict.fromkeys(idle_feet, float(state[0]))
+        has_bounced = is_released and index < last_second.start
+        unloaded |= {
+            foot: float(state[0]) for foot in idle_feet if foot not in loaded or not has_bounced
+        }
         if index >= last_second.start:
             idle_late.update(idle_feet)
         if is_measured:

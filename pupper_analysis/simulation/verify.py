@@ -340,7 +340,16 @@ def verify_stand(
     total_load = _compute_total_load(robot, prediction)
     shares = _compute_load_shares(robot, stand, prediction, total_load)
     loaded = {foot for foot, share in shares.items() if share >= monitor.LIGHT_FOOT_LOAD}
-    record = record_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
+    record = record_contacts(
+        robot,
+        drive.model,
+        stand,
+        run.states,
+        ctrl,
+        run.settling,
+        loaded,
+        is_released=not feedforward,
+    )
     result = _compare_with_prediction(
         robot, stand, drive, prediction, run, record, reference, MIN_FORCE_SCALE * total_load
     )

@@ -637,3 +637,30 @@ def test_a_robot_that_loses_much_height_fails(
     failures = describe_deviations(1.0, 0.0) if has_failures else []
     found = verify._describe_height_loss(result, 0.1, failures)
     assert [message.code for message in found] == codes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.01, 0.05])
+def test_feet_that_leave_the_ground_when_the_robot_is_released_do_not_fail(
+    tmp_path: Path, friction: float
+) -> None:
+    """Without feed-forward the robot drops by its sag. Reference: bare MuJoCo, in which a front
+    foot leaves the ground for some milliseconds, and the robot comes to rest.
+    """
+    pair = standing(tmp_path)
+    loss = (' axis="0 1 0" range', f' frictionloss="{friction}" axis="0 1 0" range')
+    edited_by(pair.mjcf, lambda text: text.replace(*loss))
+    robot = pa.load_robot(mjcf=pair.mjcf)
+    stand = pa.solve_stand(robot)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[2] = stand.qpos[2]
+    num_feet = []
+    while data.time < 5.0:
+        mujoco.mj_step(model, data)
+        num_feet.append(data.ncon)
+    assert min(num_feet[10:100]) < 4
+    assert set(num_feet[1000:]) == {4}
+    assert np.abs(data.qvel).max() < 1e-4
+    assert pa.verify_stand(robot, stand, feedforward=False).passed
