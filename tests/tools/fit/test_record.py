@@ -29,6 +29,7 @@ from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.fit.measurements.stands import read_stands
+from pupper_analysis.tools.fit.record import recorder
 from pupper_analysis.tools.fit.record.bridge import open_bridge
 from pupper_analysis.tools.fit.record.recorder import (
     MAX_JOINT_SPEED,
@@ -185,6 +186,102 @@ class Planted(Reversed):
 def test_joint_that_the_ground_holds_counts_as_following_once_it_is_lifted(robot: Robot) -> None:
     session = take_stand_at(robot, Planted(robot), 0.27)
     assert session._last_live_rows.tolist() == [3] * robot.nu
+
+
+class Sluggish(Planted):
+    """Bridge of a robot whose first joint moves by a fraction of its command, even if lifted."""
+
+    ratio = 1.0
+
+    def send(self, command: Array) -> None:
+        self.command = command
+        self._position = command * np.where(np.arange(len(command)) == 0, self.ratio, 1.0)
+
+
+@pytest.mark.parametrize(("ratio", "rows"), [(0.2, None), (0.3, 0), (0.55, 0), (0.65, 3)])
+def test_servo_follows_from_a_quarter_and_works_from_six_tenths_of_its_command(
+    robot: Robot, ratio: float, rows: int | None
+) -> None:
+    """A servo that certainly worked makes the rows so far reliable; None: the recording ends."""
+    bridge = Sluggish(robot)
+    bridge.ratio = ratio
+    if rows is None:
+        with pytest.raises(_RecordingEndedError, match=robot.joint_names[0]):
+            take_stand_at(robot, bridge, 0.27)
+    else:
+        session = take_stand_at(robot, bridge, 0.27)
+        assert session._last_live_rows.tolist() == [rows] + [3] * (robot.nu - 1)
+
+
+def make_session(robot: Robot, bridge: Reversed) -> _RecordingSession:
+    """Return a recording at zero angles, with a person who never stops."""
+    person = SimpleNamespace(stops=lambda: False)
+    session = _RecordingSession(robot, bridge, person)  # type: ignore[arg-type]
+    session._command = np.zeros(robot.nu)
+    return session
+
+
+@pytest.mark.parametrize("error", [-0.6, 0.6])
+def test_tracking_error_of_either_sign_ends_the_recording(robot: Robot, error: float) -> None:
+    bridge = Sluggish(robot)
+    bridge.send(np.full(robot.nu, error))
+    stand = PlannedStand("s0", (), {}, None)
+    with pytest.raises(_RecordingEndedError, match="s0"):
+        make_session(robot, bridge)._check_tracking(stand)
+    bridge.send(np.full(robot.nu, error / 10))
+    make_session(robot, bridge)._check_tracking(stand)
+
+
+def test_positions_that_are_not_finite_are_lost(robot: Robot) -> None:
+    bridge = Sluggish(robot)
+    bridge._position = np.full(robot.nu, np.nan)
+    with pytest.raises(_RecordingEndedError) as caught:
+        make_session(robot, bridge)._read_positions(PlannedStand("s0", (), {}, None))
+    assert caught.value.finding.code == "positions-lost"
+
+
+def test_approaches_of_a_stand_keep_the_joint_limits(robot: Robot) -> None:
+    """The plan commands the upper limits; 1.3 times the lead of 0.1 rad would exceed the limits."""
+    bridge, sent = Sluggish(robot), list[Array]()
+    session = make_session(robot, bridge)
+    move = bridge.send
+    bridge.send = lambda command: (sent.append(command.copy()), move(command))[1]  # type: ignore[method-assign]
+    target = np.full(robot.nu, 0.2)
+    limits = SimpleNamespace(
+        nu=robot.nu, joint_names=robot.joint_names, lower_limits=-target, upper_limits=target
+    )
+    session._robot = limits  # type: ignore[assignment]
+    stand = PlannedStand("s0", (), {}, None)
+    session._average_from_both_sides(stand, target, target - 0.1)
+    assert np.max(sent) == pytest.approx(0.2)
+    session._average_from_both_sides(stand, -target, 0.1 - target)
+    assert np.min(sent) == pytest.approx(-0.2)
+
+
+def test_robot_holds_its_last_command_after_a_recording(robot: Robot) -> None:
+    bridge, sent = Sluggish(robot), list[Array]()
+    bridge.send = sent.append  # type: ignore[method-assign]
+    person = SimpleNamespace(stops=lambda: False)
+    session = _RecordingSession(robot, bridge, person)  # type: ignore[arg-type]
+    session.hold_position()
+    assert not sent  # no ramp has begun
+    session._command = np.full(robot.nu, 0.3)
+    session.hold_position()
+    np.testing.assert_array_equal(sent, [session._command])
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.019, True), (0.021, False)])
+def test_plan_with_a_com_margin_below_two_percent_of_the_height_is_refused(
+    robot: Robot, plan: Path, monkeypatch: pytest.MonkeyPatch, share: float, refused: bool
+) -> None:
+    margin = share * robot.stand_height
+    monkeypatch.setattr(recorder, "_compute_com_margin", lambda *_: margin)
+    planned = read_stands(plan)
+    if refused:
+        with pytest.raises(MeasurementError, match="s0: by the robot's file its centre of mass"):
+            list(recorder._check_plan(robot, planned))
+    else:
+        assert list(recorder._check_plan(robot, planned)) == [margin] * 4
 
 
 class Sticky(Reversed):
