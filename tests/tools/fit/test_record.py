@@ -270,6 +270,29 @@ def test_robot_holds_its_last_command_after_a_recording(robot: Robot) -> None:
     np.testing.assert_array_equal(sent, [session._command])
 
 
+def test_friction_angle_is_the_median_of_absolute_half_differences(robot: Robot) -> None:
+    """By hand: of -3, 1 and 2 mrad the absolute values have the median 2 mrad."""
+    session = make_session(robot, Sluggish(robot))
+    session._half_differences = [np.full(robot.nu, 1e-3 * value) for value in (-3, 1, 2)]
+    assert set(session.compute_friction_angles(3).values()) == {2e-3}
+
+
+def test_row_is_appended_in_a_new_line_and_withdrawn_to_the_byte(
+    plan: Path, tmp_path: Path
+) -> None:
+    """The last line of the file has no line end, as after an editor."""
+    planned, path = read_stands(plan), tmp_path / "stands.csv"
+    position = planned.command[0]
+    assert recorder._append_row(path, planned, 0, position, ()) == 0
+    first = path.read_bytes()
+    path.write_bytes(first.rstrip(b"\n"))
+    size = recorder._append_row(path, planned, 1, position, ())
+    assert size == len(first)
+    assert read_stands(path).names == ("s0", "s1")
+    recorder._truncate_file(path, size)
+    assert path.read_bytes() == first
+
+
 @pytest.mark.parametrize(("share", "refused"), [(0.019, True), (0.021, False)])
 def test_plan_with_a_com_margin_below_two_percent_of_the_height_is_refused(
     robot: Robot, plan: Path, monkeypatch: pytest.MonkeyPatch, share: float, refused: bool
