@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +16,12 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
-from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
+from pupper_analysis.prepare.judge import (
+    describe_frictionless_feet,
+    describe_impossible_inertias,
+    describe_missing_masses,
+    list_file_remarks,
+)
 from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.robot.tool import with_payload
@@ -332,3 +339,38 @@ def test_ctrl_of_a_keyframe_that_moves_an_arm_is_reported(tmp_path: Path) -> Non
     moved = remark.values["off"]
     assert isinstance(moved, Quantity)
     assert moved.value == pytest.approx(turned, rel=1e-3)
+
+
+@pytest.mark.parametrize(("ratio", "impossible"), [(0.95, False), (1.05, True)])
+def test_radius_of_gyration_is_at_most_the_size_of_the_robot(
+    ratio: float, impossible: bool
+) -> None:
+    """By hand: around a sphere of 0.1 m radius the box has a diagonal of 0.2 sqrt(3) m."""
+    moment = 2.0 * (ratio * 0.2 * math.sqrt(3)) ** 2
+    inertial = f'<inertial pos="0 0 0" mass="2" diaginertia="{moment} {moment} {moment}"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body name="ball"><freejoint/>{inertial}<geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    assert (describe_impossible_inertias(model) is not None) is impossible
+
+
+@pytest.mark.parametrize(
+    ("friction", "welds", "is_fixed", "slippery"),
+    [
+        ((0.0, 0.0), (), False, True),
+        ((0.0, 0.6), (), False, False),
+        ((0.0, 0.0), ("hand",), False, False),
+        ((0.0, 0.0), (), True, False),
+    ],
+)
+def test_feet_without_friction_are_reported_unless_the_robot_is_held(
+    friction: tuple[float, float], welds: tuple[str, ...], is_fixed: bool, slippery: bool
+) -> None:
+    contacts = {
+        name: SimpleNamespace(sliding_friction=value)
+        for name, value in zip(("a", "b"), friction, strict=True)
+    }
+    robot: Any = SimpleNamespace(contacts=contacts, fixed_parts=welds, is_base_fixed=is_fixed)
+    assert (describe_frictionless_feet(robot, ("a", "b")) is not None) is slippery
+    assert describe_frictionless_feet(robot, ()) is None
