@@ -357,6 +357,19 @@ def test_torques_that_equal_joint_angles_in_radians_or_degrees_are_angles(
     assert _is_ctrl_angles(model, 0) is are_angles
 
 
+@pytest.mark.parametrize(("ctrl", "are_angles"), [("-0.6", True), ("0.6", False)])
+def test_commands_of_geared_motors_are_compared_with_the_actuator_length(
+    ctrl: str, are_angles: bool
+) -> None:
+    """The length of an actuator at a joint is gear * angle: here -1 * 0.6 rad."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>'
+        '<actuator><motor joint="hip" gear="-1"/></actuator>'
+        f'<keyframe><key qpos="0.6" ctrl="{ctrl}"/></keyframe></mujoco>'
+    )
+    assert _is_ctrl_angles(model, 0) is are_angles
+
+
 @pytest.mark.parametrize(("ctrl", "are_angles"), [("0.6 0 0 -1.2 0 0", True), ("0.6 -1.2", False)])
 def test_commands_of_several_controls_are_compared_by_their_first(
     ctrl: str, are_angles: bool
