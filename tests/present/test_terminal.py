@@ -222,14 +222,13 @@ def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warni
 
 def test_message_that_is_too_wide_ends_at_a_clause() -> None:
     """No word and no bracket is cut; the omitted clauses are with -v."""
-    clauses = (
-        "link 'base': joint knee at 0 deg, outside " + "the limits (4 of 12, " + "9 " * 40 + ")"
-    )
+    first = "link 'base': joint knee at 0 deg, outside the limits"
+    clauses = f"{first} (4 of 12, {'9 ' * 40})"
     document = Document(
         Name("audit"), Name("r"), (), findings=(Name("OK"), Name(clauses), Name("x")), brief=True
     )
     short = printed(document, everything=False).splitlines()
-    assert short[1] == "  link 'base': joint knee at 0 deg, outside the limits …; 1 more: -v"
+    assert short[1] == f"  {first} …; 1 more: -v"
     assert clauses.rstrip() in printed(document)
 
 
