@@ -228,7 +228,7 @@ def test_message_that_is_too_wide_ends_at_a_clause() -> None:
         Name("audit"), Name("r"), (), findings=(Name("OK"), Name(clauses), Name("x")), brief=True
     )
     short = printed(document, everything=False).splitlines()
-    assert short[1] == f"  {first} …; 1 more: -v"
+    assert short[1] == f"  {first} …; x"
     assert clauses.rstrip() in printed(document)
 
 
