@@ -157,8 +157,9 @@ _MIN_NAME_SIMILARITY: Final = 0.75
 """Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
 Chosen, not tuned."""
 
-_GENERIC_WORDS: Final = frozenset({"arm", "hand", "model", "robot"})
-"""Words that are parts of names of many robots, and identify none."""
+_GENERIC_WORD: Final = re.compile(r"arm|hand|model|robot|v?\d+")
+"""Pattern of words that are parts of names of many robots, and identify none. Versions such as
+``v4`` are such words."""
 
 
 def list_similar_published_names(word: str) -> list[str]:
@@ -167,13 +168,13 @@ def list_similar_published_names(word: str) -> list[str]:
     The names are robots of MuJoCo Menagerie (installed package or clone), and descriptions of the
     package ``robot_descriptions``, if installed. Names that contain the word between underscores,
     such as ``unitree_go2`` for ``go2``, follow those with the most equal characters. Generic
-    words such as ``robot`` are not searched within names.
+    words such as ``robot`` or ``v4`` are not searched within names.
     """
     name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
     known = [*_list_descriptions(), *list_menagerie_robots()]
     similar = difflib.get_close_matches(name, known, cutoff=_MIN_NAME_SIMILARITY)
     robot = _DESCRIPTION_SUFFIX.sub("", name)
-    if not _GENERIC_WORDS.issuperset(robot.split("_")):
+    if not all(map(_GENERIC_WORD.fullmatch, robot.split("_"))):
         similar += [
             other for other in known if f"_{robot}_" in f"_{other}_" and other not in similar
         ]

@@ -118,6 +118,7 @@ def test_description_without_prefix_is_found_unless_a_file_has_its_name(
         ("robot", []),
         ("hand", []),
         ("robot_arm", []),
+        ("v4", []),
     ],
 )
 def test_error_about_a_name_proposes_similar_published_names(
