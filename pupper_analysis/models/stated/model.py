@@ -317,9 +317,11 @@ class UrdfModel(RobotModel):
 
     Attributes:
         file: The file.
+        turned: Whether COLLADA meshes with another up axis are turned until z is up.
     """
 
     file: UrdfFile
+    turned: bool = False
 
 
 @dataclass(frozen=True, eq=False)

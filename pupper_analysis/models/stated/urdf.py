@@ -49,23 +49,27 @@ _JOINT_KINDS = {
 """{joint type of a URDF: joint kind of `stated.model`}."""
 
 
-def read_urdf_model(file: UrdfFile) -> UrdfModel:
+def read_urdf_model(file: UrdfFile, *, turn: bool = False) -> UrdfModel:
     """Read the links and joints of a URDF with the values that the file specifies.
 
     The links must form a single tree.
+
+    Args:
+        file: The file.
+        turn: Whether COLLADA meshes with another up axis are turned until z is up (`find_turn`).
     """
     tree = file.tree
     root = tree.base
-    bodies = {root.name: _make_link(file, root, None, Pose(), ())}
+    bodies = {root.name: _make_link(file, root, None, Pose(), (), turn)}
     for parent in (pending := [root.name]):
         for joint in tree.child_joints.get(parent, []):
             name = joint.child
             pose = bodies[parent].pose * _read_origin(joint.element)
             bodies[name] = _make_link(
-                file, tree.links[name], parent, pose, (_make_joint(joint, pose),)
+                file, tree.links[name], parent, pose, (_make_joint(joint, pose),), turn
             )
             pending.append(name)
-    return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
+    return UrdfModel("urdf", "link", root.name, bodies, file.notes, file, turn)
 
 
 def _read_origin(element: etree._Element) -> Pose:
@@ -123,10 +127,11 @@ def _make_link(
     parent: str | None,
     pose: Pose,
     joints: tuple[Joint, ...],
+    turn: bool,
 ) -> Link:
     """Convert a link of a URDF, with inertia and shapes; ``pose`` is in the base frame."""
     shapes = [
-        _make_shape(file, shape, geometry, tag == "collision")
+        _make_shape(file, shape, geometry, tag == "collision", turn)
         for tag, shape, geometry in link.shapes
     ]
     return Link(link.name, parent, pose, joints, _make_inertial(link), tuple(shapes))
@@ -156,7 +161,11 @@ def half_digit(text: str) -> float:
 
 
 def _make_shape(
-    file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
+    file: UrdfFile,
+    element: etree._Element,
+    tag: etree._Element | None,
+    collides: bool,
+    turn: bool,
 ) -> Shape:
     """Convert a shape of a URDF from its ``<collision>`` or ``<visual>`` (``element``).
 
@@ -179,6 +188,8 @@ def _make_shape(
         return Shape(name, kind, pose, size, collides)
     read, read_volume = partial(_read_mesh, file, tag), partial(_read_volume, file, tag)
     read_solid = partial(_read_solid, file, tag)
+    if turn and (rotation := find_turn(file, tag)) is not None:
+        pose = pose * Pose(rotation=rotation)
     return Shape(name, kind, pose, size, collides, read, read_volume, read_solid)
 
 
@@ -216,8 +227,38 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 """Suffixes of the mesh files that are read, in lower case. A COLLADA file contains several parts
-with poses, and states the unit of length and the axis that points up, which must be z. Other
-formats, such as glTF, are not supported."""
+with poses, and states the unit of length, which is applied, and the axis that points up, which is
+not (`find_turn`). Other formats, such as glTF, are not supported."""
+
+_TURNS = {
+    "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""{up axis: rotation, shape (3, 3), from the axes of a mesh to axes of which z is up}, from the
+directions right, up and inwards of COLLADA 1.4.1, <up_axis>."""
+
+
+def find_turn(file: UrdfFile, tag: etree._Element) -> NDArray[np.float64] | None:
+    """Return the rotation, shape (3, 3), that turns the up axis of a ``<mesh>`` to z.
+
+    RViz, MoveIt, Pinocchio (Coal) and trimesh do not turn a mesh; Blender and other programs do.
+
+    Returns:
+        The rotation; None if z is up, and for a file that is no COLLADA file or is not readable.
+    """
+    path = file.resolve_mesh(tag.get("filename", ""))
+    if path is None or path.suffix.lower() != ".dae" or not path.is_file():
+        return None
+    return _TURNS.get(_read_up_axis(path, read_change_time(path)))
+
+
+@lru_cache(maxsize=256)
+def _read_up_axis(path: Path, _changed: int) -> str:
+    """Return the axis that a COLLADA file states to point up; "" if not readable. Cached."""
+    try:
+        return read_collada_asset(read_input(path, MAX_MESH_BYTES)).up_axis
+    except Exception:  # of a broken file, which an audit rule reports
+        return ""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
@@ -293,17 +334,12 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     Raises:
         UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
         InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
-        ValueError: If the z axis of a COLLADA file does not point up, or the length of the unit is
-            not a finite positive number. Some programs turn a mesh with another axis, others do
-            not: the published iCub needs the turn; Tiago, Borinot and HexTilt are right without the
-            turn.
+        ValueError: If the length of the unit of a COLLADA file is not a finite positive number.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 
     if path.suffix.lower() == ".dae":
         data = read_input(path, MAX_MESH_BYTES)
-        if read_collada_asset(data).up_axis != "Z_UP":
-            raise ValueError(path)
         mesh = read_merged_mesh(data, ".dae")
         if merge:
             mesh.merge_vertices(merge_tex=True, merge_norm=True)

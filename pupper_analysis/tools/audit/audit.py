@@ -27,7 +27,6 @@ from pupper_analysis.models.places import NO_LINE, Place
 from pupper_analysis.models.published import make_xacro_request
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
-from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.pupper.named_robots import find_model
 from pupper_analysis.pupper.variants import VariantSpec
@@ -41,6 +40,7 @@ from pupper_analysis.tools.audit.registry import (
     ValueRepair,
 )
 from pupper_analysis.tools.audit.repairs import find_repairs
+from pupper_analysis.tools.audit.rules.files import choose_mesh_axes
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
@@ -173,7 +173,7 @@ wrong masses of the attached links.
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
     """Return the values that a file states, as the model that the rules check."""
-    return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
+    return choose_mesh_axes(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
 def _make_finding(

@@ -6,6 +6,7 @@ import re
 import sys
 from pathlib import Path
 
+import coal
 import numpy as np
 import pytest
 import trimesh
@@ -89,9 +90,6 @@ def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
     text = re.sub(r"(<node [^>]*>)", r"\1<translate>50 0 0</translate>", text)
     asset = '<unit name="centimeter" meter="0.01"/><up_axis>Z_UP'
     (tmp_path / "a.dae").write_text(text.replace("<up_axis>Y_UP", asset))
-    (tmp_path / "b.dae").write_text(text)  # y points up: some programs turn the mesh
-    assert mesh_hull(tmp_path / "b.dae") is None
-    assert find_mesh_problem(tmp_path / "b.dae") is None
     path = tmp_path / "robot.urdf"
     path.write_text(URDF.replace("a.obj", "a.dae"))
     shape = read_urdf_model(read_urdf(path)).links["base"].shapes[0]
@@ -102,3 +100,40 @@ def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
     assert solid.mass == pytest.approx(0.1 * 0.2 * 0.3)
     np.testing.assert_allclose(solid.lever, [0.5, 0, 0], atol=1e-9)
     assert shape.compute_volume() == pytest.approx(0.006)
+
+
+UPWARDS = {"X_UP": [1.0, 0, 0], "Y_UP": [0, 1.0, 0], "Z_UP": [0, 0, 1.0], "": [0, 1.0, 0]}
+"""{up axis of a COLLADA file: direction in the file}. Without a statement, y points up (COLLADA
+1.4.1)."""
+
+
+@pytest.mark.parametrize("axis", UPWARDS)
+def test_collada_mesh_is_turned_on_request_only(tmp_path: Path, axis: str) -> None:
+    """References: Coal, Pinocchio's reader, as read; the direction that the file states, turned.
+
+    The mesh is long in the direction that points up. Nested nodes move, turn and scale the mesh.
+    """
+    up = np.array(UPWARDS[axis])
+    box = trimesh.creation.box(2.0 + 8.0 * up)
+    text = trimesh.exchange.dae.export_collada(box).decode()
+    stated = f"<up_axis>{axis}</up_axis>" if axis else ""
+    text = text.replace("<up_axis>Y_UP</up_axis>", stated)
+    nodes = "<node><rotate>{} {} {} 90</rotate><scale>0.5 0.5 0.5</scale>".format(*up)
+    text = re.sub(
+        r"(?s)<node (.*)</node>",
+        rf"<node><translate>0 0 10</translate>{nodes}<node \1</node></node></node>",
+        text,
+    )
+    path = tmp_path / "a.dae"
+    path.write_text(text)
+    mesh = coal.MeshLoader().load(str(path), np.ones(3))
+    mesh.computeLocalAABB()
+    hull = mesh_hull(path)
+    assert hull is not None
+    np.testing.assert_allclose(hull.vertices.min(0), mesh.aabb_local.min_, atol=1e-6)
+    np.testing.assert_allclose(hull.vertices.max(0), mesh.aabb_local.max_, atol=1e-6)
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(URDF.replace("a.obj", "a.dae"))
+    points = read_urdf_model(read_urdf(urdf), turn=True).links["base"].shapes[0].points
+    assert points is not None
+    np.testing.assert_allclose(np.ptp(points, axis=0), [1, 1, 5], atol=1e-6)

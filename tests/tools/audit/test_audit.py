@@ -543,6 +543,38 @@ def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> 
     assert not find_findings(audit_model(path), "mesh-unreadable")
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+def test_collada_meshes_that_lie_across_are_one_finding(axis: int, tmp_path: Path) -> None:
+    """Bars along z between the joints are right as RViz reads the file; bars along y lie across.
+
+    Each file states Y_UP. The CoM at the middle of the way to the next joint is no second finding.
+    """
+    size, middle = np.full(3, 0.04), np.zeros(3)
+    size[axis], middle[axis] = 0.24, 0.1
+    bar = trimesh.creation.box(size, trimesh.transformations.translation_matrix(middle))
+    (tmp_path / "bar.dae").write_bytes(trimesh.exchange.dae.export_collada(bar))
+    shape = '<geometry><mesh filename="bar.dae"/></geometry>'
+    links = "".join(
+        f'<link name="link_{i}"><inertial><origin xyz="0 0 0.1"/><mass value="0.4"/>'
+        '<inertia ixx="0.002" iyy="0.002" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f"<visual>{shape}</visual><collision>{shape}</collision></link>"
+        for i in range(4)
+    )
+    joints = "".join(
+        f'<joint name="joint_{i}" type="revolute"><parent link="link_{i - 1}"/>'
+        f'<child link="link_{i}"/><origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1.5" effort="20" velocity="5"/></joint>'
+        for i in range(1, 4)
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    findings = audit_model(path).findings
+    assert [finding.rule for finding in findings] == (["mesh-lies-across"] if axis == 1 else [])
+    if axis == 1:
+        text = "the shapes end 180 mm before the next joint; turned until z is up, 0 mm (3 links"
+        assert text in findings[0].message
+
+
 def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None:
     names = ("package://dog/a.stl", "package://dog/b.dae", "hips/a.stl", "hips/b.stl")
     tree = etree.fromstring(OWN["urdf"].read_bytes())

@@ -1,7 +1,8 @@
 """Rules about referenced files, and about models that MuJoCo refuses.
 
 Input is the model of a file. Paths of meshes are resolved, and the STL and OBJ files of a URDF are
-parsed; missing meshes are grouped, for example by package and folder.
+parsed; missing meshes are grouped, for example by package and folder. `choose_mesh_axes` decides
+whether the rules see the COLLADA meshes of a URDF turned.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.inputs import read_change_time
 from pupper_analysis.base.tools import find_format
@@ -22,8 +23,15 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     UrdfModel,
 )
-from pupper_analysis.models.stated.urdf import MAX_READ_MESH_BYTES, MESH_SUFFIXES, read_mesh_file
-from pupper_analysis.tools.audit.registry import rule
+from pupper_analysis.models.stated.urdf import (
+    MAX_READ_MESH_BYTES,
+    MESH_SUFFIXES,
+    find_turn,
+    read_mesh_file,
+    read_urdf_model,
+)
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.tools.audit.registry import compute_hull_distance, list_known_points, rule
 
 
 @rule
@@ -144,6 +152,78 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
         return None
     found = read_mesh_file(path, read_change_time(path))
     return found if isinstance(found, Diagnostic) else None
+
+
+MIN_JOINT_GAP = 0.03
+"""Smallest distance [m] between the shapes of a link and a next joint with which the link counts in
+`choose_mesh_axes`. In 20 public URDFs with meshes of another up axis, the largest distance is 18 mm
+with the right axes, and more than 70 mm in 22 of 23 links of iCub with the wrong axes."""
+
+MIN_AXIS_VOTES = 2
+"""Smallest number of links that need the turn, with which the meshes of a URDF are turned. Chosen,
+not tuned."""
+
+
+def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
+    """Read a URDF, and turn its COLLADA meshes to their up axis if only then the links fit.
+
+    RViz, MoveIt and Pinocchio do not turn meshes, and most published files are right without. A
+    link fits if its shapes are nearer than `MIN_JOINT_GAP` to the next joints, or not twice as near
+    after the other choice. The meshes are turned if `MIN_AXIS_VOTES` links or more fit only turned,
+    and more than three times as many as fit only as read.
+    """
+    as_read = read_urdf_model(file)
+    names = [
+        name
+        for name, link in file.tree.links.items()
+        if any(find_turn(file, mesh) is not None for mesh in link.element.iter("mesh"))
+    ]
+    if not names:
+        return as_read
+    turned = read_urdf_model(file, turn=True)
+    pairs = [(measure_joint_gap(as_read, name), measure_joint_gap(turned, name)) for name in names]
+    for_turn, against = (
+        sum(other > max(MIN_JOINT_GAP, 2 * chosen) for other, chosen in votes)
+        for votes in (pairs, [pair[::-1] for pair in pairs])
+    )
+    return turned if for_turn >= MIN_AXIS_VOTES and for_turn > 3 * against else as_read
+
+
+def measure_joint_gap(robot: UrdfModel, name: str) -> float:
+    """Return the largest distance [m] between the shapes of a link and the next moving joints.
+
+    The distance is a lower bound (`compute_hull_distance`). 0 without shapes or joints.
+    """
+    body = robot.links[name]
+    points, _ = list_known_points([body], body)
+    to_frame = body.pose.inverse()
+    ends = [
+        to_frame.point(child.joints[0].position) for child in robot.children(name) if child.moving
+    ]
+    if points is None:
+        return 0.0
+    return max([0.0, *(compute_hull_distance(points, end) for end in ends)])
+
+
+@rule
+def mesh_lies_across(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find a URDF whose COLLADA meshes fit only if they are turned (`choose_mesh_axes`).
+
+    The finding names the link whose shapes are farthest from the next joint as read.
+    """
+    if not robot.turned:
+        return
+    as_read = read_urdf_model(robot.file)
+    gaps = {name: measure_joint_gap(as_read, name) for name in robot.links}
+    worst = max(gaps, key=gaps.__getitem__)
+    message = diagnose(
+        "mesh-lies-across",
+        gap=Quantity(gaps[worst], "m"),
+        turned=Quantity(measure_joint_gap(robot, worst), "m"),
+        count=sum(gap > MIN_JOINT_GAP for gap in gaps.values()),
+        least=Quantity(MIN_JOINT_GAP, "m"),
+    )
+    yield CheckFinding("link", worst, message, "visual")
 
 
 _MESH_SUFFIXES = (
