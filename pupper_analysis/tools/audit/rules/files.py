@@ -156,8 +156,8 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
 
 MIN_JOINT_GAP = 0.03
 """Smallest distance [m] between the shapes of a link and a next joint with which the link counts in
-`choose_mesh_axes`. In 20 public URDFs with meshes of another up axis, the largest distance is 18 mm
-with the right axes, and more than 70 mm in 22 of 23 links of iCub with the wrong axes."""
+`choose_mesh_axes`. Measured on 15 public URDFs, in links whose distance depends on the turn: at
+most 18 mm as read in 13 files (Laikago), 78 to 170 mm in 11 links of each of iCub's two files."""
 
 MIN_AXIS_VOTES = 2
 """Smallest number of links that need the turn, with which the meshes of a URDF are turned. Chosen,
