@@ -5,6 +5,9 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
+
+import mujoco
 
 import pupper_analysis as pa
 
@@ -22,6 +25,12 @@ def wrong(robot: pa.Robot, stand: pa.Stand) -> str:
 def fails(robot: pa.Robot, stand: pa.Stand) -> float:
     """Raise an error."""
     raise RuntimeError("on purpose")
+
+
+def writes_log(_robot: pa.Robot, _stand: pa.Stand) -> float:
+    """Return whether MuJoCo writes its log file MUJOCO_LOG.TXT in this process."""
+    log: Any = mujoco
+    return float(log.MjLogConfig.get().logto_file)
 
 
 def heavy(robot: pa.Robot) -> bool:

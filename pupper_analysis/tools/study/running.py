@@ -28,6 +28,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing import parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, Final
@@ -64,6 +65,7 @@ class WorkDefinition:
         task: Stand task.
         point: Position of a payload: (x, y, z) [m] in the base frame, or (frame, x, y, z).
         versions: Package versions of the machine that started the run.
+        process: Host name and process ID of the process that started the run.
         limit: Time limit per design [s], or None.
         motors: {code: motor} of the motor variables.
         present_motor: Motor whose mass the files include; None without motor variables.
@@ -75,6 +77,7 @@ class WorkDefinition:
     task: StandTask
     point: tuple[str | float, ...]
     versions: dict[str, str]
+    process: tuple[str, int]
     limit: float | None
     motors: Mapping[float, Motor]
     present_motor: Motor | None
@@ -141,6 +144,8 @@ class _ThreadCache(threading.local):
                 ]
                 problem = diagnose("worker-of-other-versions", versions=messages)
                 raise StudyError(platform.node(), problem)
+            if definition.process != (platform.node(), os.getpid()):
+                disable_mujoco_log()
             maker = DesignBuilder(
                 definition.source,
                 definition.task,
@@ -201,9 +206,15 @@ _worker_context: Final = contextlib.ExitStack()
 """Context managers that remain entered until the worker process ends."""
 
 
+@cache
+def disable_mujoco_log() -> None:
+    """Disable MuJoCo's log file MUJOCO_LOG.TXT until this process ends."""
+    _worker_context.enter_context(no_mujoco_log())
+
+
 def initialise_worker() -> None:
     """Prepare a worker process: ignore Ctrl-C, write no MuJoCo log file, end with the parent."""
-    _worker_context.enter_context(no_mujoco_log())
+    disable_mujoco_log()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # the parent blocked it during the start
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -8,7 +8,9 @@ a design. Therefore an interrupted or extended study can be continued.
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
+import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import fields
@@ -338,6 +340,7 @@ class Study:
             task=self.task,
             point=self.point,
             versions=list_versions(),
+            process=(platform.node(), os.getpid()),
             limit=self.time_limit,
             motors=self.motors,
             present_motor=self.present_motor,

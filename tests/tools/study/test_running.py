@@ -31,7 +31,7 @@ from pupper_analysis.tools.study.running import Chunk, Progress
 from tests.support import legged, study_metrics
 from tests.support.commands import run_command
 from tests.support.repository import ROOT
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 FEW = {"leg_scale": [1.2, 1.3], "slope": [0.0, 0.1], "kp": [0.2, 5.0, 20.0]}
 METRICS = ("peak_utilisation", "base_height", "servo_sag", "stands")
@@ -310,6 +310,17 @@ def test_broken_executor_loses_no_finished_design(tmp_path: Path) -> None:
     ):
         made.run(tmp_path, executor=executor)
     assert made.run(tmp_path, workers=1)["failure"].notna().sum() == 1
+
+
+@pytest.mark.slow
+def test_workers_of_any_executor_write_no_log_of_mujoco(tmp_path: Path) -> None:
+    """Reference: the setting of MuJoCo. That of the process that starts the run is not changed."""
+    made = study({"payload": [0.0]}, study_metrics.writes_log)
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor:
+        assert list(made.run(tmp_path / "process", executor=executor)["writes_log"]) == [0.0]
+    before = study_metrics.writes_log(load("v3"), stand_of("v3"))
+    with ThreadPoolExecutor(1) as executor:
+        assert list(made.run(tmp_path / "thread", executor=executor)["writes_log"]) == [before]
 
 
 # ----------------------------------------------------------------------------- kills
