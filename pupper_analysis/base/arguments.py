@@ -64,7 +64,7 @@ def check_finite(name: str, value: object) -> float:
 
 
 def match_names(pattern: str, names: Iterable[str]) -> list[str]:
-    """Return the names that a pattern selects, in the given order.
+    """Return the elements of ``names`` that a pattern selects, in the order of ``names``.
 
     A name that equals the pattern is the only result, because names may contain brackets
     (``arm[0]``).
@@ -81,7 +81,7 @@ def match_names(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Convert an argument to a new array of floats of any shape; raise an error for other values.
+    """Convert an argument to a new array of floats of any shape; refuse what is no real number.
 
     Infinite values and NaN are accepted. Texts, Booleans and complex numbers are rejected, also as
     single elements of a list: NumPy would convert them silently. Masked arrays with a masked
@@ -143,7 +143,7 @@ def _contains_boolean(values: object) -> bool:
 
 
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """Convert an argument to a vector (size,) of finite numbers; raise an error for other contents.
+    """Convert an argument to a vector (size,) of finite numbers, or raise an error.
 
     Args:
         name: Name of the argument, for the message.
@@ -385,7 +385,7 @@ _BOOLEAN_TYPES = (bool, np.bool_)
 
 
 def _union_members(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union type; a tuple with the type itself for other types."""
+    """Return the members of a union type; for a type that is no union, only the type itself."""
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     return typing.get_args(hint) if union else (hint,)
 

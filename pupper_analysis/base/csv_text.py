@@ -48,7 +48,7 @@ def cell_text(cell: str) -> str:
 
 
 def _escape_formula(cell: object) -> object:
-    """Prefix a text that a spreadsheet may execute with an apostrophe; return other cells."""
+    """Prefix an apostrophe to a text that a spreadsheet would execute as a formula."""
     if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_float_text(cell):
         return _TEXT_MARK + cell
     return cell

@@ -600,7 +600,9 @@ class _StagedFile:
             raise self._make_error(describe_os_error(error)) from error
 
     def restore(self) -> None:
-        """Undo the replacement, if any: restore the old file, or else delete the new file.
+        """Undo the replacement of the file: restore the old file; without old file, delete the new.
+
+        Nothing is done if the file was not replaced.
 
         If the system cannot restore the old file, ``stuck`` is set.
         """

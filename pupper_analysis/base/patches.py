@@ -37,7 +37,9 @@ _NO_LINE_END = "\n\\ No newline at end of file\n"
 
 
 def _relative_name(path: Path) -> str:
-    """Return the name of a file in a patch, relative to the working folder, or without its folder.
+    """Return the name of a file in a patch: the path relative to the working folder.
+
+    A file outside of the working folder is named without folders.
 
     A tab follows a name with a space, so that ``patch`` finds the end of the name.
     """

@@ -31,7 +31,7 @@ class ProgressClock:
         self.done, self.total = 0, 0
 
     def update(self, stage: str, done: int, total: int) -> None:
-        """Record that some parts of a stage are completed.
+        """Record the number of completed parts of a stage.
 
         Args:
             stage: Name of the stage. A new name, or a smaller ``done``, begins a new stage.

@@ -211,7 +211,7 @@ class Tabular(Result):
     """Base class of results that are tables, for example with a row per joint or sample."""
 
     def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
-        """Return {column: values}; all columns have the same length."""
+        """Return {column: values} of this result as a table; all columns have equal length."""
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -178,11 +178,11 @@ def find_branches(
 def _sort_branches(
     robot: Robot, qpos: Array, limb: IndependentLimb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Sort a limb's branches by foot error, and equal errors by the position of the bent joints.
+    """Sort a limb's IK branches by foot error, then from rear to front by the joint origins.
 
-    The branch whose joint origins are rearmost along base x is first, so that legs with equivalent
-    branches all bend in the same direction. ``qpos`` (nq,) contains the base pose, and the
-    positions of joints outside of the limb.
+    Among equal foot errors, the branch whose joint origins are rearmost along base x is first, so
+    that legs with equivalent branches all bend in the same direction. ``qpos`` (nq,) contains the
+    base pose, and the positions of joints outside of the limb.
     """
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]

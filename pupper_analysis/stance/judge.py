@@ -220,7 +220,7 @@ class Stand(Pictured, Tabular):
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy of this stand with another task that this stand must satisfy (unchecked).
+        """Return a copy of this stand with a new task, without a check that the stand satisfies it.
 
         The ground remains that of this stand, since it includes the planes of the contacts.
         """

@@ -297,9 +297,10 @@ class _StandSearch:
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
-        """Return True if several guesses lead to nearly the same smallest foot error.
+        """Return True if enough guesses ended near the smallest foot error so far: the search ends.
 
-        Several means at least `_MIN_AGREEING_GUESSES`; the search then ends.
+        At least `_MIN_AGREEING_GUESSES` foot errors must exceed the smallest by at most the
+        fraction `_MISS_TOLERANCE`.
         """
         least = min(self.misses, default=0.0)
         bound = (1 + _MISS_TOLERANCE) * least
@@ -638,7 +639,7 @@ def branch_initial_guesses(
 def bound_com_shift(
     robot: Robot, qpos: Array, found: Mapping[IndependentLimb, tuple[Branch, ...]]
 ) -> float:
-    """Estimate how far [m] the base must move at most if legs change to other IK branches.
+    """Estimate the largest base displacement [m] that a change of the IK branches may require.
 
     A change of the branch moves the CoM relative to the base. The base must move by the opposite
     displacement, so that the CoM stays in place. The estimate is

@@ -235,7 +235,7 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create contacts on level ground with MuJoCo's friction; arrays are read-only, for a cache."""
+    """Create contacts on level ground with MuJoCo's friction, with read-only arrays (cached)."""
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False

@@ -255,7 +255,7 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
 
 
 def _shorten_diagnostics(value: Value) -> Value:
-    """Replace each diagnostic in a value by its short text, if not empty; keep other values."""
+    """Replace each diagnostic in a value by its short text, if the diagnostic has one."""
     if isinstance(value, tuple):
         return tuple(map(_shorten_diagnostics, value))
     return (value.short or value) if isinstance(value, Diagnostic) else value

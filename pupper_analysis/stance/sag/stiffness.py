@@ -264,7 +264,7 @@ def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
 def _bisect_stiffness(
     search: _StiffnessSearch, low: float, high: float, tolerance: float
 ) -> tuple[float, float]:
-    """Narrow a bracket (low, high) of the smallest kp [N m/rad] to a relative width.
+    """Narrow a bracket of the smallest stiffness kp [N m/rad] with which the robot stands.
 
     The result equals that of a bisection in which each kp is tested with creep. A simulation of
     creep takes ten times as long as statics. Therefore statics bound kp first, and predictions

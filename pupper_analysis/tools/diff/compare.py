@@ -244,7 +244,7 @@ class _Comparison:
     def _unify_joints(
         self, one: MultibodyTree, two: MultibodyTree
     ) -> tuple[MultibodyTree, MultibodyTree]:
-        """Give both trees the same joints: fix joints of a single version, and rename new joints.
+        """Reduce both trees to the joints of both versions, with the names of the old version.
 
         Joints of the new version get the old names. Each fixed or renamed joint becomes a
         difference, as does another type of the base. Frames that exist in a single version are
@@ -372,7 +372,7 @@ class _Comparison:
                 yield Difference(kind, element, old, new, "", message, {})
 
     def _make_change(self, difference: Difference) -> ModelChange:
-        """Convert a difference of the versions to a `ModelChange`, with file and line in both."""
+        """Convert a difference to a `ModelChange`, with file and line in both versions."""
         kind, element = difference.kind, difference.element
         found: Sequence[Place | None]
         if isinstance(difference, ElementDifference):
@@ -403,7 +403,9 @@ def _sum_mass(values: MultibodyTree) -> float:
 
 
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
-    """Replace the joint name in the value of a mimic joint or a motor; return other values.
+    """Rename the joint to which the value of a mimic joint or a motor refers.
+
+    Values without reference to a joint are returned unchanged.
 
     ``names`` is {name in the value: new name}.
     """
@@ -441,9 +443,9 @@ def _describe_changed_value(value: Any, other: Any) -> Diagnostic | Term | str:
 
 
 def _format_value(value: Any, other: Any) -> str:
-    """Format a value with six digits, or more to distinguish the value from ``other``.
+    """Format a value of a version with six digits; with more if ``other`` would look equal.
 
-    ``other`` is the value of the other version. Lists are in brackets.
+    ``other`` is the value in the version that is compared. Lists are in brackets.
     """
     if isinstance(value, list):
         others = other if isinstance(other, list) and len(other) == len(value) else value
@@ -500,7 +502,7 @@ class RandomStates:
 
     @cached_property
     def _mujoco_tree(self) -> MujocoTree:
-        """MuJoCo model of the tree ``values``, also used for other trees of the same structure."""
+        """MuJoCo model of ``values``, reused for other trees with the structure of ``values``."""
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
@@ -587,7 +589,7 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
     """
 
     def new(name: str) -> str:
-        """Return the new name of a joint or body; the same name if not renamed."""
+        """Return the new name of a joint or body; the old name if the name has not changed."""
         return names.get(name, name)
 
     return replace(

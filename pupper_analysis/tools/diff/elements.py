@@ -170,7 +170,7 @@ def join_names(ends: Iterable[str]) -> str:
 
 
 def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
-    """Return file and line of the element with the index ``number`` from 0, given all places.
+    """Return file and line of an element, by its index ``number`` (from 0) in ``places``.
 
     The place has no line if the file has not exactly ``count`` such elements, as the model has.
     """
@@ -248,7 +248,7 @@ def get_flag_name(bit: Any) -> str:
 
 
 def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
-    """Return True if a feature is enabled in a model, given the MuJoCo disable or enable bit."""
+    """Return True if the feature of a MuJoCo disable or enable bit is enabled in a model."""
     if isinstance(bit, mujoco.mjtDisableBit):
         return not model.opt.disableflags & bit.value
     return bool(model.opt.enableflags & bit.value)
@@ -416,7 +416,7 @@ def _match_similar_shapes(
     """
 
     def is_of_one_shape(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if both shapes have the same kind, and surfaces within `SURFACE_ATOL`."""
+        """Return True if old and new shape have equal kind, and surfaces within `SURFACE_ATOL`."""
         assert first.shape is not None
         assert second.shape is not None
         return (
@@ -425,7 +425,7 @@ def _match_similar_shapes(
         )
 
     def is_alike(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if both elements agree in numbers, shape, and ability to collide.
+        """Return True if an old and a new element agree in numbers, shape, and ability to collide.
 
         The tolerances are those of `_numbers_agree` and `SURFACE_ATOL`.
         """
@@ -433,7 +433,7 @@ def _match_similar_shapes(
         return same and first.touches == second.touches and is_of_one_shape(first, second)
 
     def touches_alike(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if both elements can collide, or both cannot."""
+        """Return True if old and new element can both collide, or can both not collide."""
         return first.touches == second.touches
 
     matches: dict[ElementKey, ElementKey] = {}
@@ -613,7 +613,7 @@ def _make_difference(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> ElementDifference:
-    """Create the difference of elements with an equal change of an attribute.
+    """Create the difference that reports an equal change of an attribute in several elements.
 
     Args:
         kind: Tag of the elements.

@@ -176,7 +176,7 @@ class TorqueSearch:
     def _find_peak(
         self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Find the displacement along a motion at which a torque with a given sign is largest.
+        """Find the displacement along a motion at which ``sign`` times a joint torque is largest.
 
         The maximum along a hinge without coupled joints has a closed form. Along such a slide the
         torque is linear, so an end of the range is the maximum. The torque is sampled along coupled

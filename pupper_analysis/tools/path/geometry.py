@@ -223,7 +223,7 @@ def interpolate_task(
     first, last = segment.start.task, segment.end.task
 
     def between(start: _T, end: _T) -> _T:
-        """Interpolate linearly between two values, at the path parameter ``share``."""
+        """Interpolate linearly between two values; 0 <= ``share`` <= 1 is the path parameter."""
         return start + share * (end - start)
 
     ground, normals = first.ground, ground_normals(robot, first.ground)

@@ -845,7 +845,7 @@ class PrimPlacement:
     scale: Array
 
     def make_frame(self, position: Any, rotation: Any) -> Pose:
-        """Convert the numbers of a joint frame in the file to a pose relative to the prim [m].
+        """Convert the position and rotation of a joint frame to a pose relative to the prim [m].
 
         Args:
             position: Position in the file; multiplied by ``scale`` to be in metres. None for 0.
@@ -923,7 +923,7 @@ def read_axis(prim: Any, name: str, default: str) -> str:
 
 
 def recover_decimals(value: Any) -> Array:
-    """Replace numbers in single precision by the probably typed decimals; same shape.
+    """Replace single-precision numbers by the decimals that an author probably typed.
 
     A typed 0.18 is stored in single precision as 0.18000000715. Each number that is exactly a
     single-precision number is replaced by the shortest decimal that rounds to this number. Other
