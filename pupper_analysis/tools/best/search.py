@@ -370,10 +370,13 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        Descents start at the best samples and the initial task, first with feet that move together,
-        then with independent feet. Descents from the best stance found follow, and are repeated
-        while the scaled objective decreases by more than `_MIN_RELATIVE_GAIN`. Nothing is
-        done if no coordinate can change.
+        1. Short descents, from the best samples and the initial task, with feet that move together.
+        2. Each of the best results is improved, first with feet that move together, then with
+           independent feet.
+        3. Descents with independent feet from ``best``, while the scaled objective decreases by
+           more than the fraction `_MIN_RELATIVE_GAIN`.
+
+        Nothing is done if no coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():
