@@ -213,7 +213,10 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     `build_document` calls this function for a `StandFit`. The second argument, the robot, is part
     of the common signature and not used.
     """
-    answer = (_describe_total_mass(fit.total_mass), *_describe_kp_factor(fit))
+    answer: tuple[doc.Words, ...] = (
+        _describe_total_mass(fit.total_mass),
+        *_describe_kp_factor(fit),
+    )
     if fit.weight is not None and fit.kp_factor is not None:
         answer = (*answer[1:], answer[0])  # the user typed the mass, and asks for the stiffness
     details = (
