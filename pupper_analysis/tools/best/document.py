@@ -36,12 +36,12 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
-    # The largest motor load and the height are details: the objective is the answer.
-    load, height, *others = stand_document.findings
+    # The largest motor load is a detail: the objective is the answer.
+    load, *others = stand_document.findings
     coordinates, *more = stand_document.details
     step = _make_next_step(study, stand_document.next_step)
     messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others)
-    details: tuple[doc.Words, ...] = (load, height, *more)
+    details: tuple[doc.Words, ...] = (load, *more)
     if step.command == "path":  # its options state the coordinates
         details = (coordinates, *details)
     else:

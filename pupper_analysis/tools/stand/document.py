@@ -126,11 +126,12 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     stand = stance.stand
     positions = get_display_scales(stance.units) * stance.joint_positions
     soft = tuple(_describe_soft_servos(stance))
-    numbers = (*_describe_height(stance), *_describe_servo_gains(stance))
-    # Line 2 is the reason for a qualified verdict: texts of the verdict, before height and gains.
+    gains = tuple(_describe_servo_gains(stance))
+    # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
     # The cause of a failure of the unmodified file is part of the verdict.
     own_soft = _has_soft_drives(stance)
+    causes = () if own_soft else (*soft, *(gains if _is_damping_excessive(stance) else ()))
     blocks = [
         view_block(robot, stand, stance.statics, list_motions([run])),
         *load_blocks(
@@ -154,12 +155,15 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         (
             *_describe_peak_torque(stance),
             *_warn_of_model_mismatch(run),
-            *(numbers if qualified else ()),
+            *(gains if qualified else ()),
             *(soft if own_soft else ()),
             *_list_findings(stance),
+            *_describe_height(stance),
         ),
-        limits=() if qualified else (*numbers[:1], *(soft if stance.passed else ()), *numbers[1:]),
-        causes=() if stance.passed or own_soft else soft,
+        limits=()
+        if qualified
+        else (*(soft if stance.passed else ()), *(() if gains and gains[0] in causes else gains)),
+        causes=causes,
         details=(task_text(stance.stand.task), *_list_details(stance)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
@@ -204,6 +208,7 @@ def _select_next_step(stance: Stance) -> NextStep:
       `audit` replaces `crosscheck`.
     - The stance loses height: `stand` with the height that remains.
     - Servos are too soft: `stand` with stiffer servos.
+    - The damping gain kd exceeds its bound: `gains`.
     - The minimum stiffness is already known: `payload` replaces its computation.
     """
     verdict = stance.verdict
@@ -221,9 +226,18 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = _stiffen_servos(stance.verification)
     if verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
         step = _stiffen_soft_servos(stance) or step
+    elif _is_damping_excessive(stance):
+        step = NextStep("gains")
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
     return step
+
+
+def _is_damping_excessive(stance: Stance) -> bool:
+    """Return True if the stand fails with kd above the bound of an explicit PD controller."""
+    servos, verdict = stance.servos, stance.verdict
+    excessive = servos is not None and (servos.largest_kd_factor or math.inf) < 1
+    return verdict.code is VerdictCode.FAILS and excessive
 
 
 def _has_soft_drives(stance: Stance) -> bool:
@@ -335,7 +349,7 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
         added=bool(stance.verdict.servos.made),
         over=over,
-        needed="" if least is None or over else f"{_round_bound(least * kp):g}",
+        within=bounded and not over,
         step=f"{1e3 * servos.timestep:.3g}",
         implicit=servos.integrator if implicit else "",
     )
