@@ -817,7 +817,7 @@ def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
 
 
 def test_every_rule_has_a_test() -> None:
-    by_meshes = {"mesh-unreadable", "mesh-mirrored", "joint-off-links"}
+    by_meshes = {"mesh-unreadable", "mesh-mirrored", "mesh-lies-across", "joint-off-links"}
     apart = {
         "base-fused",
         "hull-below-foot",

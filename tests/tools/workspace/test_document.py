@@ -47,6 +47,6 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer = head.getvalue().splitlines()[0]
-    assert answer.startswith("RANGE stub: height 91.1 to 192.2, x ")
+    assert answer.startswith("RANGE stub: height 91 to 192, x ")
     assert answer.count(" mm") == answer.count(" deg") == 1
-    assert answer.endswith("yaw ±28.6 deg")
+    assert answer.endswith("yaw ±29 deg")
