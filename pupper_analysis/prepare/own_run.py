@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 from dataclasses import asdict, dataclass, replace
 
 import mujoco
@@ -55,7 +56,8 @@ from pupper_analysis.robot.as_published import (
 from pupper_analysis.robot.fall import (
     FALLEN_TILT,
     BodyMotion,
-    find_touching_bodies,
+    find_bodies_near_world,
+    horizontal_distance,
     initial_height,
     keyframe_duration,
     measure_motion,
@@ -81,6 +83,11 @@ near angles in degrees by chance."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
+
+_MAX_GROUND_DISTANCE_RATIO = 0.05
+"""Upper bound of the distance of a leg from the ground, relative to the CoM height [1], with which
+the leg counts as on the ground (`_list_lifted_legs`). Chosen, not tuned: feet of published
+keyframes differ by a few percent in height."""
 
 _MAX_RESTING_SPEED = 5e-3
 """Upper bound of the speeds of a robot at rest [m/s, rad/s]. Chosen between two measured speeds:
@@ -579,7 +586,9 @@ def _simulate_commands(
         motion, end = simulate_held_keyframe(published.model, start, advance)
     joints = _joint_deviations(published, robot, start, end, hold.ctrl)
     unheld = _unheld_joints(published, robot, joints)
-    lifted = _list_lifted_legs(published, robot, joints, end)
+    lifted = (
+        [] if motion.diverged else _list_lifted_legs(published, robot, joints, start, end, motion)
+    )
     imported = robot.published is not None and robot.published.imported is not None
     timestep = float(published.model.opt.timestep)
     is_finer = imported and timestep < robot.mj_model.opt.timestep
@@ -596,38 +605,65 @@ def _simulate_commands(
             key=_absolute_displacement,
             default=None,
         ),
-        lifted_leg=None
-        if motion.diverged
-        else max(lifted, key=_absolute_displacement, default=None),
+        lifted_leg=max(lifted, key=_absolute_displacement, default=None),
+        stance_travel=min(motion.away, _measure_base_travel(published, start, end)),
     )
 
 
-def _list_lifted_legs(
-    published: PublishedModel, robot: Robot, joints: list[JointOff], end: mujoco.MjData
-) -> list[JointOff]:
-    """Return the joints that moved far in legs that do not touch the world at the end of a run.
+def _measure_base_travel(
+    published: PublishedModel, start: mujoco.MjData, end: mujoco.MjData
+) -> float:
+    """Return the horizontal distance of the base body's CoM between two states [m]."""
+    states = copy.copy(start), copy.copy(end)
+    for state in states:
+        mujoco.mj_kinematics(published.model, state)
+    first, last = (state.xipos[published.base_body] for state in states)
+    return horizontal_distance(first, last)
 
-    The displacement must exceed `MIN_POSTURE_DEVIATION`: a foot that carries almost no load may
-    leave the ground by micrometres. A leg touches the world if the body of its last joint, or a
-    descendant of this body, touches the world.
+
+def _list_lifted_legs(
+    published: PublishedModel,
+    robot: Robot,
+    joints: list[JointOff],
+    start: mujoco.MjData,
+    end: mujoco.MjData,
+    motion: BodyMotion,
+) -> list[JointOff]:
+    """Return the joints of legs that are on the ground at reset, but not at the end of a run.
+
+    The norm of the displacements of a leg's joints (rad and m mixed) must exceed
+    `MIN_POSTURE_DEVIATION`. A leg is on the ground if the body of its last joint, or a descendant
+    of this body, is less than ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height from a fixed
+    geom. At reset, the clearance of the robot does not count. A leg that the keyframe itself lifts
+    is not returned.
+
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot.
+        joints: Displacements of the joints.
+        start: State at reset.
+        end: State at the end.
+        motion: Motion of the base: initial CoM height and clearance.
     """
-    far = {
-        joint.joint: joint
-        for joint in joints
-        if _absolute_displacement(joint) > MIN_POSTURE_DEVIATION
-    }
-    if not far or not robot.floating:
+    offsets = {joint.joint: joint for joint in joints}
+    legs = (
+        [leg_joints(robot, points[0]) for points in robot.feet.values()] if robot.floating else []
+    )
+    moved = [
+        leg
+        for leg in legs
+        if leg and math.hypot(*(offsets[name].off for name in leg)) > MIN_POSTURE_DEVIATION
+    ]
+    if not moved:
         return []
-    model = published.model
-    state = copy.copy(end)
-    mujoco.mj_forward(model, state)
-    touching = find_touching_bodies(model, state)
+    model, margin = published.model, _MAX_GROUND_DISTANCE_RATIO * max(motion.height, 0.0)
+    before = find_bodies_near_world(model, start, margin, lowered=max(motion.clearance, 0.0))
+    after = find_bodies_near_world(model, end, margin)
     lifted: list[JointOff] = []
-    for points in robot.feet.values():
-        leg = leg_joints(robot, points[0])
-        moved = [far[name] for name in leg if name in far]
-        if moved and not touching & _list_descendants(model, model.joint(leg[-1]).bodyid[0]):
-            lifted += moved
+    for leg in moved:
+        bodies = _list_descendants(model, model.joint(leg[-1]).bodyid[0])
+        if before & bodies and not after & bodies:
+            lifted += [offsets[name] for name in leg]
     return lifted
 
 

@@ -168,7 +168,7 @@ tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
 """
 
 MAX_OWN_TRAVEL_RATIO = 0.3
-"""Largest accepted horizontal travel of the CoM, relative to its initial height [1], in a
+"""Largest accepted horizontal travel of a robot, relative to its initial CoM height [1], in a
 simulation of the published file from its keyframe. With a larger travel, the run fails
 (`OwnRun.has_left_stance`). Chosen, not tuned: equal to the limit of the height loss
 (`MAX_HEIGHT_LOSS_RATIO`). Public MJCFs that stand give at most 0.04 (Spot with arm); a knee servo
@@ -201,8 +201,11 @@ class OwnRun(BodyMotion):
         missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
         redirected: Joint with the largest displacement among the joints that the ctrl moves away
             from the initial position (`JointOff.commanded_away`); None if there is none.
-        lifted_leg: Joint with the largest displacement in the legs whose feet are off the ground at
-            the end. None if no such displacement exceeds 0.5 rad or m (``MIN_POSTURE_DEVIATION``).
+        lifted_leg: Joint with the largest displacement in the legs that are on the ground at
+            reset, but not at the end. None without such a leg, or if the displacements of its
+            joints are small: norm (rad and m mixed) at most 0.5 (``MIN_POSTURE_DEVIATION``).
+        stance_travel: Horizontal travel [m] of the CoM of the robot, or of the base body if this is
+            smaller: the motion of an arm moves the CoM of a robot on planted feet.
     """
 
     imported: bool = False
@@ -218,6 +221,7 @@ class OwnRun(BodyMotion):
     missing: tuple[str, ...] = ()
     redirected: JointOff | None = None
     lifted_leg: JointOff | None = None
+    stance_travel: float = 0.0
 
     @property
     def has_left_posture(self) -> bool:
@@ -254,12 +258,13 @@ class OwnRun(BodyMotion):
     def has_left_stance(self) -> bool:
         """True if a standing robot does not fall, but ends in another stance than the initial one.
 
-        Either the CoM has travelled horizontally by more than 30 % of its initial height
-        (``MAX_OWN_TRAVEL_RATIO``), or a leg has moved away from the ground (``lifted_leg``).
+        Either CoM and base have both travelled horizontally by more than 30 % of the initial CoM
+        height (``MAX_OWN_TRAVEL_RATIO``), or a leg has moved away from the ground (``lifted_leg``).
         """
         if not self.standing or self.diverged:
             return False
-        return self.away > MAX_OWN_TRAVEL_RATIO * self.height or self.lifted_leg is not None
+        travels = self.stance_travel > MAX_OWN_TRAVEL_RATIO * self.height
+        return travels or self.lifted_leg is not None
 
     @property
     def falls(self) -> bool:

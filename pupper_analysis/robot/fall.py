@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -379,10 +380,7 @@ def initial_height(
     """
     trial = _copy_with_kinematics(model, start)
     com, clearance = float(trial.subtree_com[base][2]), 0.0
-    flags, margin = model.opt.enableflags, float(model.opt.o_margin)
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
-    model.opt.o_margin = _SEARCH_MARGIN
-    try:
+    with _override_margin(model, _SEARCH_MARGIN):
         while clearance < MAX_CLEARANCE:
             mujoco.mj_collision(model, trial)
             distance, height = _distance_above_ground(model, trial, base)
@@ -390,13 +388,47 @@ def initial_height(
                 clearance += distance if clearance == 0.0 else 0.0
                 return InitialHeight(com, clearance, height)
             clearance += distance
-            for positions in (trial.xpos, trial.xipos, trial.geom_xpos):
-                moving = model.body_weldid != 0
-                rows = moving[model.geom_bodyid] if positions is trial.geom_xpos else moving
-                positions[rows, 2] -= distance
-    finally:
-        model.opt.enableflags, model.opt.o_margin = flags, margin
+            _lower(model, trial, distance)
     return InitialHeight(com, 0.0, ground)
+
+
+@contextmanager
+def _override_margin(model: mujoco.MjModel, margin: float) -> Iterator[None]:
+    """Set the contact margin [m] of all geoms of a model within a ``with`` block."""
+    flags, previous = model.opt.enableflags, float(model.opt.o_margin)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
+    model.opt.o_margin = margin
+    try:
+        yield
+    finally:
+        model.opt.enableflags, model.opt.o_margin = flags, previous
+
+
+def _lower(model: mujoco.MjModel, data: mujoco.MjData, distance: float) -> None:
+    """Move the evaluated positions of all moving bodies and geoms downward by a distance [m]."""
+    moving = model.body_weldid != 0
+    for positions in (data.xpos, data.xipos, data.geom_xpos):
+        rows = moving[model.geom_bodyid] if positions is data.geom_xpos else moving
+        positions[rows, 2] -= distance
+
+
+def find_bodies_near_world(
+    model: mujoco.MjModel, data: mujoco.MjData, margin: float, lowered: float = 0.0
+) -> set[int]:
+    """Return the ids of moving bodies whose distance from a fixed geom is below a margin.
+
+    Args:
+        model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
+            the call.
+        data: State; not changed.
+        margin: Upper bound of the distance [m].
+        lowered: Distance by which the bodies are moved downward before [m].
+    """
+    placed = _copy_with_kinematics(model, data)
+    _lower(model, placed, lowered)
+    with _override_margin(model, margin):
+        mujoco.mj_collision(model, placed)
+        return find_touching_bodies(model, placed)
 
 
 def _distance_above_ground(

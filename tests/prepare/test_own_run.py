@@ -469,9 +469,10 @@ def test_travel_of_more_than_a_third_of_the_height_leaves_the_stance(
     away: float, fails: bool
 ) -> None:
     """The CoM is 1 m high, and remains so. A fixed base and a free fall are other failures."""
-    run = OwnRun(5.0, 1.0, 1.0, 0.0, away, False, keyframe="home")
+    run = OwnRun(5.0, 1.0, 1.0, 0.0, away, False, keyframe="home", stance_travel=away)
     assert not run.falls
     assert run.has_left_stance is fails
+    assert not replace(run, stance_travel=0.0).has_left_stance  # an arm alone moves the CoM
     assert run.fails is fails
     assert run.keeps_stance is not fails
     assert not replace(run, standing=False).has_left_stance
@@ -490,19 +491,81 @@ def test_the_reported_command_is_not_that_of_the_joint_with_the_largest_displace
     assert not _report_distant_command(replace(run, commands=OwnCommands.ABSENT))
 
 
-@pytest.mark.parametrize(("lift", "lifted"), [(0.0, False), (0.05, True)])
+@pytest.mark.parametrize(
+    ("begin", "lift", "off", "lifted"),
+    [
+        (0.0, 0.0, 0.9, False),
+        (0.0, 0.05, 0.9, True),
+        (0.05, 0.05, 0.9, True),  # the clearance at reset does not count
+        (0.0, 0.05, 0.4, True),  # the norm of two joints is 0.57
+        (0.0, 0.05, 0.28, False),  # 0.49
+    ],
+)
 def test_a_leg_with_a_flat_sole_is_lifted_if_no_part_of_it_touches(
-    tmp_path: Path, lift: float, lifted: bool
+    tmp_path: Path, begin: float, lift: float, off: float, lifted: bool
 ) -> None:
     """A sole has four contact points, which are no names of feet. The base is moved upward."""
     robot = pa.load_robot(mjcf=biped(tmp_path).mjcf)
     assert not set(robot.feet) & set(robot.contacts)
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.home)
-    data.qpos[2] += lift - 1e-4  # the soles press on the ground
+    start, end = (mujoco.MjData(robot.mj_model) for _ in range(2))
+    for data, height in ((start, begin), (end, lift)):
+        robot.mj_convention.set_state(data, robot.home)
+        data.qpos[2] += height - 1e-4  # the soles press on the ground
     published = PublishedModel.from_model(robot.mj_model, robot)
-    knee = JointOff("left_pitch", 0.9, Drive.SERVO)
-    still = JointOff("right_pitch", 0.4, Drive.SERVO)
-    assert {"left_pitch", "right_pitch"} <= set(robot.joint_names)
-    found = _list_lifted_legs(published, robot, [knee, still], data)
-    assert found == ([knee] if lifted else [])
+    offsets = {"left_pitch": off, "left_ankle": 0.4}
+    joints = [JointOff(name, offsets.get(name, 0.0), Drive.SERVO) for name in robot.joint_names]
+    assert offsets.keys() <= {joint.joint for joint in joints}
+    motion = BodyMotion(5.0, 0.5, 0.5, 0.0, 0.0, False, clearance=begin)
+    found = _list_lifted_legs(published, robot, joints, start, end, motion)
+    assert {joint.joint.partition("_")[0] for joint in found} == ({"left"} if lifted else set())
+
+
+def test_a_leg_that_the_keyframe_itself_lifts_may_move(tmp_path: Path) -> None:
+    """At reset the right sole is 0.1 m above the ground; at the end also, with another knee."""
+    robot = pa.load_robot(mjcf=biped(tmp_path).mjcf)
+    start = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(start, robot.home)
+    published = PublishedModel.from_model(robot.mj_model, robot)
+    joints = [JointOff(name, 0.9, Drive.SERVO) for name in robot.joint_names]
+    motion = BodyMotion(5.0, 0.5, 0.5, 0.0, 0.0, False)
+    start.qpos[robot.mj_model.joint("right_pitch").qposadr] += 0.8
+    end = copy(start)
+    end.qpos[robot.mj_model.joint("right_pitch").qposadr] += 0.2
+    assert not _list_lifted_legs(published, robot, joints, start, end, motion)
+    start.qpos[robot.mj_model.joint("right_pitch").qposadr] -= 0.8
+    found = _list_lifted_legs(published, robot, joints, start, end, motion)
+    assert {joint.joint for joint in found} == {
+        name for name in robot.joint_names if name.startswith("right")
+    }
+
+
+@pytest.mark.slow
+def test_an_arm_whose_ctrl_moves_the_com_leaves_the_robot_in_its_stance(tmp_path: Path) -> None:
+    """Reference: bare MuJoCo, in which the four feet stay within 2 cm of their places."""
+    pair = standing(tmp_path)
+    arm = (
+        '<body name="arm" pos="0 0 0.06"><joint name="swing" axis="0 1 0" range="-3 3"/>'
+        '<inertial pos="0.45 0 0" mass="2" diaginertia="0.01 0.01 0.01"/></body>'
+    )
+    rewrite_file(
+        pair.mjcf,
+        ('<body name="FL_hip"', f'{arm}<body name="FL_hip"'),
+        ("<actuator>", '<actuator><position joint="swing" kp="200" kv="150"/>'),
+        ("1 0 0 0 0 0.6", "1 0 0 0 -0.2 0 0.6"),
+        ('ctrl="', 'ctrl="-2.9 '),
+    )
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    feet = [model.body(f"{leg}_calf").id for leg in ("FL", "FR", "RL", "RR")]
+    com, places = data.subtree_com[1].copy(), data.xpos[feet]
+    mujoco.mj_step(model, data, round(5 / model.opt.timestep))
+    assert np.linalg.norm((data.subtree_com[1] - com)[:2]) > 0.5 * com[2]
+    assert np.abs(data.xpos[feet] - places).max() < 0.02
+    run = own_run(pa.load_robot(mjcf=pair.mjcf))
+    assert run is not None
+    assert run.away > 0.3 * run.height
+    assert run.redirected is not None
+    assert run.redirected.joint == "swing"
+    assert not run.fails
