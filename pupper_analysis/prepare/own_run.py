@@ -681,9 +681,10 @@ def _measure_lean_from_upright(
 ) -> BodyMotion:
     """Replace the tilt of a motion if the keyframe itself is tilted; return the motion.
 
-    The upright orientation is that of the start pose (`Robot.home`). If the base ends tilted from
-    it by more than ``FALLEN_TILT``, as on its back, this is the tilt. Otherwise the smaller tilt
-    counts: relative to the start pose, or to reset.
+    The upright orientation is that of the start pose (`Robot.home`). If the robot ends tilted from
+    it by more than ``FALLEN_TILT`` and lies on its trunk, as on its back, or ends upside down, this
+    is the tilt. Otherwise the smaller tilt counts: relative to the start pose, or to reset. So a
+    humanoid whose keyframe bends the base forward has not fallen.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -699,7 +700,8 @@ def _measure_lean_from_upright(
         mujoco.mj_kinematics(published.model, data)
     base = published.base_body
     lean = tilt_between(upright.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3))
-    return replace(motion, lean=lean if lean > FALLEN_TILT else min(lean, motion.lean))
+    has_fallen = lean > FALLEN_TILT and (motion.lies or lean > math.pi / 2)
+    return replace(motion, lean=lean if has_fallen else min(lean, motion.lean))
 
 
 def _missing_files(robot: Robot) -> tuple[str, ...]:

@@ -180,8 +180,8 @@ class OwnRun(BodyMotion):
     """Simulation of a published file from its keyframe, with small nudges (`simulate_keyframe`).
 
     An MJCF is simulated without changes; for a URDF see ``imported``. The tilt ``lean`` is relative
-    to the upright start pose if it exceeds ``FALLEN_TILT`` (0.5 rad) or is smaller than that
-    relative to reset.
+    to the upright start pose if it is smaller than that relative to reset, or if the robot ends
+    fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on its trunk, or upside down.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,

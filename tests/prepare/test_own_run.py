@@ -24,6 +24,7 @@ from pupper_analysis.prepare.judge import _report_distant_command, judge_stand
 from pupper_analysis.prepare.own_run import (
     _is_ctrl_angles,
     _list_lifted_legs,
+    _measure_lean_from_upright,
     own_run,
     settles_in_place,
 )
@@ -167,6 +168,25 @@ def test_tilt_of_a_tilted_keyframe_is_that_from_the_upright_start_pose(
     verdict = judge_nominal_stand(robot)
     assert verdict.passed is (tilt == 0)
     assert ("keyframe-not-upright" in codes(verdict)) is (tilt > 0)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "lies", "lean"),
+    [(0.6, False, 0.0), (0.6, True, 0.6), (0.4, True, 0.0), (3.0, False, 3.0)],
+    ids=["bent forward", "on its trunk", "on a stone", "upside down"],
+)
+def test_a_robot_that_rests_bent_forward_on_its_feet_has_not_fallen(
+    tmp_path: Path, pitch: float, lies: bool, lean: float
+) -> None:
+    """The base has the same pitch at reset and at the end; by hand, the tilt is 0 or the pitch."""
+    robot = pa.load_robot(mjcf=biped(tmp_path).mjcf)
+    end = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(end, robot.home)
+    mujoco.mju_axisAngle2Quat(end.qpos[3:7], [0.0, 1.0, 0.0], pitch)
+    published = PublishedModel.from_model(robot.mj_model, robot)
+    motion = BodyMotion(5.0, 0.5, 0.5, 0.0, 0.0, False, lies=lies)
+    found = _measure_lean_from_upright(published, robot, motion, end)
+    assert found.lean == pytest.approx(lean, abs=1e-9)
 
 
 @pytest.mark.slow
