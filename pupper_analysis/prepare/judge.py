@@ -52,6 +52,7 @@ from pupper_analysis.simulation.trial import (
     BASE_NUDGE_SPEED,
     NudgeTrial,
     is_near_limit,
+    saturates_after_nudge,
     simulate_large_nudges,
     simulate_nudges,
 )
@@ -90,7 +91,8 @@ def judge_simulation(
 
     - In all directions (`simulate_nudges`) for a stand near a limit, or a stand that fails
       without feed-forward.
-    - Large (`simulate_large_nudges`) for other stands.
+    - Large (`simulate_large_nudges`) for other stands, and for stands whose servos saturate at
+      small deviations.
 
     Args:
         robot: Robot.
@@ -343,8 +345,9 @@ def _fail_if_upset(
 
     A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here. A
     stand near a limit, or a ``fragile`` one, is nudged in all directions (`simulate_nudges`). Other
-    stands get large nudges (`simulate_large_nudges`), after which only shaking and divergence are
-    failures. Without a free base or without a CoM margin, there is no nudge.
+    stands, and stands whose servos saturate at small deviations (`saturates_after_nudge`), get
+    large nudges (`simulate_large_nudges`), after which only shaking and divergence are failures.
+    Without a free base or without a CoM margin, there is no nudge.
 
     Args:
         robot: Robot.
@@ -363,7 +366,9 @@ def _fail_if_upset(
         held = solve_stand_as_simulated(robot, stand)
         if fragile or is_near_limit(robot, held, statics, kp):
             trial = simulate_nudges(robot, held, kp=kp, kd=kd)
-        else:
+        # Stiff servos saturate at small deviations, and may shake after large nudges.
+        stiff = trial is not None and trial.survived and saturates_after_nudge(robot, statics, kp)
+        if trial is None or stiff:
             trial, speed = simulate_large_nudges(robot, held, kp=kp, kd=kd), LARGE_NUDGE_SPEED
     if trial.failure is None:
         return fed

@@ -406,15 +406,13 @@ def is_near_limit(
         statics.com_margin < _MIN_MARGIN_RATIO * com_displacement
         or (not robot.fixed_parts and min(loads) < _MIN_LOAD_RATIO * sum(loads) / len(loads))
         or bool((statics.motor_utilisation > _MAX_UTILISATION).any())
-        or _saturates_after_nudge(robot, statics, kp)
+        or saturates_after_nudge(robot, statics, kp)
         or max(statics.friction_utilisation.values(), default=0.0) > _MAX_UTILISATION
         or bool((limit_distances[~(is_free | is_locked)] < _MIN_LIMIT_DISTANCE).any())
     )
 
 
-def _saturates_after_nudge(
-    robot: Robot, statics: GravityCompensation, kp: ArrayLike | None
-) -> bool:
+def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayLike | None) -> bool:
     """Return True if a deviation below `_MIN_SATURATION_DEVIATION` saturates a servo.
 
     Args:

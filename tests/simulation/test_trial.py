@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -183,6 +184,45 @@ def test_stand_far_from_limits_fails_if_a_large_nudge_makes_it_shake(
     if shakes:
         (failure,) = judged.failures
         assert "nudged at 50 mm/s, it shakes without decay: leg_front_r_1" in str(failure)
+
+
+@pytest.mark.parametrize(("kp", "passes"), [(5.0, True), (1e5, False)])
+def test_stiff_servos_near_saturation_get_large_nudges_too(
+    kp: float, passes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By hand: a limit of 3 N m minus the load, divided by 1e5 N m/rad, is below 0.001 rad.
+
+    Stubs replace both nudged simulations; the stand survives the small nudges only.
+    """
+    robot, stand = load("v3"), stand_of("v3")
+    calm = NudgeTrial(
+        survived=True,
+        failure=None,
+        failing_parts=(),
+        time=None,
+        failed_nudges=0,
+        nudges=12,
+        duration=12.0,
+        simulated=15.0,
+        shaking_speed=None,
+        shaking_unit="rad/s",
+    )
+    shaking = replace(
+        calm,
+        survived=False,
+        failure=Failure.SHAKING,
+        failing_parts=("leg_front_r_1",),
+        time=12.0,
+        failed_nudges=1,
+        shaking_speed=0.4,
+    )
+    monkeypatch.setattr(judge, "simulate_nudges", lambda *_arguments, **_gains: calm)
+    monkeypatch.setattr(judge, "simulate_large_nudges", lambda *_arguments, **_gains: shaking)
+    fed = Outcome(passed=True, failures=(), duration=12.0)
+    statics = stand_statics(robot, stand)
+    # A fragile stand gets the small nudges in both cases.
+    judged = _fail_if_upset(robot, stand, fed, statics, None, kp, 0.1, fragile=True)
+    assert judged.passed is passes
 
 
 def test_shaking_after_a_nudge_is_reported_with_its_speed() -> None:
