@@ -632,10 +632,10 @@ def _list_lifted_legs(
     """Return the joints of legs that are on the ground at reset, but not at the end of a run.
 
     The norm of the displacements of a leg's joints (rad and m mixed) must exceed
-    `MIN_POSTURE_DEVIATION`. A leg is on the ground if the body of its last joint, or a descendant
-    of this body, is less than ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height from a fixed
-    geom. At reset, the clearance of the robot does not count. A leg that the keyframe itself lifts
-    is not returned.
+    `MIN_POSTURE_DEVIATION`. A leg is on the ground if a body of it, such as a heel behind a toe
+    joint, is less than ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height from a fixed geom. The
+    bodies are the descendants of the first joint that moves no other foot. At reset, the clearance
+    of the robot does not count. A leg that the keyframe itself lifts is not returned.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -661,7 +661,9 @@ def _list_lifted_legs(
     after = find_bodies_near_world(model, end, margin)
     lifted: list[JointOff] = []
     for leg in moved:
-        bodies = _list_descendants(model, model.joint(leg[-1]).bodyid[0])
+        shared = {name for other in legs if other is not leg for name in other}
+        first = next((name for name in leg if name not in shared), leg[-1])
+        bodies = _list_descendants(model, model.joint(first).bodyid[0])
         if before & bodies and not after & bodies:
             lifted += [offsets[name] for name in leg]
     return lifted

@@ -392,12 +392,17 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
         joint = run.unheld or run.lifted_leg or run.worst
         if joint is not None:
             how |= {"off": Quantity(abs(joint.off), joint.unit), "drive": Term(joint.drive.value)}
+        leg = None if run.collapses or run.lifted_leg is None else run.lifted_leg.joint
+        moved = run.has_left_stance and not run.collapses and leg is None
         message = diagnose(
             "own-run",
             collapses=run.collapses and not run.is_lifted,
             lifted=run.is_lifted,
             gives=(run.has_left_posture or run.unheld is not None) and not run.collapses,
-            place=run.has_left_place or (run.has_left_stance and not run.collapses),
+            place=run.has_left_place or moved,
+            leg=leg,
+            moved=moved,
+            keeps=run.standing and leg is None and not moved,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
             drop=Quantity(run.clearance, "m") if run.clearance > _MIN_STATED_CLEARANCE else None,

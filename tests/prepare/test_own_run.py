@@ -30,7 +30,11 @@ from pupper_analysis.prepare.own_run import (
 )
 from pupper_analysis.prepare.published_model import HoldCommands, PublishedModel
 from pupper_analysis.prepare.self_check import name_remaining_cause
-from pupper_analysis.present.verdict import split_verdict_lines, verdict_clauses
+from pupper_analysis.present.verdict import (
+    make_keyframe_run_clauses,
+    split_verdict_lines,
+    verdict_clauses,
+)
 from pupper_analysis.robot.as_published import JointOff, OwnCommands, OwnRun
 from pupper_analysis.robot.fall import BodyMotion
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
@@ -495,6 +499,12 @@ def test_travel_of_more_than_a_third_of_the_height_leaves_the_stance(
     assert not replace(run, stance_travel=0.0).has_left_stance  # an arm alone moves the CoM
     assert run.fails is fails
     assert run.keeps_stance is not fails
+    (clause,) = make_keyframe_run_clauses(run)
+    stated = "moves sideways by 310 mm" if fails else "1000 mm to 1000 mm"
+    assert stated in clause.message.short
+    lifted = replace(run, lifted_leg=JointOff("knee", 0.9, Drive.SERVO))
+    (clause,) = make_keyframe_run_clauses(lifted)
+    assert "a leg leaves the ground (knee)" in clause.message.short
     assert not replace(run, standing=False).has_left_stance
     assert not replace(run, limp=True).fails
 
@@ -538,6 +548,32 @@ def test_a_leg_with_a_flat_sole_is_lifted_if_no_part_of_it_touches(
     motion = BodyMotion(5.0, 0.5, 0.5, 0.0, 0.0, False, clearance=begin)
     found = _list_lifted_legs(published, robot, joints, start, end, motion)
     assert {joint.joint.partition("_")[0] for joint in found} == ({"left"} if lifted else set())
+
+
+def test_a_leg_that_touches_the_ground_with_a_link_above_its_foot_is_not_lifted(
+    tmp_path: Path,
+) -> None:
+    """As a heel behind a toe joint: a peg of the left shank reaches the ground below the sole."""
+    pair = biped(tmp_path)
+    robot = pa.load_robot(mjcf=pair.mjcf)
+    rewrite_file(pair.mjcf, ("<worldbody>", '<worldbody><geom type="plane" size="0 0 1"/>'))
+    peg = '<joint name="left_knee"'
+    bar = f'<geom type="capsule" fromto="0.2 0 0 0.2 0 -0.5" size="0.01"/>{peg}'
+    found = []
+    for text in (peg, bar):
+        model = mujoco.MjModel.from_xml_string(pair.mjcf.read_text().replace(peg, text))
+        published = PublishedModel.from_model(model, robot)
+        start = published_model.place_published(published, robot, robot.home)
+        assert start is not None
+        end = copy(start)
+        end.qpos[model.joint("left_ankle").qposadr] += 0.6
+        end.qpos[2] += 0.1
+        joints = [JointOff("left_ankle", 0.6, Drive.SERVO)] + [
+            JointOff(name, 0.0, Drive.SERVO) for name in robot.joint_names if name != "left_ankle"
+        ]
+        motion = BodyMotion(5.0, 0.5, 0.5, 0.0, 0.0, False)
+        found.append(bool(_list_lifted_legs(published, robot, joints, start, end, motion)))
+    assert found == [True, False]
 
 
 def test_a_leg_that_the_keyframe_itself_lifts_may_move(tmp_path: Path) -> None:
