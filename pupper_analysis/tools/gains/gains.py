@@ -337,11 +337,7 @@ def study_gains(
     num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
     gains, stable_pair, by_inertia = _select_reference(loop, present, groups)
     stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
-    alone = failure = None
-    if robot.floating:
-        failure = find_sag_failure(held.robot, settled, kp=present[0])
-        with contextlib.suppress(NoStiffnessError):
-            alone = minimum_stiffness(robot, settled)
+    failure, alone = _evaluate_present_sag(robot, held, settled)
     if by_inertia and robot.floating:
         least_alone = gains.find_factor_without_sag(held.robot, settled)
     else:
@@ -363,12 +359,7 @@ def study_gains(
                 encoder_bits,
             )
         )
-    powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
-    curve: Array = _CURVE_RATIO**powers
-    dampings = []
-    for count, factor in enumerate(curve.tolist()):
-        report_progress(_STAGE, _NUM_BOUNDS + len(groups) + count, num_parts)
-        dampings.append(gains.find_largest_damping(factor))
+    curve, dampings = _compute_damping_curve(gains, num_parts)
     return GainStudy(
         name=robot.name,
         stand=settled,
@@ -389,7 +380,7 @@ def study_gains(
         worst=loop.find_worst_mode(*present),
         damping_ratio=loop.find_smallest_damping_ratio(*present),
         curve_factors=curve,
-        curve_dampings=np.array(dampings),
+        curve_dampings=dampings,
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
     )
@@ -474,6 +465,44 @@ def _find_common_bounds(
     largest_kd = gains.make_bound(end, with_damping, below=False)
     report_progress(_STAGE, _NUM_BOUNDS, num_parts)
     return (least, largest), least_kp, largest_kp, largest_kd
+
+
+def _evaluate_present_sag(
+    robot: Robot, held: StandStart, settled: Stand
+) -> tuple[Diagnostic | None, float | None]:
+    """Predict a free-base stand without feed-forward: failure at present kp, and smallest kp.
+
+    Returns:
+        Reason why the robot does not stand with its present stiffness, None if it stands; smallest
+        stiffness, equal at all joints, with which it stands, None if not found [N m/rad, N/m]. Both
+        are None with a fixed base.
+    """
+    if not robot.floating:
+        return None, None
+    failure = find_sag_failure(held.robot, settled, kp=np.array(held.drive.kp))
+    alone = None
+    with contextlib.suppress(NoStiffnessError):
+        alone = minimum_stiffness(robot, settled)
+    return failure, alone
+
+
+def _compute_damping_curve(gains: _Gains, num_parts: int) -> tuple[Array, Array]:
+    """Compute the largest stable factor on kd for each factor on kp of the curve.
+
+    Args:
+        gains: Reference gains.
+        num_parts: Number of parts of the stage, for reports of progress.
+
+    Returns:
+        Factors on kp, and the largest factors on kd, shape (2 * `_CURVE_HALF_LENGTH` + 1,) each.
+    """
+    powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
+    curve: Array = _CURVE_RATIO**powers
+    dampings = []
+    for count, factor in enumerate(curve.tolist()):
+        report_progress(_STAGE, num_parts - len(curve) + count, num_parts)
+        dampings.append(gains.find_largest_damping(factor))
+    return curve, np.array(dampings)
 
 
 def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
