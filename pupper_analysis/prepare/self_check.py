@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.array_types import Array, BoolArray, IntArray
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.causes import (
@@ -65,6 +65,7 @@ from pupper_analysis.robot.as_published import (
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import (
     FALLEN_TILT,
+    BodyMotion,
     InitialHeight,
     measure_motion,
     nudge_velocity,
@@ -490,23 +491,55 @@ def simulate_prediction(
         Comparison; None if the base cannot be placed, for example if the base is fixed, or if
         MuJoCo stops with a fatal error.
     """
-    model = published.model
-    qpos = prediction.qpos
     place_model = place_published if robot.floating else place_fixed_base
-    data = place_model(published, robot, qpos)
+    data = place_model(published, robot, prediction.qpos)
     if data is None:
         return None
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    mujoco.mj_kinematics(published.model, data)
+    mujoco.mj_comPos(published.model, data)
     start = copy.copy(data)
     feedforward = prediction.torques if prediction.feedforward else None
     hold = compute_hold_commands(published, robot, data, feedforward, prediction.targets)
-    joints = [model.joint(name).id for name in robot.joint_names]
-    dofs, addresses = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-    driven = robot.mj_convention.actuator_index >= 0
-    scale = torque_scale(robot, prediction.torques)
+    torques = _PredictedTorques.from_prediction(published, robot, prediction)
+    try:
+        end = _simulate_nudges(
+            published, robot, data, hold, torques, prediction, until_decided=until_decided
+        )
+    except mujoco.FatalError:  # for example contacts of shapes without extent
+        return None
+    return _compare_end_state(published, robot, prediction, start, end, torques)
 
-    def find_torque_deviations(low: Array, high: Array) -> Array:
+
+@dataclass(frozen=True, eq=False)
+class _PredictedTorques:
+    """Predicted joint torques, with which the forces in a published model are compared.
+
+    Attributes:
+        torques: Predicted torques, shape (nu,) [N m, N].
+        dofs: Degree of freedom of each joint in the published model, shape (nu,).
+        driven: Whether the prepared robot has an actuator for each joint, shape (nu,).
+        scale: Torque scale, by which deviations are divided (`torque_scale`).
+    """
+
+    torques: Array
+    dofs: IntArray
+    driven: BoolArray
+    scale: float
+
+    @classmethod
+    def from_prediction(
+        cls, published: PublishedModel, robot: Robot, prediction: PredictedRest
+    ) -> _PredictedTorques:
+        """Find the degrees of freedom, the actuators and the scale of predicted torques."""
+        joints = [published.model.joint(name).id for name in robot.joint_names]
+        return cls(
+            torques=prediction.torques,
+            dofs=published.model.jnt_dofadr[joints],
+            driven=robot.mj_convention.actuator_index >= 0,
+            scale=torque_scale(robot, prediction.torques),
+        )
+
+    def compute_deviations(self, low: Array, high: Array) -> Array:
         """Compute the largest deviation of each driven joint from its predicted torque.
 
         Args:
@@ -516,43 +549,107 @@ def simulate_prediction(
         Returns:
             Larger deviation of minimum and maximum, shape (number of driven joints,) [N m, N].
         """
-        above, below = high[dofs] - prediction.torques, prediction.torques - low[dofs]
-        return np.asarray(np.maximum(above, below)[driven])
+        above, below = high[self.dofs] - self.torques, self.torques - low[self.dofs]
+        return np.asarray(np.maximum(above, below)[self.driven])
 
-    def find_relative_deviation(low: Array, high: Array) -> float:
+    def compute_relative_deviation(self, low: Array, high: Array) -> float:
         """Compute the largest deviation from the predicted torques / torque scale [1].
 
         Args:
             low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
             high: Maximum force on each degree of freedom, shape (nv,) [N m, N].
         """
-        return float(find_torque_deviations(low, high).max(initial=0.0)) / scale
+        return float(self.compute_deviations(low, high).max(initial=0.0)) / self.scale
 
-    try:
-        low, high, nudged_time = _simulate_until_compared(
-            published,
-            data,
-            hold,
-            find_relative_deviation,
-            # Activations are reset at the start of each part of a simulation.
-            may_end_early=until_decided and robot.floating and not model.na,
-        )
-        is_longer = model.opt.timestep > robot.mj_model.opt.timestep * (1 + _TIMESTEP_RTOL)
-        is_at_rest = find_relative_deviation(low, high) <= TORQUE_RTOL
-        if robot.floating and prediction.feedforward and is_longer and is_at_rest:
-            shaken = _find_shaken_state(published, data, hold, find_relative_deviation)
-            data, low, high = shaken or (data, low, high)
-    except mujoco.FatalError:  # for example contacts of shapes without extent
-        return None
-    torque_deviations = find_torque_deviations(low, high)
-    moved, stiction = np.abs(data.qpos[addresses] - qpos[-robot.nu :]), np.zeros(robot.nu)
+    def compute_relative_range(self, low: Array, high: Array) -> float:
+        """Compute the largest difference of maximum and minimum torque / torque scale [1]."""
+        return float((high - low)[self.dofs][self.driven].max(initial=0.0)) / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class _NudgedState:
+    """State of a published model at the end of a simulation with a nudge.
+
+    Attributes:
+        data: State.
+        low: Minimum forces in the last `FORCE_WINDOW`, shape (model.nv,) [N m, N].
+        high: Maximum forces in the last `FORCE_WINDOW`, shape (model.nv,) [N m, N].
+        nudged_time: Simulated time after the first nudge [s], without the time after large nudges.
+    """
+
+    data: mujoco.MjData
+    low: Array
+    high: Array
+    nudged_time: float
+
+
+def _simulate_nudges(
+    published: PublishedModel,
+    robot: Robot,
+    data: mujoco.MjData,
+    hold: HoldCommands,
+    torques: _PredictedTorques,
+    prediction: PredictedRest,
+    *,
+    until_decided: bool,
+) -> _NudgedState:
+    """Simulate a published model with a nudge, then with large nudges if its time step is longer.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        data: Initial state; changed.
+        hold: Commands of the actuators, and external servos.
+        torques: Predicted torques.
+        prediction: Predicted state of rest.
+        until_decided: As for `simulate_prediction`.
+
+    Raises:
+        mujoco.FatalError: If MuJoCo stops.
+    """
+    model = published.model
+    low, high, nudged_time = _simulate_until_compared(
+        published,
+        data,
+        hold,
+        torques.compute_relative_deviation,
+        # Activations are reset at the start of each part of a simulation.
+        may_end_early=until_decided and robot.floating and not model.na,
+    )
+    is_longer = model.opt.timestep > robot.mj_model.opt.timestep * (1 + _TIMESTEP_RTOL)
+    is_at_rest = torques.compute_relative_deviation(low, high) <= TORQUE_RTOL
+    if robot.floating and prediction.feedforward and is_longer and is_at_rest:
+        shaken = _find_shaken_state(published, data, hold, torques.compute_relative_deviation)
+        data, low, high = shaken or (data, low, high)
+    return _NudgedState(data, low, high, nudged_time)
+
+
+def _compare_end_state(
+    published: PublishedModel,
+    robot: Robot,
+    prediction: PredictedRest,
+    start: mujoco.MjData,
+    end: _NudgedState,
+    torques: _PredictedTorques,
+) -> PublishedRun:
+    """Compare the height, joint positions and torques at the end of a simulation with a prediction.
+
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        prediction: Predicted state of rest.
+        start: State at the start of the simulation.
+        end: State at the end.
+        torques: Predicted torques.
+    """
+    torque_deviations = torques.compute_deviations(end.low, end.high)
+    joints = [published.model.joint(name).id for name in robot.joint_names]
+    positions = end.data.qpos[published.model.jnt_qposadr[joints]]
+    moved, stiction = np.abs(positions - prediction.qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
-    lifted = False
+    lifted, duration = False, SETTLING_TIME + end.nudged_time
     if robot.floating:
-        com = float(start.subtree_com[published.base_body][2])
-        predicted = InitialHeight(com, 0.0, published.ground_height or 0.0)
-        duration = SETTLING_TIME + nudged_time
-        motion = measure_motion(model, start, data, published.base_body, duration, predicted)
+        motion = _measure_base_motion(published, start, end.data, duration)
         error, collapses = motion.end_height - motion.height, motion.collapses
         lifted = motion.is_lifted
         alike = abs(error) <= HEIGHT_RTOL * motion.height
@@ -560,16 +657,15 @@ def simulate_prediction(
         with contextlib.suppress(ModelError):
             stiction = resolve_servo_gains(robot).kp
         friction, stiction = friction_and_deadband(robot, stiction)
-        torque_deviations = np.maximum(torque_deviations - friction[driven], 0.0)
-    torque = float(torque_deviations.max(initial=0.0)) / scale
-    torque_change = float((high - low)[dofs][driven].max(initial=0.0)) / scale
+        torque_deviations = np.maximum(torque_deviations - friction[torques.driven], 0.0)
+    torque = float(torque_deviations.max(initial=0.0)) / torques.scale
     joint = float(moved.max())
     alike = alike and (
         not prediction.feedforward or joint <= JOINT_TOLERANCE + float(stiction.max())
     )
     return PublishedRun(
         feedforward=prediction.feedforward,
-        duration=SETTLING_TIME + nudged_time,
+        duration=duration,
         torque_error=torque,
         height_error=error,
         joint_error=joint,
@@ -578,9 +674,18 @@ def simulate_prediction(
         imported=robot.published is not None and robot.published.imported is not None,
         worst_joint=_worst_joint(robot, moved, torque_deviations, collapses=collapses),
         joint_error_unit=find_worst_unit(robot, moved),
-        _keeps_moving=torque_change > TORQUE_RTOL,
+        _keeps_moving=torques.compute_relative_range(end.low, end.high) > TORQUE_RTOL,
         _is_lifted=lifted,
     )
+
+
+def _measure_base_motion(
+    published: PublishedModel, start: mujoco.MjData, end: mujoco.MjData, duration: float
+) -> BodyMotion:
+    """Measure the motion of a published model's base in ``duration`` [s] from start to end."""
+    com = float(start.subtree_com[published.base_body][2])
+    predicted = InitialHeight(com, 0.0, published.ground_height or 0.0)
+    return measure_motion(published.model, start, end, published.base_body, duration, predicted)
 
 
 def _simulate_until_compared(
