@@ -634,17 +634,10 @@ def _compare_with_prediction(
     joint_deviations = np.abs(joints - stand.joint_positions(robot)).max(axis=0)
     torque_deviation = float(np.abs(record.torques - prediction.joint_torques).max())
     has_diverged = monitor.has_diverged(states, timestep)
-    predicted = robot.per_foot(prediction.contact_forces)
     normals = stand.lift_directions(robot)
-    errors = [
-        abs(float((record.forces[foot] - force) @ normals[foot]))
-        / max(float(force @ normals[foot]), force_scale)
-        for foot, force in predicted.items()
-    ]
-    weld_forces = {name: wrench[:3] for name, wrench in prediction.weld_wrenches.items()}
-    for name in robot.grips:
-        grip_deviation = float(np.linalg.norm(record.forces[name] - weld_forces[name]))
-        errors.append(grip_deviation / max(float(np.linalg.norm(weld_forces[name])), force_scale))
+    predicted_forces, force_error = _compare_forces(
+        robot, prediction, record.forces, normals, force_scale
+    )
     step, frame = (max(1, round(period / timestep)) for period in (_SAMPLE_TIME, _FRAME_TIME))
     return StandVerification(
         passed=True,
@@ -664,13 +657,7 @@ def _compare_with_prediction(
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
         tilt=monitor.rotation_angle(robot, stand.task.rotation(), states[-1]),
-        foot_slip={
-            foot: max(
-                float(np.linalg.norm(project_perpendicular(drops[point], normals[foot])))
-                for point in robot.feet[foot]
-            )
-            for foot in robot.feet_with(drops)
-        },
+        foot_slip=_measure_foot_slip(robot, drops, normals),
         joint_error=float(joint_deviations.max()),
         joint_error_unit=find_worst_unit(robot, joint_deviations),
         joint_positions=joints.mean(axis=0),
@@ -679,8 +666,8 @@ def _compare_with_prediction(
         torque_units=prediction.torque_units,
         torque_error=torque_deviation / torque_scale(robot, prediction.joint_torques),
         foot_forces=record.forces,
-        predicted_forces=predicted | weld_forces,
-        force_error=max(errors, default=None),
+        predicted_forces=predicted_forces,
+        force_error=force_error,
         mujoco_residual=mujoco_balance_residual(robot, stand, prediction),
         stability=run.stability,
         nudge=run.nudge,
@@ -690,6 +677,58 @@ def _compare_with_prediction(
         motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
         is_lifted=reference.is_lifted(states[-1]) and not has_diverged,
     )
+
+
+def _compare_forces(
+    robot: Robot,
+    prediction: GravityCompensation,
+    forces: Mapping[str, Array],
+    normals: Mapping[str, Array],
+    force_scale: float,
+) -> tuple[dict[str, Array], float | None]:
+    """Compare the simulated forces of feet and grips with the predicted forces.
+
+    Args:
+        robot: Robot.
+        prediction: Predicted static equilibrium.
+        forces: Simulated force of each foot and grip, shape (3,) [N].
+        normals: Contact normal of each foot, shape (3,) [1].
+        force_scale: Smallest force by which an error is divided [N].
+
+    Returns:
+        Predicted force of each foot and weld, shape (3,) [N]; largest relative error of the normal
+        forces of the feet and of the forces of the grips [1], None without feet and grips.
+    """
+    predicted = robot.per_foot(prediction.contact_forces)
+    errors = [
+        abs(float((forces[foot] - force) @ normals[foot]))
+        / max(float(force @ normals[foot]), force_scale)
+        for foot, force in predicted.items()
+    ]
+    weld_forces = {name: wrench[:3] for name, wrench in prediction.weld_wrenches.items()}
+    for name in robot.grips:
+        grip_deviation = float(np.linalg.norm(forces[name] - weld_forces[name]))
+        errors.append(grip_deviation / max(float(np.linalg.norm(weld_forces[name])), force_scale))
+    return predicted | weld_forces, max(errors, default=None)
+
+
+def _measure_foot_slip(
+    robot: Robot, drops: Mapping[str, Array], normals: Mapping[str, Array]
+) -> dict[str, float]:
+    """Compute the largest tangential displacement [m] of the contact points of each foot.
+
+    Args:
+        robot: Robot.
+        drops: Displacement of each contact point, shape (3,) [m].
+        normals: Contact normal of each foot, shape (3,) [1].
+    """
+    return {
+        foot: max(
+            float(np.linalg.norm(project_perpendicular(drops[point], normals[foot])))
+            for point in robot.feet[foot]
+        )
+        for foot in robot.feet_with(drops)
+    }
 
 
 def _describe_height_loss(
