@@ -45,6 +45,7 @@ from pupper_analysis.simulation.monitor import (
 )
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
+    StandStart,
     check_duration,
     make_stand_start,
     simulate_commands,
@@ -325,12 +326,11 @@ def verify_stand(
     held = make_stand_start(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
-    robot, drive, prediction = held.robot, held.drive, held.prediction
-    start, ctrl = held.start, held.ctrl
+    robot, drive, ctrl, prediction = held.robot, held.drive, held.ctrl, held.prediction
     reference = monitor.StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
     run = settle_and_nudge(
         drive,
-        start,
+        held.start,
         ctrl,
         duration - nudge_duration,
         nudge_duration,
@@ -354,21 +354,9 @@ def verify_stand(
         robot, stand, drive, prediction, run, record, reference, MIN_FORCE_SCALE * total_load
     )
     result = replace(result, feedforward=feedforward)
-    failures = _find_standing_failures(robot, reference, run.states, record, result)
-    if failures:
-        failures += find_creep(robot, stand, prediction)
-    nudge = result.nudge
-    # A light foot may bounce although the samples of the record show no lift.
-    bounces = bool(
-        len(loaded) < len(shares)
-        and not failures
-        and nudge is not None
-        and not nudge.decayed
-        and remains_small(drive.model, run.states[-1], ctrl, nudge)
-    )
-    failures += find_instability(result.stability, nudge, bounces=bounces)
-    stays = not result.collapses and (
-        not failures or _stands_despite_idle_feet(robot, record, result, failures)
+    has_light_foot = len(loaded) < len(shares)
+    failures, stays, bounces = _evaluate_standing(
+        robot, stand, held, run, record, reference, result, has_light_foot=has_light_foot
     )
     if feedforward:
         failures += _find_deviations(robot, stand, record, result, stays=stays)
@@ -378,7 +366,7 @@ def verify_stand(
     elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
-    notes = _describe_light_feet(record.lifted, shares, nudge if bounces else None)
+    notes = _describe_light_feet(record.lifted, shares, result.nudge if bounces else None)
     if not result.collapses:
         notes += describe_refuted(result.stability)
     judged = replace(
@@ -391,6 +379,52 @@ def verify_stand(
     )
     vars(judged)["_stand"] = simulated
     return judged
+
+
+def _evaluate_standing(
+    robot: Robot,
+    stand: Stand,
+    held: StandStart,
+    run: SettlingRun,
+    record: ContactRecord,
+    reference: monitor.StandReference,
+    result: StandVerification,
+    *,
+    has_light_foot: bool,
+) -> tuple[list[Diagnostic], bool, bool]:
+    """Find the failures of standing: contacts, creep, and the response to the nudge.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        held: Start, commands, model and prediction of the simulation.
+        run: Simulated states.
+        record: Contacts and torques of the simulation.
+        reference: Posture with which the final state is compared.
+        result: Comparison with the prediction.
+        has_light_foot: Whether the predicted load of a foot is below `LIGHT_FOOT_LOAD`. A motion
+            that does not decay, but remains small, is then a bounce of this foot.
+
+    Returns:
+        Failures; whether the robot stays (`StandVerification.stays`); whether a foot bounces.
+    """
+    failures = _find_standing_failures(robot, reference, run.states, record, result)
+    if failures:
+        failures += find_creep(robot, stand, held.prediction)
+    nudge = result.nudge
+    # A light foot may bounce although the samples of the record show no lift.
+    bounces = bool(
+        has_light_foot
+        and not failures
+        and nudge is not None
+        and not nudge.decayed
+        and remains_small(held.drive.model, run.states[-1], held.ctrl, nudge)
+    )
+    failures += find_instability(result.stability, nudge, bounces=bounces)
+    stays = not result.collapses and (
+        not failures or _stands_despite_idle_feet(robot, record, result, failures)
+    )
+    return failures, stays, bounces
 
 
 def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
