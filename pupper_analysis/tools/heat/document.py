@@ -41,7 +41,7 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
     if study.weak or study.overheats:
-        failures: tuple[doc.Words, ...] = (first, *unknown)
+        failures: tuple[doc.Words, ...] = (*first, *unknown)
     else:
         failures = unknown
     return doc.Document(
@@ -51,7 +51,7 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
         passed=study.passed,
         verdict=text(_select_verdict(study)),
         failures=failures,
-        findings=(first, *losses) if study.passed else losses,
+        findings=(*first, *losses) if study.passed else losses,
         details=(task_text(study.stand.task), text("heat-model")),
         brief=True,
         notes=robot_notes(robot),
@@ -90,12 +90,13 @@ def _format_minutes(seconds: float) -> str:
     return f"{minutes:.0f}" if minutes >= 100 else f"{minutes:.3g}"
 
 
-def _describe_first_motor(motor: MotorHeat) -> doc.Words:
+def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
     """State the result of the motor that the report names first (`HeatStudy.first`).
 
-    The text depends on the first condition that is met:
+    The first text is the result, the second text names the joint, its torque and its loss. The
+    result depends on the first condition that is met:
 
-    - The motor is too weak: the largest torque of the motor.
+    - The motor is too weak: the largest torque of the motor, with the joint, in a single text.
     - The final temperature or the limit is unknown, and the continuous torque is known: comparison
       of the torque with the continuous torque.
     - The winding reaches the limit: the time until then.
@@ -103,32 +104,34 @@ def _describe_first_motor(motor: MotorHeat) -> doc.Words:
     - Otherwise: the temperature rises without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
-    values = {
-        "joint": doc.Name(motor.joint),
-        "torque": f"{abs(motor.torque):.2f}",
-        "loss": "" if motor.loss is None else f"{motor.loss:.3g}",
-    }
+    torque = f"{abs(motor.torque):.2f}"
     if motor.too_weak and motor.largest_torque is not None:
-        return doc.diagnostic_text(
-            describe_weak_motor(
-                motor.joint,
-                motor.motor,
-                motor.torque,
-                motor.largest_torque,
-                motor.limiting_number,
-            )
+        weak = describe_weak_motor(
+            motor.joint, motor.motor, motor.torque, motor.largest_torque, motor.limiting_number
         )
+        return (doc.diagnostic_text(weak),)
     permanent = motor.continuous_torque
     is_limit_unknown = motor.limit_temperature is None and final is not None and final < math.inf
     if (final is None or is_limit_unknown) and permanent is not None:  # from the data sheet
         key = "heat-above-rating" if motor.overheats else "heat-within-rating"
-        return text(key, motor=doc.Name(motor.motor), rating=f"{permanent:.3g}", **values)
+        return (
+            text(key, torque=torque, rating=f"{permanent:.3g}"),
+            text("heat-rated-motor", joint=doc.Name(motor.joint), motor=doc.Name(motor.motor)),
+        )
     limit = "" if motor.limit_temperature is None else f"{motor.limit_temperature:.3g}"
     if time is not None and math.isfinite(time):
-        return text("heat-reaches", time=_format_duration(time), limit=limit, **values)
-    if final is not None and math.isfinite(final):
-        return text("heat-settles", final=f"{final:.3g}", limit=limit, **values)
-    return text("heat-runs-away", **values)
+        result = text("heat-reaches", time=_format_duration(time), limit=limit)
+    elif final is not None and math.isfinite(final):
+        result = text("heat-settles", final=f"{final:.3g}", limit=limit)
+    else:
+        result = text("heat-runs-away")
+    cause = text(
+        "heat-hottest-motor",
+        joint=doc.Name(motor.joint),
+        torque=torque,
+        loss="" if motor.loss is None else f"{motor.loss:.3g}",
+    )
+    return result, cause
 
 
 def _format_duration(time: float) -> str:

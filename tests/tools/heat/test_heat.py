@@ -87,9 +87,10 @@ def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
     slope = 1 / 30 - heat * 0.00393
     expected = -20 / slope * math.log1p(-55 * slope / heat)
     assert first["time_to_limit"] == pytest.approx(expected, rel=1e-9)
-    line = done.stdout.splitlines()[0]
+    line, second = done.stdout.splitlines()[:2]
     after = f"{expected / 60:.3g} min" if expected >= 60 else f"{expected:.2g} s"
-    assert line.startswith(f"HOT v3: {first['joint']} reaches 80 °C after {after} (")
+    assert line == f"HOT v3: a winding reaches its limit of 80 °C after {after}"
+    assert second.startswith(f"  {first['joint']} limits: {abs(first['torque']):.2f} N m, ")
     assert figure.stat().st_size > 10_000
     assert "heat" in page.read_text().lower()
 
@@ -160,7 +161,11 @@ def test_data_sheet_decides_if_thermal_numbers_are_unknown() -> None:
     assert not small.passed
     assert small.overheats
     assert small.first.time_to_limit is None
-    assert "permanently; the data sheet" in heat_document(small).failures[0].en
+    assert (
+        "0.47 N m exceeds the continuous torque of 0.4 N m" in heat_document(small).failures[0].en
+    )
+    cause = f"{small.first.joint} limits: data sheet of {small.first.motor}, no thermal numbers"
+    assert heat_document(small).failures[1].en == cause
     assert not make_study(motor, ambient=40.0).known  # the data sheet has another temperature
 
 
@@ -184,7 +189,9 @@ def test_data_sheet_decides_if_only_the_limit_temperature_is_unknown() -> None:
     assert study.first.limit_temperature is None
     assert study.first.overheats
     assert not study.passed
-    assert "permanently; the data sheet" in heat_document(study).failures[0].en
+    assert (
+        "0.47 N m exceeds the continuous torque of 0.4 N m" in heat_document(study).failures[0].en
+    )
     assert make_study(replace(motor, continuous_torque=1.0)).passed
 
 
