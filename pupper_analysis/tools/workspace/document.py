@@ -58,8 +58,37 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
         )
         for key in sorted(limits, key=lambda key: -len(directions[key]))
     ]
-    shorts = dict.fromkeys(part.short for part in parts)  # several pairs of links have one name
-    return replace(join_words(parts, "semicolon"), short=", ".join(shorts))
+    short = _abbreviate_limits(workspace)
+    return replace(join_words(parts, "semicolon"), short=short)
+
+
+def _abbreviate_limits(workspace: BaseWorkspace) -> str:
+    """Return each kind of limit with its directions, for the short answer, most directions first.
+
+    Names of joints and links are omitted. If a limit applies to all directions, or to all but one
+    of at least four, its directions are abbreviated: ``joint limits (all but x)``.
+    """
+    limited: dict[str, list[str]] = {}
+    for direction, ends in workspace.limits.items():
+        for limit in ends:
+            directions = limited.setdefault(doc.diagnostic_text(limit).short, [])
+            if direction not in directions:
+                directions.append(direction)
+    parts = list[str]()
+    for limit_name in sorted(limited, key=lambda name: -len(limited[name])):
+        directions = limited[limit_name]
+        others = [direction for direction in workspace.limits if direction not in directions]
+        where = text("limit-everywhere", other=text(others[0]).en if others else "").en
+        if len(others) > 1 or len(workspace.limits) < _MIN_ABBREVIATED_DIRECTIONS:
+            where = join_words(map(text, directions)).en
+        parts.append(f"{limit_name} ({where})")
+    return ", ".join(parts)
+
+
+_MIN_ABBREVIATED_DIRECTIONS = 4
+"""Smallest number of searched directions for which the short answer may state that a limit applies
+to ``all but`` one direction. Chosen, not tuned.
+"""
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:

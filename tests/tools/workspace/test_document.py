@@ -43,10 +43,11 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     """The line of all directions with a unit each had 150 characters."""
     result = workspace()
     result.intervals["yaw"] = SimpleNamespace(low=-0.5, high=0.5)
-    result.limits["yaw"] = result.limits["roll"]
+    result.limits["yaw"] = result.limits["roll"][:1]
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
-    answer = head.getvalue().splitlines()[0]
+    answer, limits = head.getvalue().splitlines()[:2]
+    assert limits == "  joint limits (all), reach (all but yaw); no torque limits"
     assert answer.startswith("RANGE stub: height 91 to 192, x ")
     assert answer.count(" mm") == answer.count(" deg") == 1
     assert answer.endswith("yaw ±29 deg")
