@@ -56,7 +56,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             message,
             *map(doc.diagnostic_text, contract.unread),
             *_describe_worst_disagreement(contract),
-            *(() if has_findings or contract.unread else (evidence,)),
+            *(() if has_findings or contract.unread else (_list_compared(contract), evidence)),
         ),
         details=(evidence,) if has_findings or contract.unread else (),
         next_step=_select_next_step(contract),
@@ -85,6 +85,31 @@ def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
     """Yield the text of the most severe disagreement between the sources, if any."""
     if contract.findings:
         yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
+
+
+def _list_compared(contract: Contract) -> doc.Words:
+    """Return the quantities of which at least two sources state a number for one joint or setting.
+
+    The short form names at most `_MAX_NAMED_QUANTITIES` quantities, and the number of further ones.
+    """
+    sources: dict[tuple[str, str], set[str]] = {}
+    for fact in contract.facts:
+        sources.setdefault((fact.quantity, fact.joint), set()).add(fact.source)
+    quantities = dict.fromkeys(key[0] for key, names in sources.items() if len(names) > 1)
+    if not quantities:
+        return text("contract-compared-none")
+    words = [word(quantity) for quantity in quantities]
+    named = words[:_MAX_NAMED_QUANTITIES]
+    return text(
+        "contract-compared",
+        quantities=join_words(words),
+        named=join_words(named).en,
+        more=len(words) - len(named) or "",
+    )
+
+
+_MAX_NAMED_QUANTITIES = 5
+"""Largest number of compared quantities that the short answer names. Chosen, not tuned."""
 
 
 def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
