@@ -11,8 +11,9 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -32,6 +33,52 @@ def make_study(number: int) -> Any:
     """Return a study of a number of servo gains, from kp of 4 to 10 N m/rad."""
     gains = [4.0 + 6.0 * k / number for k in range(number)]
     return pa.Study("v3", {"kp": gains}, ["peak_torque"])
+
+
+STALL_SECONDS = 300.0
+"""Elapsed time [s] without a finished design after which a test fails. Chosen, not tuned: on a free
+core a design takes 25 ms, and the start of a worker a few seconds.
+"""
+
+
+def fail_if_stalled(
+    report: Callable[[Progress], None] = lambda _: None, limit: float = STALL_SECONDS
+) -> Callable[[Progress], None]:
+    """Return a progress function that fails if no design finishes within a time limit [s].
+
+    A run calls the function at least once per second, also while no worker answers.
+
+    Args:
+        report: Function that is called with the progress as well.
+        limit: Elapsed time without a finished design [s].
+    """
+    last_done, last_time = -1, time.monotonic()
+
+    def check(progress: Progress) -> None:
+        nonlocal last_done, last_time
+        if progress.done != last_done:
+            last_done, last_time = progress.done, time.monotonic()
+        if time.monotonic() - last_time > limit:
+            pytest.fail(f"no design finished within {limit:g} s, after {last_done} designs")
+        report(progress)
+
+    return check
+
+
+class _WithoutAnswer(ThreadPoolExecutor):
+    """Workers that never return a result."""
+
+    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
+        return Future()
+
+
+def test_run_on_workers_without_answer_fails_at_the_deadline(tmp_path: Path) -> None:
+    """The deadline of the tests of clusters works: no test waits forever."""
+    with (
+        _WithoutAnswer(1) as executor,
+        pytest.raises(pytest.fail.Exception, match=r"no design finished within 0\.1 s, after 0"),
+    ):
+        make_study(24).run(tmp_path, executor=executor, progress=fail_if_stalled(limit=0.1))
 
 
 @contextmanager
@@ -70,7 +117,9 @@ def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
                 os.kill(killed[0], signal.SIGKILL)
 
         folder = tmp_path / "cluster"
-        table = make_study(24).run(folder, executor=executor, workers=workers, progress=kill_one)
+        table = make_study(24).run(
+            folder, executor=executor, workers=workers, progress=fail_if_stalled(kill_one)
+        )
     assert killed
     assert len(table) == 24
     assert table["design"].is_unique
@@ -139,7 +188,9 @@ def test_killed_worker_and_restarted_scheduler_lose_no_row(tmp_path: Path) -> No
             connect_dask(address) as (executor, workers),
             pytest.raises(StudyError, match="run the same command again"),
         ):
-            make_study(60).run(folder, executor=executor, workers=workers, progress=kill)
+            make_study(60).run(
+                folder, executor=executor, workers=workers, progress=fail_if_stalled(kill)
+            )
     stored = len(pa.read_study(folder))
     assert 16 <= stored < 60
     resumed: list[int] = []
@@ -148,7 +199,7 @@ def test_killed_worker_and_restarted_scheduler_lose_no_row(tmp_path: Path) -> No
             folder,
             executor=executor,
             workers=workers,
-            progress=lambda progress: resumed.append(progress.num_stored),
+            progress=fail_if_stalled(lambda progress: resumed.append(progress.num_stored)),
         )
     assert resumed[-1] == stored
     assert len(table) == 60
@@ -163,10 +214,12 @@ def test_worker_of_ray_that_ends_loses_no_row(
 ) -> None:
     """A design that kills its worker once is evaluated again; one that kills each is a crash.
 
-    Reference: the serial run, to the last digit.
+    Reference: the serial run, to the last digit. Ray's workers have niceness 15 by default: with
+    ten other processes on two cores, a worker gets less than 1 % of a core.
     """
     ray = pytest.importorskip("ray")
     monkeypatch.setenv("STUDY_MARKER", str(tmp_path / "marker"))
+    monkeypatch.setenv("RAY_worker_niceness", "0")
     vary = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
     with ThreadPoolExecutor(1) as thread:
         serial = pa.Study("v3", vary, ["peak_torque"]).run(tmp_path / "serial", executor=thread)
@@ -176,7 +229,9 @@ def test_worker_of_ray_that_ends_loses_no_row(
         for metric in (study_metrics.crashes_once, study_metrics.crashes):
             made = pa.Study("v3", vary, ["peak_torque", metric])
             folder = tmp_path / metric.__name__
-            tables.append(made.run(folder, executor=RayExecutor(), workers=2))
+            tables.append(
+                made.run(folder, executor=RayExecutor(), workers=2, progress=fail_if_stalled())
+            )
     finally:
         ray.shutdown()
     once, always = tables
