@@ -1513,3 +1513,71 @@ def test_displacement_of_a_shank_along_its_axis_is_found(tmp_path: Path) -> None
     path.write_text(re.sub(place, moved, text, flags=re.DOTALL))
     names = [f.element for f in find_findings(audit_model(path), "mirror-position")]
     assert names == ["joint 'FR_KFE'"]
+
+
+SIDES = {"left": 1.0, "right": -1.0}
+
+
+def write_two_arms(path: Path, side: Callable[[str, str], float]) -> Path:
+    """Write a fixed robot with two arms of four links; lateral numbers have the sign of ``side``.
+
+    Args:
+        path: The file.
+        side: Called with the name of a side and of a number; returns the sign of the number.
+    """
+    parts = ['<robot name="arms"><link name="base"/>']
+    for name, sign in SIDES.items():
+        parent, place = "base", f"0 {sign * 0.2} 0.4"
+        for index in range(4):
+            link, y = f"{name}_arm_{index}", 0.01 * (index + 2)
+            com, product = (side(name, f"{of}{index}") for of in ("com", "product"))
+            parts.append(
+                f'<link name="{link}"><inertial><origin xyz="0.01 {com * y} 0.05"/><mass value="2"/>'
+                f'<inertia ixx="0.02000" iyy="0.02000" izz="0.01000" ixy="{product * 0.00412:.5f}" ixz="0" '
+                f'iyz="0"/></inertial></link><joint name="{link}" type="revolute"><parent '
+                f'link="{parent}"/><child link="{link}"/><origin xyz="{place}"/><axis xyz="0 1 0"/>'
+                '<limit lower="-1" upper="1" effort="50" velocity="5"/></joint>'
+            )
+            parent, place = link, f"0 {side(name, f'offset{index}') * 0.05 * (index == 0)} 0.2"
+    path.write_text("\n".join([*parts, "</robot>"]))
+    return path
+
+
+def find_mirror_findings(path: Path) -> list[str]:
+    """Return the rules about left and right that have a finding, once each."""
+    return sorted({f.rule for f in audit_model(path).findings if f.rule.startswith("mirror")})
+
+
+@pytest.mark.parametrize(
+    ("lost", "expected"),
+    [
+        ("", []),
+        ("com2", ["mirror-com"]),
+        ("product2", ["mirror-inertia"]),
+        ("offset0", ["mirror-position"]),
+        ("com product", ["mirror-com", "mirror-inertia"]),
+        ("com product offset", []),
+    ],
+)
+def test_copied_limbs_are_no_mirror_images_and_lost_signs_are(
+    lost: str, expected: list[str], tmp_path: Path
+) -> None:
+    """A limb whose numbers are all equal is a second copy of an arm, not a mirror image.
+
+    Inertials that are equal on both sides of a mirrored offset between joints are a defect.
+    """
+
+    def choose_sign(name: str, number: str) -> float:
+        return 1.0 if any(number.startswith(word) for word in lost.split()) else SIDES[name]
+
+    path = write_two_arms(tmp_path / "robot.urdf", choose_sign)
+    assert find_mirror_findings(path) == expected
+
+
+def test_copied_limb_with_another_com_is_no_mirror_image(tmp_path: Path) -> None:
+    """One number that differs between two equal arms does not make the arms mirror images."""
+
+    def choose_sign(name: str, number: str) -> float:
+        return SIDES[name] if number == "com2" else 1.0
+
+    assert find_mirror_findings(write_two_arms(tmp_path / "robot.urdf", choose_sign)) == []

@@ -1,7 +1,8 @@
 """Rules about left-right symmetry, compared in the base frame at zero angles.
 
 `find_mirror_plane` derives the plane between left and right from pairs of names and the positions
-of the links. Each rule compares a quantity of the first link or joint of a pair with the second
+of the links. `find_copied_links` finds limbs that are equal to the partner instead, such as two
+arms of the same type; no mirror image is expected there. Each rule compares a quantity of the first link or joint of a pair with the second
 within a tolerance. Vectors, inertias, axes and ranges are reflected first. If several pairs of a
 chain are displaced, `mirror_position` reports only the first pair. The comparisons of CoM, inertia,
 shapes and contacts leave displaced pairs out.
@@ -137,6 +138,118 @@ to the largest entry), joint limits [rad or m]. Chosen, not tuned.
 """
 
 
+MIN_COPIED_TERMS = 4
+"""Smallest number of terms of a limb that only a copy explains, from which the limb counts as a
+copy. Chosen, not tuned: a single part that was copied has at most three (offset, CoM, inertia)."""
+
+HYPOTHESIS_RATIO = 0.1
+"""Largest deviation of a term from a prediction that counts as explained, relative to the distance
+between the predictions of both hypotheses. Chosen, not tuned."""
+
+
+def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
+    """Return the names of the links of limbs that are moved copies of the partner's limb.
+
+    A limb is a left-right pair of links with all pairs that descend from it. Terms of a limb are
+    the offset between two joints, CoM minus joint, and inertia about the CoM. Let R1, R2 be the
+    rotations of two partners' frames, and S the reflection. A copy predicts R2 R1^T d for the
+    offset d of the first limb, a mirror image predicts S d. Both predictions of most terms are
+    equal, since most parts are symmetric; such terms are ignored.
+
+    A limb is a copy if at least `MIN_COPIED_TERMS` terms agree with the copy only, and fewer with
+    the mirror image only. Inertials alone do not decide against the joints: of the offsets between
+    joints, more must agree with the copy only than with the mirror image only, unless both numbers
+    are zero. A limb is no copy if a pair with the same name apart from the sides is a mirror image,
+    such as the other legs.
+    """
+    limbs: dict[str, list[tuple[Link, Link]]] = {}
+    roots: dict[tuple[str, str], str] = {}
+    pairs = {
+        (first.name, second.name): (first, second) for first, second in _list_body_pairs(robot)
+    }
+    for first, second in pairs.values():
+        root, place = first.name, (first.parent, second.parent)
+        while place in pairs:
+            root = pairs[place][0].name
+            place = (pairs[place][0].parent, pairs[place][1].parent)
+        roots[first.name, second.name] = root
+        limbs.setdefault(root, []).append((first, second))
+    copied, mirrored_kinds = {}, set()
+    for root, limb in limbs.items():
+        offsets, others = np.zeros(2, int), np.zeros(2, int)
+        for first, second in limb:
+            if (parents := pairs.get((str(first.parent), str(second.parent)))) is not None:
+                arms = [
+                    _get_anchor(link) - _get_anchor(parent)
+                    for link, parent in zip((first, second), parents, strict=True)
+                ]
+                turn = parents[1].pose.rotation @ parents[0].pose.rotation.T
+                vote = _compare_hypotheses(*arms, turn, mirror, POSITION_TOLERANCE)
+                offsets += vote if first.moving else 0
+                others += vote if not first.moving else 0
+            others += _compare_inertials(first, second, mirror)
+        votes = offsets + others
+        if votes[1] > votes[0]:
+            mirrored_kinds.add(strip_sides(root))
+        if votes[0] >= MIN_COPIED_TERMS and votes[0] > votes[1]:
+            if offsets[0] > offsets[1] or not offsets.any():
+                copied[root] = limb
+    return frozenset(
+        link.name
+        for root, limb in copied.items()
+        if strip_sides(root) not in mirrored_kinds
+        for pair in limb
+        for link in pair
+    )
+
+
+def _compare_inertials(first: Link, second: Link, mirror: MirrorPlane) -> Array:
+    """Count the terms of two inertials that only a copy, or only a mirror image, explains.
+
+    Returns:
+        The numbers for copy and mirror image, shape (2,). Zero without inertial.
+    """
+    if first.inertial is None or second.inertial is None:
+        return np.zeros(2, int)
+    turn = second.pose.rotation @ first.pose.rotation.T
+    arms, tensors = [], []
+    for link, inertial in ((first, first.inertial), (second, second.inertial)):
+        arms.append(link.pose.point(inertial.com) - _get_anchor(link))
+        tensors.append(link.pose.rotation @ inertial.inertia @ link.pose.rotation.T)
+    least = INERTIA_RTOL * float(np.abs(tensors).max())
+    return _compare_hypotheses(*arms, turn, mirror, COM_TOLERANCE) + _compare_hypotheses(
+        *tensors, turn, mirror, least
+    )
+
+
+def _compare_hypotheses(
+    first: Array, second: Array, turn: Array, mirror: MirrorPlane, least: float
+) -> Array:
+    """Return whether a vector or tensor of the second limb is a copy, or a mirror image, only.
+
+    Args:
+        first: Vector, shape (3,), or tensor, shape (3, 3), of the first limb, in base axes.
+        second: The same quantity of the second limb.
+        turn: Rotation from the first to the second limb, shape (3, 3), in base axes.
+        mirror: Plane between left and right.
+        least: Distance between both predictions, in the unit of ``first``, up to which the
+            predictions count as equal.
+
+    Returns:
+        (1, 0) for a copy, (0, 1) for a mirror image. (0, 0) if the predictions are equal, or
+        neither is within `HYPOTHESIS_RATIO` of the distance.
+    """
+    predictions = [
+        matrix @ first if first.ndim == 1 else matrix @ first @ matrix.T
+        for matrix in (turn, mirror.matrix)
+    ]
+    distance = float(np.linalg.norm(predictions[0] - predictions[1]))
+    if not distance > least:
+        return np.zeros(2, int)
+    deviations = np.array([np.linalg.norm(second - predicted) for predicted in predictions])
+    return (deviations < HYPOTHESIS_RATIO * distance).astype(int)
+
+
 def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
     """Yield the left-right pairs of links (`find_mirror_pairs`)."""
     for first_name, second_name in find_mirror_pairs(robot.links):
@@ -158,13 +271,16 @@ def _find_displaced_bodies(
 
     A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
     skipped if the first link neither moves nor has mass, and has no "foot" in the name. A choice of
-    frames (`_is_choice_of_frame`) is no displacement.
+    frames (`_is_choice_of_frame`) is no displacement. Copied limbs are skipped.
     """
+    copied = find_copied_links(robot, mirror)
     displaced: set[str] = set()
     first_pairs = []
     for first, second in _list_body_pairs(robot):
         if not (first.moving or first.mass or "foot" in first.name.lower()):
             continue  # a marker, not a part
+        if first.name in copied:
+            continue
         if _measure_asymmetry(
             mirror, _get_anchor(first), _get_anchor(second)
         ) > POSITION_TOLERANCE and not _is_choice_of_frame(robot, mirror, first, second):
@@ -237,14 +353,23 @@ def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link,
             yield mirror, first, second
 
 
+def _list_mirrored_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
+    """Yield `_list_pairs_in_place` without the pairs of copied limbs (`find_copied_links`)."""
+    copied: frozenset[str] | None = None
+    for mirror, first, second in _list_pairs_in_place(robot):
+        copied = find_copied_links(robot, mirror) if copied is None else copied
+        if first.name not in copied:
+            yield mirror, first, second
+
+
 def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
     """Yield the mirror plane and (link, inertial) of both links of `_list_pairs_in_place`.
 
-    Pairs in which a link has no inertial are left out.
+    Pairs of copied limbs, and pairs in which a link has no inertial, are left out.
     """
-    for mirror, first, second in _list_pairs_in_place(robot):
+    for mirror, first, second in _list_mirrored_pairs(robot):
         if first.inertial is not None and second.inertial is not None:
             yield mirror, (first, first.inertial), (second, second.inertial)
 
@@ -407,6 +532,15 @@ def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Jo
             yield mirror, first, second
 
 
+def _list_mirrored_joints(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
+    """Yield `list_joint_pairs` without the joints of copied limbs (`find_copied_links`)."""
+    copied: frozenset[str] | None = None
+    for mirror, first, second in list_joint_pairs(robot):
+        copied = find_copied_links(robot, mirror) if copied is None else copied
+        if first.child not in copied:
+            yield mirror, first, second
+
+
 def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> float:
     """Compute the cosine between a joint axis and the mirrored axis of the partner.
 
@@ -422,10 +556,10 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg.
 
     A pair is a finding, too, if the sense of the axes differs from all other pairs
-    (`_find_reversed_axis`).
+    (`_find_reversed_axis`). Copied limbs are skipped.
     """
     yield from _find_reversed_axis(robot)
-    for mirror, first, second in list_joint_pairs(robot):
+    for mirror, first, second in _list_mirrored_joints(robot):
         if first.axis.any() and second.axis.any():
             cosine = abs(_compute_axis_sense(mirror, first, second))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -455,7 +589,7 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     the pair is named.
     """
     pairs, parallel = [], []
-    for mirror, first, second in list_joint_pairs(robot):
+    for mirror, first, second in _list_mirrored_joints(robot):
         cosine = float(first.axis @ second.axis)
         sense = _compute_axis_sense(mirror, first, second)
         if abs(cosine) > 0.9 and abs(sense) > 0.9 and first.kind == HINGE_JOINT:
@@ -494,9 +628,10 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
     The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
-    ranges agree. Pairs whose axes are no mirror images (cosine below 0.9) are skipped.
+    ranges agree. Pairs whose axes are no mirror images (cosine below 0.9), and copied limbs,
+    are skipped.
     """
-    for mirror, first, second in list_joint_pairs(robot):
+    for mirror, first, second in _list_mirrored_joints(robot):
         sense = _compute_axis_sense(mirror, first, second)
         if abs(sense) < 0.9:
             continue
@@ -578,10 +713,10 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
       more than `SHAPE_TOLERANCE` plus a tenth of the size (with meshes).
 
     The boxes are along the base axes, at zero angles, and include shapes of links fixed to the
-    link. Pairs at displaced positions are omitted. Boxes of shapes with unknown size are not
+    link. Pairs at displaced positions, and copied limbs, are omitted. Boxes of shapes with unknown size are not
     compared.
     """
-    for mirror, first, second in _list_pairs_in_place(robot):
+    for mirror, first, second in _list_mirrored_pairs(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
         if not any(pair):
             continue
