@@ -509,11 +509,28 @@ def last_joints(robot: Robot) -> list[int]:
     return [robot.joint_names.index(leg_joints(robot, point)[-1]) for point in points]
 
 
+def compute_effective_kp(rig: Rig) -> np.ndarray:
+    """Return the ratio of torque to servo error in the measurements, shape (nu,) [N m/rad].
+
+    Drift: the mean over the stands. Integral action of rate r [1/s]: the torque kp (e + r int e dt)
+    of a robot at rest is constant, so that the error e decreases with exp(-r t). The measurement is
+    the mean of the readings at the times t_i after the release:
+
+        kp_effective = kp / mean(exp(-r t_i))
+    """
+    other = rig.other
+    each = RAMP_SECONDS + RETURN_SECONDS + REST_SECONDS
+    leads = range(1, len(LEAD_RATIOS) + 1)
+    times = [other.seconds] if rig.single else [other.seconds + each * n for n in leads]
+    decrease = float(np.mean(np.exp(-other.integral * np.array(times))))
+    return np.asarray(rig.kp * (1 - other.drift / 2) / decrease)
+
+
 def true_values(rig: Rig) -> dict[str, float]:
     """Return {name of an estimate: true value} of a simulated robot."""
     truth, robot = dict(rig.planted.truth), rig.planted.stated
-    mean_kp = rig.kp * (1 - rig.other.drift / 2)
-    truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, mean_kp, strict=True)}
+    kp = compute_effective_kp(rig)
+    truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, kp, strict=True)}
     truth["mass"] = rig.robot.total_mass  # of what was weighed; a pack is the load
     truth["load scale"] = rig.other.pack - rig.other.cable[1]
     base = robot.base
@@ -694,7 +711,7 @@ def evaluate_fit(
         code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
         return Row(name, title, seed, len(stands), "refused", code)
     stated = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
-    factor = float(np.exp(np.log(rig.kp * (1 - rig.other.drift / 2) / stated).mean()))
+    factor = float(np.exp(np.log(compute_effective_kp(rig) / stated).mean()))
     carried = truth["mass"] / robot.total_mass * (1 + truth["load scale"])
     truth["kp over mass"] = factor / carried
     derived = [replace(fit.total_mass, name="mass")]
