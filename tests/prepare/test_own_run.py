@@ -502,6 +502,8 @@ def test_travel_of_more_than_a_third_of_the_height_leaves_the_stance(
     (clause,) = make_keyframe_run_clauses(run)
     stated = "moves sideways by 310 mm" if fails else "1000 mm to 1000 mm"
     assert stated in clause.message.short
+    (clause,) = make_keyframe_run_clauses(replace(run, lean=0.4))
+    assert "tilt 22.9 deg" in clause.message.short  # the tilt matters more than the move
     lifted = replace(run, lifted_leg=JointOff("knee", 0.9, Drive.SERVO))
     (clause,) = make_keyframe_run_clauses(lifted)
     assert "a leg leaves the ground (knee)" in clause.message.short
