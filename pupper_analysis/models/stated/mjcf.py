@@ -77,11 +77,8 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     spec_joints = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
-    frames: dict[int, list[Frame]] = {}
+    frames = _list_sites(model)
     bodies_without_meshes = set(file.bodies_with_missing_meshes)
-    for site in range(model.nsite):
-        frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
-        frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
     bodies = {}
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
@@ -117,10 +114,17 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             ),
             frames=tuple(frames.get(body, ())),
         )
-    refusal = file.as_it_is
-    return MjcfModel(
-        "mjcf", "body", names[base], bodies, file.notes, file, model, refusal, tuple(names)
-    )
+    notes, refusal = file.notes, file.as_it_is
+    return MjcfModel("mjcf", "body", names[base], bodies, notes, file, model, refusal, tuple(names))
+
+
+def _list_sites(model: mujoco.MjModel) -> dict[int, list[Frame]]:
+    """Return the sites of each body as frames; positions [m] are expressed in the body frame."""
+    frames: dict[int, list[Frame]] = {}
+    for site in range(model.nsite):
+        frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
+        frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
+    return frames
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:
