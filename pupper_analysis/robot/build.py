@@ -112,20 +112,14 @@ def build_robot(
         description.null_efforts,
     )
     contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}
-    for frame in contact_frames.values():
-        if not pin_model.existFrame(frame, pin.FrameType.BODY):
-            links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
-            raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
+    _check_contact_links(pin_model, contact_frames, description.urdf_source)
     places = {
         point: foot_site(mj_model, frame, description.mjcf_source)
         for point, (_, frame) in description.contact_points.items()
     }
     geoms = foot_geoms(description, mj_model, places)
     radius = {point: size for point, (_, size) in geoms.items()}
-    feet: dict[str, tuple[str, ...]] = {point: (point,) for point in description.contact_points}
-    for foot, points in description.feet.items():
-        others = {name: own for name, own in feet.items() if name not in points}
-        feet = others | {foot: points}
+    feet = _group_contact_points(description)
     foot_of = {point: foot for foot, points in feet.items() for point in points}
     # The keyframe may belong to the model with a free base, and then has more elements.
     home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
@@ -155,6 +149,25 @@ def build_robot(
         fingerprint=f"{description.name} {properties_hash}",
         notes=tuple(notes),
     )
+
+
+def _check_contact_links(
+    pin_model: pin.Model, contact_frames: Mapping[str, str], urdf_source: Path
+) -> None:
+    """Raise an UnknownNameError if the link of a contact point is not in the URDF."""
+    for frame in contact_frames.values():
+        if not pin_model.existFrame(frame, pin.FrameType.BODY):
+            links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
+            raise UnknownNameError(urdf_source, "link (for a foot)", frame, links)
+
+
+def _group_contact_points(description: Description) -> dict[str, tuple[str, ...]]:
+    """Return the contact points of each foot; a point without a foot is a foot of its own."""
+    feet: dict[str, tuple[str, ...]] = {point: (point,) for point in description.contact_points}
+    for foot, points in description.feet.items():
+        others = {name: own for name, own in feet.items() if name not in points}
+        feet = others | {foot: points}
+    return feet
 
 
 def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
