@@ -232,6 +232,11 @@ def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
     assert axes.get_window_extent().width > 0.9 * page.width
     circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
     assert circles
+    (name_of_y,) = (words for words in axes.texts if words.get_rotation() == 90)
+    extent = axes.transData.inverted().transform(name_of_y.get_window_extent())
+    assert abs(extent[:, 1].mean() - name_of_y.get_position()[1]) < 1.0
+    grid = [line for line in axes.lines if line.get_color() == drawing.GRID_COLOUR]
+    assert max(line.get_zorder() for line in grid) < Circle((0, 0), 1).get_zorder()  # below bars
     lines = max(line.get_zorder() for line in axes.lines)
     assert all(circle.get_zorder() > lines for circle in circles)  # a grid line crossed a point
     markers = [

@@ -79,6 +79,10 @@ _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)),
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
 _DOT_ZORDER = 3.0
 """Order in which Matplotlib draws a point: after lines, which have 2, such as those of the grid."""
+_GRID_ZORDER = 0.5
+"""Order in which Matplotlib draws a grid line: before bars, which have 1."""
+_LINE_ZORDER = 2.0
+"""Order in which Matplotlib draws other lines; the default of Matplotlib."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
 """{class of the HTML report's style sheet: line width of a mark [pt]}. Other classes have the
 default width.
@@ -208,7 +212,7 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
 
 
 def _make_line_style(kind: str, width: float) -> dict[str, Any]:
-    """Return the options of Matplotlib for a line: {"color": ..., "ls": ..., "lw": [pt]}.
+    """Return the options of Matplotlib for a line: ``color``, ``ls``, ``lw`` [pt] and ``zorder``.
 
     Args:
         kind: Class of the HTML report's style sheet, such as ``s0`` or ``limit``.
@@ -219,6 +223,7 @@ def _make_line_style(kind: str, width: float) -> dict[str, Any]:
         "color": colour,
         "ls": _CLASS_DASHES.get(kind, "-"),
         "lw": _CLASS_WIDTHS.get(kind, width),
+        "zorder": _GRID_ZORDER if kind == "grid" else _LINE_ZORDER,
     }
 
 
@@ -227,7 +232,7 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
     words = get_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
     turned = 90.0 if "transform" in mark else 0.0
     axes.text(mark["x"], mark["y"], words, ha=_TEXT_ALIGNMENTS[mark["anchor"]], rotation=turned,
-              size=size, parse_math=False)  # fmt: skip
+              rotation_mode="anchor", size=size, parse_math=False)  # fmt: skip
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:

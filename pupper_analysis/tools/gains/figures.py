@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pupper_analysis.present.document import get_english
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.tools.gains.document import gain_plot
+from pupper_analysis.present.plots import make_figure_title
+from pupper_analysis.tools.gains.document import gain_plot, gains_document
 from pupper_analysis.tools.gains.gains import GainStudy
 
 
@@ -19,4 +21,5 @@ def gain_figure(study: GainStudy, path: str | Path) -> None:
     Raises:
         OutputError: If the file cannot be written.
     """
-    write_plots([gain_plot(study)], path)
+    plot, title = gain_plot(study), make_figure_title(gains_document(study))
+    write_plots([plot], path, title=title, names=[get_english(plot.title)])

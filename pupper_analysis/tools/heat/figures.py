@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pupper_analysis.present.document import get_english
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.tools.heat.document import heat_plots
+from pupper_analysis.present.plots import make_figure_title
+from pupper_analysis.tools.heat.document import heat_document, heat_plots
 from pupper_analysis.tools.heat.heat import HeatStudy
 
 
@@ -20,4 +22,6 @@ def heat_figure(study: HeatStudy, path: str | Path) -> None:
         ConfigurationError: If no temperature is known.
         OutputError: If the file cannot be written.
     """
-    write_plots(heat_plots(study), path)
+    plots = heat_plots(study)
+    title = make_figure_title(heat_document(study))
+    write_plots(plots, path, title=title, names=[get_english(plot.title) for plot in plots])

@@ -27,5 +27,5 @@ def hold_figure(hold: Hold, path: str | Path) -> None:
         "Utilisation over the reach": reach_plot(hold.reach),
         "Forces on the tool": force_plot(hold.force),
     }
-    title = Name(f"{hold.name}: a posture that is held, and its tool ({hold.tool.name})")
+    title = Name(f"{hold.name}: hold, tool {hold.tool.name}")
     write_plots(list(plots.values()), path, title=title, names=list(plots))
