@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text
+from pupper_analysis.present.document import get_english, join_words, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
+from pupper_analysis.present.plots import create_figure, draw_result, make_figure_title
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
 """Directions of a base workspace whose ranges are angles [rad]; the report prints degrees. The
@@ -159,3 +164,67 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         notes=robot_notes(robot),
         next_step=doc.NextStep("best", ("margin",)),
     )
+
+
+@draw_result.register(BaseWorkspace)
+def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Axes, ...]:
+    """Plot the range of each direction as a bar between its ends, with the limit at each end.
+
+    Lengths [mm] and angles [deg] have a panel each.
+    """
+    from pupper_analysis.present.figures.drawing import (
+        BLACK_COLOUR,
+        FONT_SIZE,
+        SKY_BLUE_COLOUR,
+        make_page_figure,
+        title_panel,
+    )
+
+    groups = [
+        (
+            get_english(text(title)),
+            unit,
+            scale,
+            [name for name in workspace.intervals if chosen(name)],
+        )
+        for title, unit, scale, chosen in (
+            ("workspace-lengths", "mm", 1e3, lambda name: name not in _ANGLE_DIRECTIONS),
+            ("workspace-angles", "deg", math.degrees(1.0), _ANGLE_DIRECTIONS.__contains__),
+        )
+    ]
+    groups = [group for group in groups if group[-1]]
+    rows = [len(names) for *_, names in groups]
+    title = get_english(make_figure_title(workspace_document(workspace)))
+    height = _ROW_HEIGHT * sum(rows) + _PANEL_HEIGHT * len(rows)
+    figure = make_page_figure(title, height, layout="constrained", create=create_figure)
+    panels = figure.subplots(len(groups), squeeze=False, height_ratios=rows)[:, 0]
+    for axes, (name, unit, scale, directions) in zip(panels, groups, strict=True):
+        labels = [get_english(text(direction)) for direction in directions]
+        ends = [
+            (
+                scale * workspace.intervals[direction].low,
+                scale * workspace.intervals[direction].high,
+            )
+            for direction in directions
+        ]
+        widths = [high - low for low, high in ends]
+        axes.barh(labels, widths, left=[low for low, _ in ends], color=SKY_BLUE_COLOUR, height=0.5)
+        for row, (direction, pair) in enumerate(zip(directions, ends, strict=True)):
+            for end, limit, side in zip(pair, workspace.limits[direction], (-1, 1), strict=True):
+                words = f"{end:z.0f}, {doc.diagnostic_text(limit).short}"
+                axes.annotate(words, (end, row), xytext=(3 * side, 0), va="center",
+                              ha="right" if side < 0 else "left", textcoords="offset points",
+                              size=FONT_SIZE - 1, color=BLACK_COLOUR)  # fmt: skip
+        axes.use_sticky_edges = False  # otherwise the leftmost bar has no margin
+        axes.margins(x=_LABEL_MARGIN)
+        axes.invert_yaxis()
+        title_panel(axes, "")
+        axes.set_xlabel(f"{name} ({unit})", size=FONT_SIZE)
+    return tuple(panels)
+
+
+_ROW_HEIGHT, _PANEL_HEIGHT = 0.3, 0.7
+"""Height of a direction, and of title and axis of a panel [inch]. Chosen, not tuned."""
+
+_LABEL_MARGIN = 0.3
+"""Free width beside the longest bar, relative to its length, for the limits. Chosen, not tuned."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 from types import SimpleNamespace
 
+import pytest
+
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import get_english
 from pupper_analysis.present.terminal import SafeConsole, print_head
-from pupper_analysis.tools.workspace.document import workspace_document
+from pupper_analysis.tools.workspace.document import plot_workspace, workspace_document
 from tests.support.stubs import workspace
 
 
@@ -51,3 +53,23 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     assert answer.startswith("RANGE stub: height 91 to 192, x ")
     assert answer.count(" mm") == answer.count(" deg") == 1
     assert answer.endswith("yaw ±29 deg")
+
+
+def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
+    """Reference: the ends of the intervals, in mm and in degrees."""
+    pytest.importorskip("matplotlib").use("Agg")
+    result = workspace()
+    lengths, angles = plot_workspace(result)
+    assert lengths.get_xlabel().endswith("(mm)")
+    assert angles.get_xlabel().endswith("(deg)")
+    names = [label.get_text() for label in lengths.get_yticklabels()]
+    for name, bar in zip(names, lengths.patches, strict=True):
+        interval = result.intervals[name]
+        ends = bar.get_x(), bar.get_x() + bar.get_width()
+        assert ends == pytest.approx((1e3 * interval.low, 1e3 * interval.high))
+    figure = lengths.figure
+    figure.draw_without_rendering()
+    for words in (*lengths.texts, *angles.texts):
+        extent = words.get_window_extent()
+        assert words.axes.bbox.x0 < extent.x0 < extent.x1 < figure.bbox.x1  # beside the names
+    pytest.importorskip("matplotlib.pyplot").close(figure)
