@@ -407,7 +407,7 @@ def return_rows(chunk: running.Chunk) -> running.ChunkOutcome:
         {"design": name, "kp": numbers[0], **RECORDED_ROW}
         for name, numbers in zip(chunk.names, chunk.numbers, strict=True)
     )
-    return running.ChunkOutcome(rows, 0.025 * len(rows))
+    return running.ChunkOutcome(rows, 0.025 * len(rows), 0.025 * len(rows))
 
 
 RECORDED_ROW: dict[str, object] = {

@@ -104,11 +104,13 @@ class ChunkOutcome:
 
     Attributes:
         rows: A row per design.
-        seconds: Duration of the evaluation [s].
+        seconds: Elapsed time of the evaluation [s].
+        processor_seconds: Processor time of the evaluation in the worker's thread [s].
     """
 
     rows: tuple[DesignRow, ...]
     seconds: float
+    processor_seconds: float
 
 
 class _ThreadCache(threading.local):
@@ -167,7 +169,7 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
     Raises:
         StudyError: If package versions differ from those on the machine that started the run.
     """
-    start = time.perf_counter()
+    start, processor_start = time.perf_counter(), time.thread_time()
     definition, builder, metrics = _thread_cache.load_work(chunk.work)
     rows = []
     for name, values in zip(chunk.names, chunk.numbers, strict=True):
@@ -175,7 +177,9 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
         with _time_limit(definition.limit):
             row = measure_design(builder, numbers, metrics)
         rows.append({"design": name, **numbers, **row})
-    return ChunkOutcome(tuple(rows), time.perf_counter() - start)
+    return ChunkOutcome(
+        tuple(rows), time.perf_counter() - start, time.thread_time() - processor_start
+    )
 
 
 _time_limit_lock = threading.Lock()
@@ -251,15 +255,22 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Smallest intended time for which a worker evaluates a chunk of designs [s]. With many workers,
-`CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 1 % of this time.
+"""Smallest intended processor time of a chunk of designs [s]. With many workers,
+`CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 2 % of this time.
+"""
+
+MAX_CHUNK_SLOWDOWN = 4.0
+"""Largest intended elapsed time of a chunk, relative to the intended processor time. The limit
+applies if other processes use the machine, or if a metric waits, for example for another program.
+Without the limit, a chunk of designs that only wait would have `MAX_CHUNK_DESIGNS` designs. Chosen,
+not tuned.
 """
 
 CHUNK_SECONDS_PER_WORKER = 0.01
-"""Intended duration of a chunk, per worker of the cluster [s]. A chunk lasts at least this value
-times the number of workers. Therefore at most 100 chunks per second reach the scheduler. Measured
-with 1,000 workers: a chunk needs 5.7 ms of processor time in Dask's scheduler, and 3.0 ms in this
-process (``benchmarks/studies.py scheduler``).
+"""Intended processor time of a chunk, per worker of the cluster [s]. A chunk takes at least this
+value times the number of workers. Therefore at most 100 chunks per second reach the scheduler.
+Measured with 1,000 workers: a chunk needs 5.7 ms of processor time in Dask's scheduler, and 3.0 ms
+in this process (``benchmarks/studies.py scheduler``).
 """
 
 MAX_CHUNK_DESIGNS = 512
@@ -316,7 +327,8 @@ class Progress:
         done: Number of designs that this run has evaluated.
         failures: {failure kind: number of designs of this run}.
         seconds: Elapsed time [s].
-        work: Time that workers spent on designs [s].
+        work: Elapsed time that workers spent on designs [s].
+        processor_time: Processor time that workers spent on designs [s].
     """
 
     total: int
@@ -325,6 +337,7 @@ class Progress:
     failures: Counter[str] = field(default_factory=Counter)
     seconds: float = 0.0
     work: float = 0.0
+    processor_time: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -362,16 +375,19 @@ class _RecordingContext(multiprocessing.context.SpawnContext):
 def choose_chunk_size(progress: Progress, num_workers: int) -> int:
     """Choose the number of designs per chunk, 1 to `MAX_CHUNK_DESIGNS`, from the measured times.
 
-    The number is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS`, or
-    `CHUNK_SECONDS_PER_WORKER` times the number of workers if this time is longer.
+    The number is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS` of
+    processor time, or `CHUNK_SECONDS_PER_WORKER` times the number of workers if this is longer. The
+    elapsed time is at most `MAX_CHUNK_SLOWDOWN` times as long. Sizes from elapsed time alone would
+    become small on a machine with other load, and the cost per design would increase.
 
     Args:
-        progress: Progress of the run, with the time that workers have spent on designs.
+        progress: Progress of the run, with the times that workers have spent on designs.
         num_workers: Number of workers.
     """
     if not progress.done:
         return 1
-    seconds_per_design = max(progress.work / progress.done, 1e-6)
+    seconds = max(progress.processor_time, progress.work / MAX_CHUNK_SLOWDOWN)
+    seconds_per_design = max(seconds / progress.done, 1e-6)
     duration = max(CHUNK_SECONDS, CHUNK_SECONDS_PER_WORKER * num_workers)
     return int(np.clip(duration / seconds_per_design, 1, MAX_CHUNK_DESIGNS))
 
@@ -656,6 +672,7 @@ class StudyRun:
                 finding = diagnose("module-not-on-workers", module=str(error.name))
             raise StudyError(self.store.folder, finding) from error
         self.progress.work += outcome.seconds
+        self.progress.processor_time += outcome.processor_seconds
         self._store_rows(outcome.rows)
 
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:

@@ -554,12 +554,34 @@ def test_interrupted_study_can_be_resumed_and_leaves_no_process(tmp_path: Path) 
 
 def test_chunks_last_longer_on_more_workers() -> None:
     """Closed form for designs of 25 ms: 0.5 s, or 100 chunks per second of all workers."""
-    progress = running.Progress(10_000, done=4, work=0.1)
+    progress = running.Progress(10_000, done=4, work=0.1, processor_time=0.1)
     sizes = [running.choose_chunk_size(progress, number) for number in (1, 8, 100, 1000)]
     assert sizes == [20, 20, 40, 400]
-    slow = running.Progress(10_000, done=4, work=40.0)
+    slow = running.Progress(10_000, done=4, work=40.0, processor_time=40.0)
     assert [running.choose_chunk_size(slow, number) for number in (8, 3000)] == [1, 3]
     assert running.choose_chunk_size(running.Progress(10), 1000) == 1
+
+
+def test_other_load_does_not_reduce_the_number_of_designs_per_chunk() -> None:
+    """Closed form for 25 ms of processor time per design: 20 designs, also if each takes 100 ms.
+
+    Designs that wait for 100 ms, without processor time: chunks of 2 s.
+    """
+    loaded = running.Progress(10_000, done=4, work=0.4, processor_time=0.1)
+    assert running.choose_chunk_size(loaded, 2) == 20
+    waiting = running.Progress(10_000, done=4, work=0.4, processor_time=0.0)
+    assert running.choose_chunk_size(waiting, 2) == 20
+    overloaded = running.Progress(10_000, done=4, work=1.0, processor_time=0.1)
+    assert running.choose_chunk_size(overloaded, 2) == 8
+
+
+def test_evaluation_reports_the_processor_time_without_waiting() -> None:
+    """Reference: a metric that sleeps 50 ms per design takes elapsed time, no processor time."""
+    made = study({"payload": [0.0, 0.1]}, study_metrics.slow)
+    ((names, numbers),) = made.designs()
+    rows = tuple(map(tuple, numbers.tolist()))
+    outcome = running.measure_designs(Chunk(made.work(), tuple(names), rows))
+    assert outcome.seconds - outcome.processor_seconds > 2 * 0.05 - 0.01
 
 
 def test_remaining_time_follows_from_the_rate_of_this_run() -> None:
