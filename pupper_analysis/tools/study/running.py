@@ -559,7 +559,8 @@ class StudyRun:
                 self._write_shard()
             finally:
                 for future in self._in_flight:
-                    future.cancel()
+                    with contextlib.suppress(NotImplementedError):  # futures of Parsl
+                        future.cancel()
                 pool.end_processes()
         self.report(self._update_progress())
         return self.progress

@@ -18,6 +18,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -79,6 +80,25 @@ def test_run_on_workers_without_answer_fails_at_the_deadline(tmp_path: Path) -> 
         pytest.raises(pytest.fail.Exception, match=r"no design finished within 0\.1 s, after 0"),
     ):
         make_study(24).run(tmp_path, executor=executor, progress=fail_if_stalled(limit=0.1))
+
+
+class _WithoutCancel(ThreadPoolExecutor):
+    """Workers without a result, whose futures refuse to be cancelled, as Parsl's do."""
+
+    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.cancel = mock.Mock(side_effect=NotImplementedError)  # type: ignore[method-assign]
+        return future
+
+
+def test_error_ends_a_run_on_futures_that_cannot_be_cancelled(tmp_path: Path) -> None:
+    """Ctrl-C raises KeyboardInterrupt, not the error of the futures."""
+
+    def stop(_: Progress) -> None:
+        raise KeyboardInterrupt
+
+    with _WithoutCancel(1) as executor, pytest.raises(KeyboardInterrupt):
+        make_study(24).run(tmp_path, executor=executor, progress=stop)
 
 
 @contextmanager
