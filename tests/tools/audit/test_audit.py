@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from itertools import product
 from math import pi
 from pathlib import Path
@@ -1531,11 +1532,12 @@ def write_two_arms(path: Path, side: Callable[[str, str], float]) -> Path:
         for index in range(4):
             link, y = f"{name}_arm_{index}", 0.01 * (index + 2)
             com, product = (side(name, f"{of}{index}") for of in ("com", "product"))
+            tensor = f'ixx="0.02000" iyy="0.02000" izz="0.01000" ixy="{product * 0.00412:.5f}"'
             parts.append(
-                f'<link name="{link}"><inertial><origin xyz="0.01 {com * y} 0.05"/><mass value="2"/>'
-                f'<inertia ixx="0.02000" iyy="0.02000" izz="0.01000" ixy="{product * 0.00412:.5f}" ixz="0" '
-                f'iyz="0"/></inertial></link><joint name="{link}" type="revolute"><parent '
-                f'link="{parent}"/><child link="{link}"/><origin xyz="{place}"/><axis xyz="0 1 0"/>'
+                f'<link name="{link}"><inertial><origin xyz="0.01 {com * y} 0.05"/>'
+                f'<mass value="2"/><inertia {tensor} ixz="0" iyz="0"/></inertial></link>'
+                f'<joint name="{link}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="{link}"/><origin xyz="{place}"/><axis xyz="0 1 0"/>'
                 '<limit lower="-1" upper="1" effort="50" velocity="5"/></joint>'
             )
             parent, place = link, f"0 {side(name, f'offset{index}') * 0.05 * (index == 0)} 0.2"

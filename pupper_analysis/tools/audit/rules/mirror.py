@@ -2,10 +2,10 @@
 
 `find_mirror_plane` derives the plane between left and right from pairs of names and the positions
 of the links. `find_copied_links` finds limbs that are equal to the partner instead, such as two
-arms of the same type; no mirror image is expected there. Each rule compares a quantity of the first link or joint of a pair with the second
-within a tolerance. Vectors, inertias, axes and ranges are reflected first. If several pairs of a
-chain are displaced, `mirror_position` reports only the first pair. The comparisons of CoM, inertia,
-shapes and contacts leave displaced pairs out.
+arms of the same type; no mirror image is expected there. Each rule compares a quantity of the first
+link or joint of a pair with the second within a tolerance. Vectors, inertias, axes and ranges are
+reflected first. If several pairs of a chain are displaced, `mirror_position` reports only the first
+pair. The comparisons of CoM, inertia, shapes and contacts leave displaced pairs out.
 """
 
 from __future__ import annotations
@@ -184,16 +184,16 @@ def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
                     for link, parent in zip((first, second), parents, strict=True)
                 ]
                 turn = parents[1].pose.rotation @ parents[0].pose.rotation.T
-                vote = _compare_hypotheses(*arms, turn, mirror, POSITION_TOLERANCE)
+                vote = _compare_hypotheses(arms[0], arms[1], turn, mirror, POSITION_TOLERANCE)
                 offsets += vote if first.moving else 0
                 others += vote if not first.moving else 0
             others += _compare_inertials(first, second, mirror)
         votes = offsets + others
         if votes[1] > votes[0]:
             mirrored_kinds.add(strip_sides(root))
-        if votes[0] >= MIN_COPIED_TERMS and votes[0] > votes[1]:
-            if offsets[0] > offsets[1] or not offsets.any():
-                copied[root] = limb
+        is_placed = offsets[0] > offsets[1] or not offsets.any()
+        if is_placed and votes[0] >= MIN_COPIED_TERMS and votes[0] > votes[1]:
+            copied[root] = limb
     return frozenset(
         link.name
         for root, limb in copied.items()
@@ -212,14 +212,19 @@ def _compare_inertials(first: Link, second: Link, mirror: MirrorPlane) -> Array:
     if first.inertial is None or second.inertial is None:
         return np.zeros(2, int)
     turn = second.pose.rotation @ first.pose.rotation.T
-    arms, tensors = [], []
-    for link, inertial in ((first, first.inertial), (second, second.inertial)):
-        arms.append(link.pose.point(inertial.com) - _get_anchor(link))
-        tensors.append(link.pose.rotation @ inertial.inertia @ link.pose.rotation.T)
-    least = INERTIA_RTOL * float(np.abs(tensors).max())
-    return _compare_hypotheses(*arms, turn, mirror, COM_TOLERANCE) + _compare_hypotheses(
-        *tensors, turn, mirror, least
+    arms, tensors = (
+        [
+            link.pose.point(inertial.com) - _get_anchor(link)
+            for link, inertial in ((first, first.inertial), (second, second.inertial))
+        ],
+        [
+            link.pose.rotation @ inertial.inertia @ link.pose.rotation.T
+            for link, inertial in ((first, first.inertial), (second, second.inertial))
+        ],
     )
+    least = INERTIA_RTOL * float(np.abs(tensors).max())
+    places = _compare_hypotheses(arms[0], arms[1], turn, mirror, COM_TOLERANCE)
+    return places + _compare_hypotheses(tensors[0], tensors[1], turn, mirror, least)
 
 
 def _compare_hypotheses(
@@ -713,8 +718,8 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
       more than `SHAPE_TOLERANCE` plus a tenth of the size (with meshes).
 
     The boxes are along the base axes, at zero angles, and include shapes of links fixed to the
-    link. Pairs at displaced positions, and copied limbs, are omitted. Boxes of shapes with unknown size are not
-    compared.
+    link. Pairs at displaced positions, and copied limbs, are omitted. Boxes of shapes with unknown
+    size are not compared.
     """
     for mirror, first, second in _list_mirrored_pairs(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
