@@ -339,12 +339,31 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     import trimesh  # slow to import; yourdfpy depends on it
 
     if path.suffix.lower() == ".dae":
-        data = read_input(path, MAX_MESH_BYTES)
-        mesh = read_merged_mesh(data, ".dae")
+        parts = _read_collada(path, read_change_time(path))
+        mesh = trimesh.Trimesh(parts.vertices, parts.faces, process=False)
         if merge:
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
         return mesh
     return trimesh.load(path, force="mesh", process=merge, skip_materials=True)
+
+
+@lru_cache(maxsize=64)
+def _read_collada(path: Path, _changed: int) -> Mesh:
+    """Read all parts of a COLLADA file; cached, since hull and integrals need the same triangles.
+
+    Parsing takes most of the time of both. The cache is smaller than the caches of the results,
+    because triangles take more memory.
+
+    Raises:
+        UnreadableError: As `_load_mesh`.
+        InputError: As `_load_mesh`.
+        ValueError: As `_load_mesh`.
+    """
+    mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
+    points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
+    for array in (points, faces):
+        array.flags.writeable = False
+    return Mesh(points, faces)
 
 
 @lru_cache(maxsize=256)

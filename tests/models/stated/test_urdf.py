@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import coal
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import trimesh
 
 from pupper_analysis.models.shapes import Mesh
+from pupper_analysis.models.stated import urdf as stated_urdf
 from pupper_analysis.models.stated.urdf import mesh_hull, read_mesh_file, read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.rules.files import find_mesh_problem
@@ -78,8 +80,12 @@ def test_a_mesh_that_vanishes_after_its_path_was_found_is_no_mesh(tmp_path: Path
     assert "No such file" in str(dae)
 
 
-def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
+def test_collada_file_is_read_in_metres_with_all_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Reference: closed form of a box of 0.1 x 0.2 x 0.3 m; each part is open.
+
+    Hull and integrals share one parsed file.
 
     The file is in cm. Each part is half of the surface; a node moves both parts by 0.5 m along x.
     """
@@ -92,6 +98,8 @@ def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
     (tmp_path / "a.dae").write_text(text.replace("<up_axis>Y_UP", asset))
     path = tmp_path / "robot.urdf"
     path.write_text(URDF.replace("a.obj", "a.dae"))
+    read_parts = Mock(wraps=stated_urdf.read_merged_mesh)
+    monkeypatch.setattr(stated_urdf, "read_merged_mesh", read_parts)
     shape = read_urdf_model(read_urdf(path)).links["base"].shapes[0]
     assert shape.points is not None
     np.testing.assert_allclose(np.ptp(shape.points, axis=0), [0.1, 0.2, 0.3])
@@ -100,6 +108,7 @@ def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
     assert solid.mass == pytest.approx(0.1 * 0.2 * 0.3)
     np.testing.assert_allclose(solid.lever, [0.5, 0, 0], atol=1e-9)
     assert shape.compute_volume() == pytest.approx(0.006)
+    assert read_parts.call_count == 1
 
 
 UPWARDS = {"X_UP": [1.0, 0, 0], "Y_UP": [0, 1.0, 0], "Z_UP": [0, 0, 1.0], "": [0, 1.0, 0]}
