@@ -32,6 +32,7 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH_GRAVITY, select_joint_units
 from pupper_analysis.models.attributes import TREE_ATTRIBUTES
+from pupper_analysis.models.efforts import MIN_EFFORT
 from pupper_analysis.models.multibody import (
     MultibodyTree,
     TreeBody,
@@ -797,6 +798,8 @@ def _compare_joint_parameters(
         first, second = float(getattr(one, field)), float(getattr(two, field))
         if not (sides.alike or attribute.is_in_both_formats):
             continue  # one format does not support this parameter, and has the value of the other
+        if kind == "effort":  # a limit below the smallest is a motor without torque
+            first, second = (0.0 if abs(limit) < MIN_EFFORT else limit for limit in (first, second))
         tolerance = getattr(tolerances, attribute.tolerance)
         if first == second or (
             math.isfinite(first)

@@ -22,7 +22,14 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
-from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
+from pupper_analysis.models.additions import (
+    Addition,
+    Ball,
+    Floor,
+    Servo,
+    StartKeyframe,
+    apply_additions,
+)
 from pupper_analysis.models.attributes import (
     FLOOR_NAME,
     HOME_KEYFRAME,
@@ -30,6 +37,7 @@ from pupper_analysis.models.attributes import (
     AttributeValue,
     known_limit,
 )
+from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import (
@@ -349,10 +357,33 @@ def _add_stand(
         failure = diagnose("does-not-stand", missing=meshes.missing_files, problem=problem)
         added = tuple(addition for addition in added if not isinstance(addition, StartKeyframe))
     published = PublishedModel.from_model(bare.make_file().model, robot)
+    added = _limit_servos_without_torque(added, robot)
     apply_additions([_convert_start_pose(addition, published, robot) for addition in added], mjcf)
     _lift_base(mjcf, bodies, published.model)
     messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     return messages, failure, _find_joints_on_balls(robot)
+
+
+WRITTEN_ZERO_EFFORT = 1e-9
+"""Torque limit [N m, N] that a new MJCF states for a motor without torque. MuJoCo ignores or
+refuses a range from 0 to 0. Chosen, not tuned: below `MIN_EFFORT`, so it is read as zero."""
+
+
+def _limit_servos_without_torque(
+    additions: Iterable[Addition], robot: Robot
+) -> tuple[Addition, ...]:
+    """Give servos of motors without torque a range of `WRITTEN_ZERO_EFFORT`.
+
+    Without a range, the servo of a joint with effort 0 is unlimited in MuJoCo.
+    """
+    null = {limit.joint for limit in robot.efforts if limit.code is EffortCode.ZERO}
+    limits = (-WRITTEN_ZERO_EFFORT, WRITTEN_ZERO_EFFORT)
+    return tuple(
+        replace(addition, limits=limits)
+        if isinstance(addition, Servo) and addition.joint in null
+        else addition
+        for addition in additions
+    )
 
 
 def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
@@ -397,7 +428,7 @@ def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list
         for addition in robot.description.added
         if not isinstance(addition, Floor | StartKeyframe)
     ]
-    apply_additions(added, mjcf)
+    apply_additions(_limit_servos_without_torque(added, robot), mjcf)
     return list(dict.fromkeys(addition.reason for addition in added))
 
 

@@ -18,6 +18,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
+from pupper_analysis.models.efforts import MIN_EFFORT
 from tests.support import features
 from tests.support.commands import answer
 from tests.support.conversions import (
@@ -108,6 +109,20 @@ def _random_tree(random: np.random.Generator) -> Parts:
             inertia=tuple(tensor[at] for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))),
         )
     return parts
+
+
+def test_effort_of_zero_is_converted_to_a_servo_without_torque(tmp_path: Path) -> None:
+    """Reference: torque of the written servo in MuJoCo, far from its target."""
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(change_part(arm(), "rod", effort=0.0), ()))
+    mjcf, found = convert_file(urdf, "arm.xml")
+    assert found.passed, found.failures
+    model = compile_file(mjcf)
+    servo = int(np.argmin(model.actuator_forcerange[:, 1]))
+    data = mujoco.MjData(model)
+    data.ctrl[servo] = 1.0
+    mujoco.mj_forward(model, data)
+    assert abs(data.actuator_force[servo]) < MIN_EFFORT
 
 
 def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
