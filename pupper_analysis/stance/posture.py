@@ -85,6 +85,7 @@ def find_posture(
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
     their ranges. If a limit is infinite, the position is zero, or the limit that is nearest to
     zero. Joints of loops and couplings that are not given move to close loops.
+    If a joint then leaves its range, only the dependent joints move.
 
     Args:
         robot: Robot with a fixed base.
@@ -109,12 +110,23 @@ def find_posture(
     placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
     start = qpos
     qpos = _close_loops(robot, start, placed)
+    if robot.closure is not None and not _is_within(qpos, ranges):
+        # Ranges of unequal width, for example of a finger and the follower with another limit.
+        following = np.zeros(robot.nu)
+        following[np.setdiff1d(robot.closure.dependent_joints, placed)] = 1.0
+        closed = robot.closure.close_loops(start, following)
+        qpos = closed if closed is not None and _is_within(closed, ranges) else qpos
     moved = np.abs(qpos - start) > _MAX_CLOSING_DISPLACEMENT
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
         bonds = robot.closure.constraint_names if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
     return Posture(robot.joint_names, qpos, source, name or "", tuple(given))
+
+
+def _is_within(qpos: Array, ranges: Array) -> bool:
+    """Return True if all joint positions, shape (nu,), are within the ranges, shape (nu, 2)."""
+    return bool(((ranges[:, 0] <= qpos) & (qpos <= ranges[:, 1])).all())
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:

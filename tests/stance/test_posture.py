@@ -90,3 +90,27 @@ def test_joints_without_limits_are_solved_with_different_margins() -> None:
     assert np.isinf(endless.upper_limits).all()
     tasks = [pa.StandTask(height=0.13, joint_margin=margin) for margin in (0.0, 0.1, 0.0)]
     assert all(stand.solved for stand in pa.solve_stands(endless, tasks))
+
+
+def test_follower_with_a_wide_range_does_not_move_the_leader_out_of_its_range(
+    tmp_path: Path,
+) -> None:
+    """Reference: the middle of the leader's range, and the coupling with factor 1.
+
+    The range of the follower is ten times too wide, as in a published file of a gripper.
+    """
+    fingers = "".join(
+        f'<link name="{name}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" '
+        'izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="{name}" type="prismatic"><parent link="palm"/><child link="{name}"/>'
+        f'<axis xyz="0 {sign} 0"/><limit lower="0.03" upper="{upper}" effort="9" velocity="1"/>'
+        f"{mimic}</joint>"
+        for name, sign, upper, mimic in (
+            ("left", 1, 0.11, ""),
+            ("right", -1, 1.1, '<mimic joint="left" multiplier="1" offset="0"/>'),
+        )
+    )
+    path = tmp_path / "gripper.urdf"
+    path.write_text(f'<robot name="gripper"><link name="palm"/>{fingers}</robot>')
+    posture = find_posture(pa.load_robot(path, fixed_base=True))
+    np.testing.assert_allclose(posture.qpos, 0.07, atol=1e-9)
