@@ -94,6 +94,7 @@ class LinearisedResiduals:
         chi2: Sum of r^2.
         rows: Number of residuals.
         log_noise: Logarithm of the determinant of the noise covariance used for whitening.
+        extra_cost: Additional term of the cost. ``gradient`` contains half its derivative.
     """
 
     information: Array
@@ -101,6 +102,7 @@ class LinearisedResiduals:
     chi2: float
     rows: int
     log_noise: float = 0.0
+    extra_cost: float = 0.0
 
     @staticmethod
     def from_residuals(
@@ -133,6 +135,7 @@ class LinearisedResiduals:
             self.chi2 + other.chi2,
             self.rows + other.rows,
             self.log_noise + other.log_noise,
+            self.extra_cost + other.extra_cost,
         )
 
     def compute_log_evidence(self, table: ParameterTable, z: Array) -> float:
@@ -320,7 +323,7 @@ class _QuadraticCost:
         linearised: Linearised measurements.
         x: Parameter values, shape (n,).
         lower_bounds: Lower bounds of the values, shape (n,).
-        cost: chi2 + z^T P z at ``x``.
+        cost: chi2 + z^T P z + ``extra_cost`` at ``x``.
         information: Information of the measurements, shape (n, n), in units of the prior widths.
         posterior_information: Information of measurements and prior, shape (n, n), same units.
         descent: Half the negative gradient of the cost, shape (n,), in units of the prior widths.
@@ -331,7 +334,8 @@ class _QuadraticCost:
     ) -> None:
         self.table, self.linearised, self.x, self.lower_bounds = table, linearised, x, lower_bounds
         width, self._z = table.width, (x - table.stated) / table.width
-        self.cost = linearised.chi2 + float(self._z @ table.precision @ self._z)
+        prior = float(self._z @ table.precision @ self._z)
+        self.cost = linearised.chi2 + prior + linearised.extra_cost
         self.information: Array = width[:, None] * linearised.information * width
         self.posterior_information = self.information + table.precision
         self.descent: Array = -(width * linearised.gradient + table.precision @ self._z)

@@ -127,6 +127,18 @@ def test_stalled_minimisation_gives_a_wide_interval() -> None:
     assert found.covariance[0, 0] == pytest.approx(1 / 5 + (6 / 5) ** 2)
 
 
+def test_extra_cost_moves_the_minimum() -> None:
+    """Closed form: the minimum of x^2 - 2 a x is at a."""
+    given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
+
+    def linearise(x: Array, _: Array) -> LinearisedResiduals:
+        return LinearisedResiduals(
+            np.zeros((1, 1)), np.array([-0.7]), 0.0, 0, extra_cost=-1.4 * x[0]
+        )
+
+    assert estimate_parameters(given, linearise).mean == pytest.approx([0.7])
+
+
 def evaluate_rosenbrock(x: Array) -> tuple[Array, Array]:
     """Return the residuals 10 (y - x^2) and 1 - x of Rosenbrock's function, and their
     derivative.

@@ -16,8 +16,15 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.motions.fit import fit_motion, measure_repeatability, measure_replay
-from pupper_analysis.tools.fit.motions.rollouts import LogSegment
+from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.tools.fit.motions.fit import (
+    MotionResiduals,
+    fit_motion,
+    measure_repeatability,
+    measure_replay,
+)
+from pupper_analysis.tools.fit.motions.rollouts import LogSegment, Simulator, split_runs
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 from pupper_analysis.tools.fit.result import Determined, MotionFit, classify_determination
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
@@ -89,6 +96,25 @@ def test_unexplained_motion_is_reported() -> None:
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
     assert "motion-not-explained" in {failure.code for failure in found.failures}
     assert not found.explained
+
+
+def test_scatter_about_the_stated_values_does_not_favour_small_factors() -> None:
+    """All passive parameters are a standard deviation off, so that the squared deviations add up to
+    their number. Closed form: the derivative of the prior cost by the logarithm of a common factor,
+    2 sum_i z_i x_i, keeps the part 2 sum_i z_i m_i of the stated values m_i.
+    """
+    robot, name = bar(), bar().joint_names[0]
+    half = {kind: TRUE[kind] / 2 for kind in ("kp", "friction", "damping", "armature")}
+    table = ParameterTable([Parameter(kind, name, "", own, own) for kind, own in half.items()])
+    simulator = Simulator(robot, model_with_servos(robot), table, log().interval)
+    motion = MotionResiduals(simulator, [*split_runs(log(), robot.home, 0.0)])
+    point = table.stated + table.width
+    motion.linearise(point, point)
+    number = len(table)
+    other = point.copy()
+    other[0] *= 2  # kp
+    extra = [motion.linearise(x, table.stated).extra_cost for x in (point, other)]
+    assert extra[1] - extra[0] == pytest.approx(-2 * number * math.log(2), rel=0.05)
 
 
 def load_two_bars() -> Robot:

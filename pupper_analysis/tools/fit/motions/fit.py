@@ -465,6 +465,16 @@ derivatives. Up to this distance the derivatives are reused, since they need man
 value of 4 corresponds to two standard deviations. Chosen, not tuned.
 """
 
+_SCALED_KINDS = ("kp", "friction", "damping", "armature", "mass", "com")
+"""Kinds of parameters of which a motion determines the ratio to kp. The parameter of a CoM is the
+first moment (`MomentCoordinates`).
+"""
+
+_MIN_KP_FRACTION = 1e-3
+"""Lower bound of kp, as a fraction of the stated kp, in the logarithm of a term of the cost.
+Chosen, not tuned.
+"""
+
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases
 quadratically with the step. Derivatives do not need this factor: they are accurate to about 1 %.
@@ -492,6 +502,50 @@ class MotionResiduals:
         self._derivative_point: Array | None = None
         self._information: Array | None = None
         self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
+        self._scaled_columns, self._kp_columns = self._find_scaled_parameters()
+        self._square_deviations = np.zeros(len(self.table))
+
+    def _find_scaled_parameters(self) -> tuple[IntArray, IntArray]:
+        """Return the indices of parameters that are proportional to kp, and the index of this kp.
+
+        A common factor on kp, friction, damping, armature, masses and moments of a joint and its
+        link hardly changes the motion. Joints with a known kp are left out.
+        """
+        links = dict(
+            zip(self.simulator.bodies.links, self.simulator.robot.joint_names, strict=True)
+        )
+        pairs = []
+        for index, parameter in enumerate(self.table):
+            joint = links.get(parameter.subject, parameter.subject)
+            kp = self.table.find_index("kp", joint)
+            if parameter.kind in _SCALED_KINDS and kp is not None:
+                pairs.append((index, kp))
+        scaled, kps = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        return scaled, kps
+
+    def _correct_scale_bias(self, moments: Array) -> tuple[float, Array]:
+        """Return a term of the cost that removes the bias of a common factor, and its derivative.
+
+        The measurements determine the ratios of parameters to kp. The prior alone determines their
+        common factor S. Its derivative of the prior cost is 2 sum_i z_i (m_i + z_i), with the
+        deviations z_i from the stated values and the stated values m_i, in prior widths. The
+        squares z_i^2 favour small factors even if the deviations have a mean of zero. For v3,
+        these squares shifted S by -7 %, at a standard deviation of 3 %. The term -2 sum_i z_i^2
+        ln(kp) removes the squares of parameters that the measurements determine. The deviations are
+        those of the last evaluation of the noise. For correlated priors, z_i^2 is z_i (P z)_i.
+
+        Args:
+            moments: Parameters in first-moment coordinates, shape (n,).
+
+        Returns:
+            Term of the cost, and its derivative by the parameters, shape (n,).
+        """
+        kp = np.maximum(moments, _MIN_KP_FRACTION * self.table.stated)[self._kp_columns]
+        weights = self._square_deviations[self._scaled_columns]
+        derivative = np.zeros(len(moments))
+        np.add.at(derivative, self._kp_columns, -2 * weights / kp)
+        ratios = kp / self.table.stated[self._kp_columns]
+        return float(-2 * weights @ np.log(ratios)), derivative
 
     def linearise(self, moments: Array, noise_point: Array) -> LinearisedResiduals:
         """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
@@ -550,10 +604,20 @@ class MotionResiduals:
             gradient[indices] += scaled.T @ whitened[run][is_finite, joint]
         if moments is noise_point:
             width = self.table.width
-            self._information = width[:, None] * information * width + self.table.precision
+            scaled_information = width[:, None] * information * width
+            self._information = scaled_information + self.table.precision
+            determined = np.diag(np.linalg.solve(self._information, scaled_information))
+            deviations = (moments - self.table.stated) / width
+            self._square_deviations = determined * deviations * (self.table.precision @ deviations)
+        extra_cost, derivative = self._correct_scale_bias(moments)
+        gradient += derivative / 2
         all_residuals = np.concatenate([series[np.isfinite(series)] for series in whitened])
         return LinearisedResiduals(
-            information, gradient, float(all_residuals @ all_residuals), all_residuals.size
+            information,
+            gradient,
+            float(all_residuals @ all_residuals),
+            all_residuals.size,
+            extra_cost=extra_cost,
         )
 
     def _iterate_derivatives(self) -> Iterator[tuple[IntArray, Array, int, int]]:
