@@ -32,10 +32,10 @@ decrease by this amount. A decrease d corresponds to a step of sqrt(d) standard 
 a hundredth of a standard deviation. Chosen, not tuned.
 """
 
-_STALL_RTOL = 0.1
-"""Upper bound of the ratio of predicted decrease to cost. Below the bound, a stalled minimisation
-ends without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Measured on a log of v3
-(4 s, encoders of 12 bits): no step realises the last 2 to 6 % of the cost, since joints stick.
+_STALL_RTOL = 0.01
+"""Default upper bound of the ratio of predicted decrease to cost. Below the bound, a stalled
+minimisation ends without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen,
+not tuned.
 """
 
 _MAX_STALL_RATIO = 0.25
@@ -177,6 +177,8 @@ class Posterior:
             widths and in the coordinates of the fit. A fit of stands uses logarithms of masses and
             kp as coordinates, and a fit of motions uses first moments.
         rows: Number of residuals.
+        unrealised_decrease: Predicted decrease of the cost that no step achieved; 0 after
+            convergence. A value of 1 corresponds to one standard deviation.
     """
 
     parameters: tuple[Parameter, ...]
@@ -187,6 +189,7 @@ class Posterior:
     chi2: float = field(metadata={"unit": "1"})
     moved: Array = field(metadata={"unit": "1"})
     rows: int
+    unrealised_decrease: float = field(default=0.0, metadata={"unit": "1"})
 
     @staticmethod
     def from_prior(table: ParameterTable) -> Posterior:
@@ -244,6 +247,7 @@ def estimate_parameters(
     lower_bounds: Array | None = None,
     min_decrease: float = _MIN_PREDICTED_DECREASE,
     min_relative_decrease: float = 0.0,
+    stall_rtol: float = _STALL_RTOL,
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
@@ -260,9 +264,10 @@ def estimate_parameters(
     ``min_decrease``, or 60 steps are done. Also if an accepted step decreases the cost by at most
     ``min_relative_decrease`` times the cost, and by at most a quarter of the predicted decrease.
     The cause may be jumps of the cost, for example in a simulation of joints that stick and slip. A
-    stalled iteration gives a result if the predicted decrease is below 1, or below 10 % of the
-    cost. The covariance of this result is widened by the outer product of the undamped step. If the
-    predicted decrease is larger, the iteration continues from the accepted step, up to 60 steps.
+    stalled iteration gives a result if the predicted decrease is below 1, or below ``stall_rtol``
+    times the cost. The covariance of this result is widened by the outer product of the undamped
+    step, and the result contains the predicted decrease. If the predicted decrease is larger, the
+    iteration continues from the accepted step, up to 60 steps.
 
     Noise: the noise of the residuals may depend on the parameters, for example encoder noise times
     kp is a noise of torques. The noise is evaluated at the last parameters and not differentiated.
@@ -276,6 +281,7 @@ def estimate_parameters(
         lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
         min_decrease: Tolerance of the cost, used for convergence and stall.
         min_relative_decrease: Tolerance of the decrease relative to the cost, used for stall.
+        stall_rtol: Largest predicted decrease of a stalled result, relative to the cost.
 
     Raises:
         FitError: If the iteration does not converge, and gives no result after a stall. Also if the
@@ -301,7 +307,7 @@ def estimate_parameters(
         slow_gain = min(min_relative_decrease * cost.cost, _MAX_STALL_RATIO * predicted)
         min_gain = max(min_decrease, slow_gain)
         if accepted is None or accepted[1] <= min_gain or steps == _MAX_STEPS:
-            if predicted < max(_MAX_UNREALISED_DECREASE, _STALL_RTOL * cost.cost):
+            if predicted < max(_MAX_UNREALISED_DECREASE, stall_rtol * cost.cost):
                 return cost.make_posterior(step)
             if accepted is None:
                 break
@@ -408,6 +414,9 @@ class _QuadraticCost:
             chi2=self.linearised.chi2,
             moved=self._z,
             rows=self.linearised.rows,
+            unrealised_decrease=(
+                0.0 if unrealised_step is None else self.predict_decrease(unrealised_step)
+            ),
         )
 
 

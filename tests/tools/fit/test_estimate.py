@@ -115,7 +115,8 @@ def test_several_bounds_are_fixed_and_released_as_the_cost_requires() -> None:
 def test_stalled_minimisation_gives_a_wide_interval() -> None:
     """A wrong derivative predicts a decrease by 4 % of the cost, and no step realises it.
 
-    Closed form: variance of the undamped step added to the posterior variance.
+    Closed form: variance of the undamped step added to the posterior variance. By default the limit
+    is 1 % of the cost.
     """
     given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
 
@@ -123,8 +124,11 @@ def test_stalled_minimisation_gives_a_wide_interval() -> None:
         left = np.array([3.0 + 0.1 * np.abs(x[0]), 13.0])
         return LinearisedResiduals.from_residuals(left, np.array([[-2.0], [0.0]]))
 
-    found = estimate_parameters(given, linearise)
+    found = estimate_parameters(given, linearise, stall_rtol=0.1)
     assert found.covariance[0, 0] == pytest.approx(1 / 5 + (6 / 5) ** 2)
+    assert found.unrealised_decrease == pytest.approx(6**2 / 5)
+    with pytest.raises(FitError):
+        estimate_parameters(given, linearise)
 
 
 def test_extra_cost_moves_the_minimum() -> None:

@@ -19,6 +19,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.fit.motions.fit import (
     MotionResiduals,
+    _report_stall,
     fit_motion,
     measure_repeatability,
     measure_replay,
@@ -96,6 +97,15 @@ def test_unexplained_motion_is_reported() -> None:
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
     assert "motion-not-explained" in {failure.code for failure in found.failures}
     assert not found.explained
+
+
+@pytest.mark.slow
+def test_stalled_fit_is_not_explained() -> None:
+    """A step of two standard deviations is left; a converged fit of the same log has no failure."""
+    stalled = replace(fit_bar_motion().posterior, unrealised_decrease=4.0)  # above 1.96^2
+    assert [failure.code for failure in _report_stall(stalled)] == ["motion-fit-not-converged"]
+    assert fit_bar_motion().posterior.unrealised_decrease <= 1
+    assert fit_bar_motion().explained
 
 
 def test_scatter_about_the_stated_values_does_not_favour_small_factors() -> None:

@@ -24,7 +24,12 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.joints import is_slide, joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.estimate import (
+    HALF_WIDTH_95,
+    LinearisedResiduals,
+    Posterior,
+    estimate_parameters,
+)
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, inspect_log
 from pupper_analysis.tools.fit.motions.rollouts import (
@@ -226,7 +231,10 @@ def _report_motions(
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
         kp_over_mass=estimate_kp_over_mass(posterior),
-        failures=tuple(_report_misfit(robot, by_joint, noise, rms["after", subset])),
+        failures=(
+            *_report_stall(posterior),
+            *_report_misfit(robot, by_joint, noise, rms["after", subset]),
+        ),
         diagnostics=(
             *notes,
             *_report_notes(motion.runs, rms["after", subset], rms["before", subset]),
@@ -273,6 +281,17 @@ def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
     typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
     ratios = by_joint / np.where(has_noise, noise, typical_noise)
     return float(np.nanmedian(ratios[has_noise] if has_noise.any() else ratios)), ratios
+
+
+def _report_stall(posterior: Posterior) -> Iterator[Diagnostic]:
+    """Yield a failure if the iteration ended too far from the minimum of the cost.
+
+    The interval of each parameter is widened by the step that did not decrease the cost as
+    predicted. A step within the 95 % interval of the measurement noise is therefore no failure.
+    """
+    step = math.sqrt(posterior.unrealised_decrease)
+    if step > HALF_WIDTH_95:
+        yield diagnose("motion-fit-not-converged", sigmas=step, most=HALF_WIDTH_95)
 
 
 def _report_misfit(
@@ -457,6 +476,12 @@ _MIN_RELATIVE_DECREASE = 5e-3
 """Decrease of the cost, relative to the cost, at or below which slow progress is a stall. The cost
 is then limited by the model, for example by joints that stick: 0.5 % of the cost changes the RMS
 residual by 0.25 %. Chosen, not tuned.
+"""
+
+_STALL_RTOL = 0.1
+"""Upper bound of the ratio of predicted decrease to cost of a stalled iteration with a result. The
+result is NOT EXPLAINED if the decrease is too large (`_report_stall`). Measured on a log of v3
+(4 s, encoders of 12 bits): no step realises the last 2 to 10 % of the cost.
 """
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
@@ -656,6 +681,7 @@ class MotionResiduals:
                 moments,
                 min_decrease=min_decrease,
                 min_relative_decrease=_MIN_RELATIVE_DECREASE,
+                stall_rtol=_STALL_RTOL,
             )
             moments = posterior.mean
         width = self.table.width
