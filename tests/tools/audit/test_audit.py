@@ -548,14 +548,19 @@ def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> 
 def test_collada_meshes_that_lie_across_are_one_finding(axis: int, tmp_path: Path) -> None:
     """Bars along z between the joints are right as RViz reads the file; bars along y lie across.
 
-    Each file states Y_UP. The CoM at the middle of the way to the next joint is no second finding.
+    Each file states Y_UP. The base has only a box, far from the next joint. The CoM at the middle of the way to the next joint is no second finding.
     """
     size, middle = np.full(3, 0.04), np.zeros(3)
     size[axis], middle[axis] = 0.24, 0.1
     bar = trimesh.creation.box(size, trimesh.transformations.translation_matrix(middle))
     (tmp_path / "bar.dae").write_bytes(trimesh.exchange.dae.export_collada(bar))
     shape = '<geometry><mesh filename="bar.dae"/></geometry>'
-    links = "".join(
+    links = (
+        '<link name="base"><inertial><mass value="4"/>'
+        '<inertia ixx="0.7" iyy="0.6" izz="0.5" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<visual><geometry><box size="1 1 1"/></geometry></visual></link>'
+    )
+    links += "".join(
         f'<link name="link_{i}"><inertial><origin xyz="0 0 0.1"/><mass value="0.4"/>'
         '<inertia ixx="0.002" iyy="0.002" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial>'
         f"<visual>{shape}</visual><collision>{shape}</collision></link>"
@@ -566,6 +571,11 @@ def test_collada_meshes_that_lie_across_are_one_finding(axis: int, tmp_path: Pat
         f'<child link="link_{i}"/><origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>'
         '<limit lower="-1" upper="1.5" effort="20" velocity="5"/></joint>'
         for i in range(1, 4)
+    )
+    joints += (
+        '<joint name="turret" type="revolute"><parent link="base"/><child link="link_0"/>'
+        '<origin xyz="0 0 0.8"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1.5" effort="20" velocity="5"/></joint>'
     )
     path = tmp_path / "arm.urdf"
     path.write_text(f'<robot name="arm">{links}{joints}</robot>')

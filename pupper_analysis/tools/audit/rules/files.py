@@ -173,11 +173,7 @@ def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
     and more than three times as many as fit only as read.
     """
     as_read = read_urdf_model(file)
-    names = [
-        name
-        for name, link in file.tree.links.items()
-        if any(find_turn(file, mesh) is not None for mesh in link.element.iter("mesh"))
-    ]
+    names = list_turned_links(file)
     if not names:
         return as_read
     turned = read_urdf_model(file, turn=True)
@@ -187,6 +183,15 @@ def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
         for votes in (pairs, [pair[::-1] for pair in pairs])
     )
     return turned if for_turn >= MIN_AXIS_VOTES and for_turn > 3 * against else as_read
+
+
+def list_turned_links(file: UrdfFile) -> list[str]:
+    """Return the names of the links with a COLLADA mesh whose up axis is not z."""
+    return [
+        name
+        for name, link in file.tree.links.items()
+        if any(find_turn(file, mesh) is not None for mesh in link.element.iter("mesh"))
+    ]
 
 
 def measure_joint_gap(robot: UrdfModel, name: str) -> float:
@@ -209,17 +214,19 @@ def measure_joint_gap(robot: UrdfModel, name: str) -> float:
 def mesh_lies_across(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find a URDF whose COLLADA meshes fit only if they are turned (`choose_mesh_axes`).
 
-    The finding names the link whose shapes are farthest from the next joint as read.
+    The finding names the link with the largest decrease of the distance between its shapes and the
+    next joints by the turn. Other links, for example with a box only, are not counted.
     """
     if not robot.turned:
         return
     as_read = read_urdf_model(robot.file)
-    gaps = {name: measure_joint_gap(as_read, name) for name in robot.links}
-    worst = max(gaps, key=gaps.__getitem__)
+    gaps = {name: measure_joint_gap(as_read, name) for name in list_turned_links(robot.file)}
+    turned = {name: measure_joint_gap(robot, name) for name in gaps}
+    worst = max(gaps, key=lambda name: gaps[name] - turned[name])
     message = diagnose(
         "mesh-lies-across",
         gap=Quantity(gaps[worst], "m"),
-        turned=Quantity(measure_joint_gap(robot, worst), "m"),
+        turned=Quantity(turned[worst], "m"),
         count=sum(gap > MIN_JOINT_GAP for gap in gaps.values()),
         least=Quantity(MIN_JOINT_GAP, "m"),
     )
