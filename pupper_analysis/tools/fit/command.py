@@ -276,13 +276,13 @@ def command(
             messages, models = _write_models(robot, selection, result, output, anyway=anyway)
             if models:
                 step = NextStep("stand" if robot.floating else "hold", models, robot_typed=False)
-    finally:  # the result is shown even if the files cannot be written
+    finally:  # the result and its page are made even if the model files cannot be written
         shared.show_results(
             [(robot.name, result)], style, robots=[robot], everything=everything, next_step=step
         )
-    for message in messages:
-        click.echo(message, err=True)
-    shared.write_page(report_path, result, [robot])
+        for message in messages:
+            click.echo(message, err=True)
+        shared.write_page(report_path, result, [robot])
     if output is not None and (mode == "--plan" or models):
         shared.confirm_written(output)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)

@@ -548,7 +548,8 @@ def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> 
 def test_collada_meshes_that_lie_across_are_one_finding(axis: int, tmp_path: Path) -> None:
     """Bars along z between the joints are right as RViz reads the file; bars along y lie across.
 
-    Each file states Y_UP. The base has only a box, far from the next joint. The CoM at the middle of the way to the next joint is no second finding.
+    Each file states Y_UP. The base has only a box, far from the next joint. The CoM at the middle
+    of the way to the next joint is no second finding.
     """
     size, middle = np.full(3, 0.04), np.zeros(3)
     size[axis], middle[axis] = 0.24, 0.1

@@ -14,7 +14,7 @@ import click
 import numpy as np
 import pytest
 
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.cli import find_command
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.tools.fit.command import _MODE_OPTIONS, _select_next_step
@@ -154,9 +154,19 @@ EXPECTED = {"--plan": {"added", "added_at"}, "--stands": {"weight"},
 """{mode: options that only this mode uses}."""
 
 
-def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Run `fit` with functions that record their arguments, and return the calls."""
-    calls: list[str] = []
+def record_calls(
+    words: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    calls: list[str] | None = None,
+) -> list[str]:
+    """Run `fit` with functions that record their arguments, and return the calls.
+
+    Args:
+        words: Options of the command.
+        monkeypatch: Fixture that replaces the functions.
+        calls: List to which the calls are appended, also if the command ends with an error.
+    """
+    calls = [] if calls is None else calls
 
     def replace(path: str, result: Any = None) -> None:
         def record(*arguments: Any, **named: Any) -> Any:
@@ -181,6 +191,27 @@ def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> lis
     replace(f"{fit}.measurements.log.read_log", "a log")
     find_command("fit").main(args=["v3", *words], standalone_mode=False)
     return calls
+
+
+def test_result_and_page_are_made_if_models_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fit takes minutes; an output folder that cannot be written loses neither."""
+
+    def refuse_output(*_: Any, **__: Any) -> None:
+        raise OutputError("fitted", "no space left")
+
+    monkeypatch.setattr("pupper_analysis.tools.fit.command._write_models", refuse_output)
+    monkeypatch.setattr("pupper_analysis.tools.fit.result.Fit", str)  # the type of "a fit"
+    shown: list[str] = []
+    with monkeypatch.context() as context, pytest.raises(OutputError):
+        record_calls(
+            ("--log", "log.csv", "--report", "fit.html", "-o", str(tmp_path / "fitted")),
+            context,
+            shown,
+        )
+    names = [call.partition("(")[0].rpartition(".")[2] for call in shown]
+    assert names[-2:] == ["show_results", "write_page"]
 
 
 NOT_TYPED = {field.name for field in fields(RobotOptions)} | {
