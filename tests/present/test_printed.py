@@ -82,7 +82,8 @@ def test_stance_document_states_why_a_stance_fails() -> None:
     text = " ".join(print_words(stance_document(failing)))
     assert text.startswith(
         "FAILS stub: FAILS in MuJoCo: it sank "
-        "largest motor load 0.22 N m = 95 % of the limit (knee) without feed-forward, no sag is predicted: why"
+        "largest motor load 0.22 N m = 95 % of the limit (knee) "
+        "without feed-forward, no sag is predicted: why"
     )
     assert "base height 104.4 mm on rigid" in text
     assert (
