@@ -103,8 +103,13 @@ def _list_names(limit: Diagnostic) -> tuple[str, ...]:
 
 
 def _format_rounded_range(low: float, high: float) -> str:
-    """Return a range of whole mm or degrees for the short answer: ``-40 to 44``, or ``±40``."""
-    first, last = f"{low:z.0f}", f"{high:z.0f}"
+    """Return a range of whole mm or degrees for the short answer: ``-40 to 43``, or ``±40``.
+
+    The ends are rounded inwards from one decimal, so that both ends are within reach. A range
+    without a whole number is rounded to the nearest.
+    """
+    ends = math.ceil(round(low, 1)), math.floor(round(high, 1))
+    first, last = map(str, ends if ends[0] <= ends[1] else (round(low), round(high)))
     return f"±{last}" if first == f"-{last}" else f"{first} to {last}"
 
 

@@ -10,7 +10,11 @@ import pytest
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import get_english
 from pupper_analysis.present.terminal import SafeConsole, print_head
-from pupper_analysis.tools.workspace.document import plot_workspace, workspace_document
+from pupper_analysis.tools.workspace.document import (
+    _format_rounded_range,
+    plot_workspace,
+    workspace_document,
+)
 from tests.support.stubs import workspace
 
 
@@ -50,9 +54,9 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
     assert limits == "  joint limits (all), reach (all but yaw); no torque limits"
-    assert answer.startswith("RANGE stub: height 91 to 192, x ")
+    assert answer.startswith("RANGE stub: height 92 to 192, x ")
     assert answer.count(" mm") == answer.count(" deg") == 1
-    assert answer.endswith("yaw ±29 deg")
+    assert answer.endswith("yaw ±28 deg")
 
 
 def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
@@ -73,3 +77,15 @@ def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
         extent = words.get_window_extent()
         assert words.axes.bbox.x0 < extent.x0 < extent.x1 < figure.bbox.x1  # beside the names
     pytest.importorskip("matplotlib.pyplot").close(figure)
+
+
+def test_ends_of_short_ranges_are_within_reach() -> None:
+    """By hand. 191.9 mm must not become 192 mm, a height that is refused."""
+    for low, high, expected in (
+        (79.02, 191.9, "79 to 191"),
+        (-90.6, 82.7, "-90 to 82"),
+        (-47.9, 47.9, "±47"),
+        (-0.4, 0.4, "0 to 0"),
+        (95.1, 95.2, "95 to 95"),
+    ):
+        assert _format_rounded_range(low, high) == expected
