@@ -266,11 +266,16 @@ def _join_short_messages(messages: Sequence[Words]) -> Text:
 _CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
 """Place at which a message may end: a comma, semicolon or colon before a space, or a bracket."""
 
+_MIN_CUT_SHARE = 1 / 3
+"""Smallest width of a cut message, as a share of the available width. Shorter clauses, for example
+the name of a link before a colon, state nothing. Chosen, not tuned."""
+
 
 def _end_at_clause(message: Text, room: int) -> Text:
     """Cut a message that is wider than ``room`` characters at the last clause that fits; add "…".
 
-    The message is returned as is if it fits, or if not even the first clause fits.
+    The message is returned as is if it fits, or if the clauses that fit are too short
+    (`_MIN_CUT_SHARE`).
     """
     if cell_len(message.plain) <= room:
         return message
@@ -280,7 +285,8 @@ def _end_at_clause(message: Text, room: int) -> Text:
     fitting = [
         start
         for start in starts
-        if cell_len(start) + 2 <= room and start.count("(") == start.count(")")
+        if _MIN_CUT_SHARE * room <= cell_len(start) <= room - 2
+        and start.count("(") == start.count(")")
     ]
     return message[: len(fitting[-1])].append(" …") if fitting else message
 

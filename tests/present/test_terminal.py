@@ -230,6 +230,10 @@ def test_message_that_is_too_wide_ends_at_a_clause() -> None:
     short = printed(document, everything=False).splitlines()
     assert short[1] == f"  {first} …; x"
     assert clauses.rstrip() in printed(document)
+    # The name of an element alone states nothing.
+    named = Name(f"link 'base': {'mesh' * 30}")
+    document = Document(Name("audit"), Name("r"), (), findings=(Name("OK"), named), brief=True)
+    assert "…" not in printed(document, everything=False)
 
 
 @pytest.mark.parametrize("name", REPORTS)
