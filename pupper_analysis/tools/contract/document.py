@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 
@@ -99,13 +100,10 @@ def _list_compared(contract: Contract) -> doc.Words:
     if not quantities:
         return text("contract-compared-none")
     words = [word(quantity) for quantity in quantities]
-    named = words[:_MAX_NAMED_QUANTITIES]
-    return text(
-        "contract-compared",
-        quantities=join_words(words),
-        named=join_words(named).en,
-        more=len(words) - len(named) or "",
-    )
+    short = join_words(words[:_MAX_NAMED_QUANTITIES]).en
+    if len(words) > _MAX_NAMED_QUANTITIES:
+        short += f" and {len(words) - _MAX_NAMED_QUANTITIES} more"
+    return text("contract-compared", quantities=replace(join_words(words), short=short))
 
 
 _MAX_NAMED_QUANTITIES = 5
