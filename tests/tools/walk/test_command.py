@@ -45,6 +45,8 @@ def test_walk_that_does_not_follow_its_command_gives_exit_status_1(
     words = ("walk", "v3", "--policy", str(policy), "--command", "0.5,0,0", "--seconds", "3")
     status, out, err = run_command(capfd, *words)
     assert status == 1, err
+    assert len(out.splitlines()[1]) <= 100
+    assert "…" not in out.splitlines()[1]  # the cause was cut
     assert out.startswith("DOES NOT TRACK v3 by still.json")
 
 
