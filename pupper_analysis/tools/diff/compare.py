@@ -187,7 +187,7 @@ def diff_models(
             for source, version in ((before, old_version), (after, new_version))
         )
         if type(old_version.file) is not type(new_version.file):
-            raise ModelError(after.name, diagnose("formats-differ", other=before.name))
+            raise ModelError(after.name, diagnose("formats-differ", other=Path(before.name).name))
         return _Comparison(old_version, new_version, (before, after), tolerances).result()
 
 

@@ -419,7 +419,7 @@ REFUSED = {
     "no such revision": ("v9:./robot.urdf", "git does not have it: "),
     "an option": ("--output=x:robot.urdf", "No such option"),
     "no such file": ("none.urdf", "no such file"),
-    "another format": ("HEAD:./robot.xml", "another format than HEAD:./robot.xml; crosscheck"),
+    "another format": ("HEAD:./robot.xml", "format differs from robot.xml; crosscheck"),
 }
 
 
@@ -540,7 +540,7 @@ def test_text_of_a_model_equals_its_file(kind: str, tmp_path: Path) -> None:
 
 def test_objects_of_two_formats_are_refused_in_one_line() -> None:
     text = urdf_text(ROBOT)
-    with pytest.raises(pa.ModelError, match=r"<XML text>.*another format.*<MjSpec") as error:
+    with pytest.raises(pa.ModelError, match=r"<XML text>.*format differs.*<MjSpec") as error:
         pa.diff_models(mujoco.MjSpec.from_string(mjcf_text(ROBOT)), text)
     assert "\n" not in str(error.value)
 
