@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from pupper_analysis.present.document import Text
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
@@ -48,3 +49,13 @@ def test_next_command_of_a_failure_with_a_typed_payload_leaves_the_payload_out(
     assert step is not None
     assert step.command == command
     assert ("--payload" in step.omitted) is (carried > 0)
+
+
+def test_short_answer_states_the_mass_without_the_limit() -> None:
+    """The next cause was cut. Reference: the bound of the motors, rounded down."""
+    (limit,) = [
+        words.short
+        for words in payload_document(make_payload_result()).findings
+        if isinstance(words, Text) and words.short.startswith("limit: ")
+    ]
+    assert limit.endswith("; without this limit 4.56 kg")
