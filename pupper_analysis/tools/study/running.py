@@ -302,8 +302,9 @@ engines do not release (PlaCo: 0.4 MB for each robot read from a file). The star
 as long as about 50 designs.
 """
 
-WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError")
-"""Names of the errors of Dask and Ray if a worker ended during a task; other workers continue."""
+WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError", "EngineError", "WorkerLost")
+"""Names of the errors of Dask, Ray, ipyparallel and Parsl if a worker ended; other workers
+continue."""
 
 EXIT_WAIT_SECONDS = 5.0
 """Maximum waiting time [s] for the end of a process of a broken pool. After the end, the exit code
@@ -663,7 +664,8 @@ class StudyRun:
         except PupperAnalysisError:
             raise
         except (Exception, CancelledError) as error:
-            if isinstance(error, BrokenExecutor) or type(error).__name__ in WORKER_END_ERRORS:
+            name = getattr(error, "ename", type(error).__name__)  # RemoteError of ipyparallel
+            if isinstance(error, BrokenExecutor) or name in WORKER_END_ERRORS:
                 self._retry_alone(pool, chunk, time.monotonic() - start)
                 if isinstance(error, BrokenExecutor):
                     self._restart_workers(pool, error)

@@ -265,6 +265,40 @@ def test_worker_of_ray_that_ends_loses_no_row(
     assert always["peak_torque"][sound].equals(serial["peak_torque"][sound])
 
 
+class _RemoteError(Exception):
+    """Error of a worker as ipyparallel raises it: with the name of the remote error."""
+
+    ename = "EngineError"
+
+
+class WorkerLost(Exception):  # noqa: N818 - the name in Parsl
+    """Error of Parsl if a worker ended during a task."""
+
+
+class _LosesFirstTask(ThreadPoolExecutor):
+    """Workers of which one ends during the first task; the other continues."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(1)
+        self.error: Exception | None = error
+
+    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
+        if self.error is None:
+            return super().submit(function, *given, **named)
+        future: Future[Any] = Future()
+        future.set_exception(self.error)
+        self.error = None
+        return future
+
+
+@pytest.mark.parametrize("error", [_RemoteError(), WorkerLost()], ids=["ipyparallel", "parsl"])
+def test_task_of_a_lost_worker_is_evaluated_again(tmp_path: Path, error: Exception) -> None:
+    with _LosesFirstTask(error) as executor:
+        table = make_study(3).run(tmp_path, executor=executor)
+    assert len(table) == 3
+    assert table["failure"].isna().all()
+
+
 class _WithoutModule(ThreadPoolExecutor):
     """Workers on which a module is missing, as on another machine."""
 
