@@ -29,7 +29,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from importlib import import_module
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -311,94 +310,48 @@ def split_study(study: pa.Study, parts: int) -> list[running.Chunk]:
     ]
 
 
-def call_with_time(
-    function: Callable[..., running.ChunkOutcome], chunk: running.Chunk
-) -> tuple[running.ChunkOutcome, float]:
-    """Return the result of a function, and the processor time [s] of its thread."""
-    before = time.thread_time()
-    return function(chunk), time.thread_time() - before
-
-
-class TimedExecutor(Executor):
-    """Executor that adds the processor times of the evaluations on the workers of a Dask cluster.
-
-    Attributes:
-        seconds: Processor time of the evaluations [s].
-    """
-
-    def __init__(self, executor: Executor) -> None:
-        self.executor = executor
-        self.seconds = 0.0
-
-    def submit(self, function: Any, /, *given: Any, **_named: Any) -> Future[Any]:
-        """Submit the evaluation of a chunk."""
-        result: Future[Any] = Future()
-
-        def finish(done: Future[tuple[running.ChunkOutcome, float]]) -> None:
-            if done.exception() is not None:
-                result.set_exception(done.exception())
-                return
-            outcome, seconds = done.result()
-            self.seconds += seconds
-            result.set_result(outcome)
-
-        self.executor.submit(call_with_time, function, *given).add_done_callback(finish)
-        return result
-
-
 def measure_dask(count: int) -> None:
-    """Print the time of a study on two Dask workers, relative to two bare loops at once.
+    """Print the time of a study on two Dask workers, with the start of the workers apart.
 
-    The designs are divided into four blocks, if two leg lengths are varied. The bare loops and the
-    Dask workers evaluate each block in turn, so that other load of the machine affects both. The
-    start of the processes is not measured. Times are processor times of all processes, and elapsed
-    times. The processor time of an evaluation depends on the load of the other core. The overhead
-    is therefore relative to the time of the evaluations on the same workers.
+    The processor time of all processes is compared with that of the evaluations on the same
+    workers, because it depends on the load of the other core. The elapsed time is compared with
+    that of two bare loops, which run afterwards.
     """
     from pupper_analysis.tools.study.cluster import connect_dask
 
-    axes = reduce_axes(count)
-    scales: Any = (axes["leg_scale"], axes["torso_mass_scale"])
-    legs, torsos = (getattr(levels, "levels", levels) for levels in scales)
-    half = len(torsos) // 2
-    blocks = product(legs, (torsos[:half], torsos[half:]))
-    bare = workers = client = bare_elapsed = elapsed = 0.0
-    done = 0
-    with (
-        connect_dask("local:2") as (executor, number),
-        ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool,
-        tempfile.TemporaryDirectory() as folder,
-    ):
-        cluster: Any = executor._client  # type: ignore[attr-defined]
-        first = pa.Study("v3", {"payload": [0.0, 0.1], "kp": [5.0, 6.0]}, SAG)
-        first.execute(Path(folder) / "start", executor=executor, workers=number)
+    study = pa.Study("v3", reduce_axes(count), SAG)
+    first = pa.Study("v3", {"payload": [0.0, 0.1], "kp": [5.0, 6.0]}, SAG)
+    with tempfile.TemporaryDirectory() as folder:
+        own = process_seconds()
+        with connect_dask("local:2") as (executor, number):
+            cluster: Any = executor._client  # type: ignore[attr-defined]
+
+            def workers_seconds() -> float:
+                return sum(cluster.run(process_seconds).values())
+
+            first.execute(Path(folder) / "start", executor=executor, workers=number)
+            start, used = time.monotonic(), workers_seconds()
+            client = process_seconds()
+            print(f"start: two workers {used:.1f} s, scheduler and client {client - own:.1f} s")
+            done = study.execute(Path(folder) / "study", executor=executor, workers=number)
+            elapsed = time.monotonic() - start
+            rest = workers_seconds() - used - done.processor_time
+            client = process_seconds() - client
+        evaluation = done.processor_time
+        print(f"{done.done} designs: evaluation {evaluation:.1f} s of processor, {elapsed:.0f} s")
+        print(
+            f"overhead {100 * (rest + client) / evaluation:.1f} % of the evaluation "
+            f"(workers {rest:.1f} s, scheduler and client {client:.1f} s)",
+            flush=True,
+        )
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(evaluate_chunk, split_study(first, 2)))
-        timed = TimedExecutor(executor)
-        for block, (leg, part) in enumerate(blocks):
-            chosen = {"leg_scale": [leg], "torso_mass_scale": part}
-            study = pa.Study("v3", {**axes, **chosen}, SAG)
-            start = time.monotonic()
-            bare += sum(pool.map(evaluate_chunk, split_study(study, 2)))
-            bare_elapsed += time.monotonic() - start
-            start, before = time.monotonic(), process_seconds()
-            workers -= sum(cluster.run(process_seconds).values())
-            target = Path(folder) / str(block)
-            done += study.execute(target, executor=timed, workers=number).done
-            workers += sum(cluster.run(process_seconds).values())
-            client += process_seconds() - before
-            elapsed += time.monotonic() - start
-            rest = workers - timed.seconds
-            print(f"{done} designs: two bare loops {bare:.1f} s of processor, {bare_elapsed:.0f} s")
-            print(
-                f"two Dask workers {workers:.1f} s, of which evaluation {timed.seconds:.1f} s; "
-                f"scheduler and client {client:.1f} s; {elapsed:.0f} s"
-            )
-            print(
-                f"overhead {100 * (rest + client) / timed.seconds:.1f} % of the evaluation "
-                f"(workers {100 * rest / timed.seconds:.1f} %); elapsed time "
-                f"{100 * (elapsed / bare_elapsed - 1):+.1f} %",
-                flush=True,
-            )
+        start = time.monotonic()
+        bare = sum(pool.map(evaluate_chunk, split_study(study, 2)))
+        bare_elapsed = time.monotonic() - start
+    print(f"two bare loops: {bare:.1f} s of processor, {bare_elapsed:.0f} s")
+    print(f"elapsed time with Dask {100 * (elapsed / bare_elapsed - 1):+.1f} %")
+    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
 
 
 def return_rows(chunk: running.Chunk) -> running.ChunkOutcome:
