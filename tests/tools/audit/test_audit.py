@@ -1594,3 +1594,13 @@ def test_copied_limb_with_another_com_is_no_mirror_image(tmp_path: Path) -> None
         return SIDES[name] if number == "com2" else 1.0
 
     assert find_mirror_findings(write_two_arms(tmp_path / "robot.urdf", choose_sign)) == []
+
+
+@pytest.mark.parametrize("mass", ["0.01", "0.02"])
+def test_efforts_are_not_compared_with_placeholder_masses(mass: str, tmp_path: Path) -> None:
+    """If the masses are the default of an exporter, the message names the masses alone."""
+    path = write_two_arms(tmp_path / "robot.urdf", lambda side, _: SIDES[side])
+    path.write_text(path.read_text().replace('mass value="2"', f'mass value="{mass}"'))
+    rules = {finding.rule for finding in audit_model(path).findings}
+    expected = "inertial-placeholder" if mass == "0.01" else "effort-placeholder"
+    assert rules & {"inertial-placeholder", "effort-placeholder"} == {expected}

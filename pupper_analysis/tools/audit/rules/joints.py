@@ -37,6 +37,7 @@ from pupper_analysis.models.stated.model import (
     UrdfModel,
 )
 from pupper_analysis.tools.audit.registry import rule
+from pupper_analysis.tools.audit.rules.mass import list_placeholder_masses
 from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
 
 _AXIS_MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
@@ -394,8 +395,11 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits of hinges [N m] that are probably placeholders.
 
     Such limits are too large for the mass of the two bodies that the joint connects, for the
-    armature, or for the mass of the robot (`placeholder_efforts`).
+    armature, or for the mass of the robot (`placeholder_efforts`). If the masses are placeholders
+    (`list_placeholder_masses`), nothing is compared.
     """
+    if list_placeholder_masses(robot):
+        return
     motors = []
     for joint in robot.joints.values():
         if joint.kind == HINGE_JOINT:

@@ -448,13 +448,8 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     mass is a finding if the mass is a power of ten (1, 0.1, 0.01 ... kg) and common to all links,
     and there are at least three links.
     """
-    moving = [
-        (body, body.inertial)
-        for body in robot.links.values()
-        if body.moving and body.inertial is not None and body.inertial.stated
-    ]
     balls: dict[float, list[str]] = {}
-    for body, inertial in moving:
+    for body, inertial in _list_moving_inertials(robot):
         moment = float(inertial.inertia[0, 0])
         ball = np.allclose(inertial.inertia, moment * np.eye(3), rtol=1e-9, atol=1e-9 * moment)
         if ball and _is_power_of_ten(moment) and not robot.is_negligible(body):
@@ -465,15 +460,40 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
             yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_path("inertia"))
-    masses = {inertial.mass for _, inertial in moving}
-    is_shared = (
-        len(moving) > _MIN_REPEATED_LINKS
+    placeholders = list_placeholder_masses(robot)
+    if placeholders:
+        mass = Quantity(placeholders[0].mass, "kg")
+        message = diagnose("one-mass-of-all", mass=mass, count=len(placeholders))
+        yield CheckFinding(
+            robot.link_tag, placeholders[0].name, message, robot.inertial_path("mass")
+        )
+
+
+def _list_moving_inertials(robot: RobotModel) -> list[tuple[Link, Inertial]]:
+    """Return the moving links with stated inertials, and the inertials."""
+    return [
+        (body, body.inertial)
+        for body in robot.links.values()
+        if body.moving and body.inertial is not None and body.inertial.stated
+    ]
+
+
+def list_placeholder_masses(robot: RobotModel) -> list[Link]:
+    """Return all moving links with stated mass if the masses are probably defaults of an exporter.
+
+    The masses are then equal, a power of ten (1, 0.1, 0.01 ... kg), and at least three. Otherwise
+    the result is empty.
+    """
+    links = [body for body, _ in _list_moving_inertials(robot)]
+    masses = {body.mass for body in links}
+    if (
+        len(links) > _MIN_REPEATED_LINKS
         and len(masses) == 1
-        and not robot.is_negligible(moving[0][0])
-    )
-    if is_shared and _is_power_of_ten(mass := masses.pop()):
-        message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
-        yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_path("mass"))
+        and not robot.is_negligible(links[0])
+        and _is_power_of_ten(masses.pop())
+    ):
+        return links
+    return []
 
 
 @rule
