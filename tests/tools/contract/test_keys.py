@@ -603,3 +603,12 @@ def test_constants_in_the_main_block_of_a_script_are_read(tmp_path: Path) -> Non
     imported.write_text("import sim2sim\nkps = sim2sim.Sim2simCfg.robot_config.kps\n")
     with pytest.raises(ModelError, match="no number of joints"):
         read_contract(MJCF, imported, stand=False)
+
+
+def test_order_of_the_network_is_read_beside_that_of_the_simulator(tmp_path: Path) -> None:
+    """As in go2_rl_gym, whose lists have the order of ``model_joint_names``."""
+    text = f"mujoco_joint_names: {format_list(JOINTS)}\n"
+    text += f"model_joint_names: {format_list(JOINTS[::-1])}\n"
+    found = compare(tmp_path, "deploy.yaml", f"{text}default_angles: {format_list(ANGLES[::-1])}\n")
+    stated = values(found, "deploy.yaml", "default angle")
+    assert stated == pytest.approx(dict(zip(JOINTS, ANGLES, strict=True)))
