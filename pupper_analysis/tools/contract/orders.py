@@ -264,13 +264,13 @@ def assign_joints(
     joint_names = _JointNames(model, matched, order, motor_order)
     facts = _make_scale_facts(source)
     rest_facts = set[tuple[str, str]]()
-    unread_counts: dict[str, int] = {}
+    unread_lists: dict[str, Statement] = {}
     unplaced: dict[str, tuple[str, ...]] = {}
     for statement in source.statements:
         joints = joint_names.find_joints(statement)
         if statement.index is not None:
             if statement.count != len(order):
-                unread_counts[statement.quantity] = statement.count
+                unread_lists.setdefault(statement.quantity, statement)
             if how == "assumed" and statement.origin is Origin.STATED:
                 statement = replace(statement, origin=Origin.ASSUMED)
         if statement.joint and not joints:
@@ -289,7 +289,7 @@ def assign_joints(
     }
     _add_policy_step(facts)
     num_joints = len(order) or len(model.order)
-    unread = {**source.unread, **_describe_unread_lists(source, unread_counts, num_joints)}
+    unread = {**source.unread, **_describe_unread_lists(source, unread_lists, num_joints)}
     unknown = _list_unknown_names(source, model, names, matched)
     motor_notes = [
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
@@ -300,7 +300,7 @@ def assign_joints(
 
 
 def _describe_unread_lists(
-    source: JointSource, counts: Mapping[str, int], num_joints: int
+    source: JointSource, lists: Mapping[str, Statement], num_joints: int
 ) -> dict[str, Diagnostic]:
     """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
@@ -308,20 +308,20 @@ def _describe_unread_lists(
 
     Args:
         source: Source of the lists.
-        counts: {quantity: length of the list}.
+        lists: {quantity: first number of the list}.
         num_joints: Number of joints in the order of the source, or of the robot if the source has
             no order.
     """
     return {
         quantity: diagnose(
             "contract-list-unread",
-            file=source.name,
+            file=f"{source.name}:{first.place.line}" if first.place.line else source.name,
             what=Term(quantity) if quantity in QUANTITIES else quantity,
-            count=count,
+            count=first.count,
             joints=num_joints,
-            sources=source.path,
+            sources=(first.place,),
         )
-        for quantity, count in counts.items()
+        for quantity, first in lists.items()
     }
 
 

@@ -387,6 +387,9 @@ def test_list_of_another_length_is_not_assigned_to_joints(
         (warning,) = found.unread
         assert (warning.code, warning.severity) == ("contract-list-unread", "warning")
         assert warning.values["count"] == len(given)
+        lines = sources[name].read_text().splitlines()
+        line = next(i for i, text in enumerate(lines, 1) if format_list(given) in text)
+        assert f"{name}:{line}: kp has" in str(warning).replace(":walker:", ":")
         assert not found.passed
 
 
