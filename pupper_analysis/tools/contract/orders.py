@@ -319,7 +319,7 @@ def _describe_unread_lists(
             what=Term(quantity) if quantity in QUANTITIES else quantity,
             count=first.count,
             joints=num_joints,
-            sources=(first.place,),
+            sources=first.place.source,
         )
         for quantity, first in lists.items()
     }
