@@ -208,7 +208,7 @@ def _select_next_step(stance: Stance) -> NextStep:
       `audit` replaces `crosscheck`.
     - The stance loses height: `stand` with the height that remains.
     - Servos are too soft: `stand` with stiffer servos.
-    - The damping gain kd exceeds its bound: `gains`.
+    - The damping gain kd exceeds its bound, and no soft servos cause the failure: `gains`.
     - The minimum stiffness is already known: `payload` replaces its computation.
     """
     verdict = stance.verdict
@@ -500,7 +500,7 @@ def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
 
 
 def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
-    """Return the text of the equilibrium without feed-forward: height and sag [mm], failures."""
+    """Return the text of the equilibrium without feed-forward: height, sag [mm], reservations."""
     description = text(
         "settles-at",
         # Height above the ground as in the task; on a slope, not the world's z.

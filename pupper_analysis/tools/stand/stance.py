@@ -125,10 +125,11 @@ class Stance(Tabular):
 
         Args:
             path: File to write.
-            force: Replace an existing file even if the file is not such a table.
+            force: Replace an existing file even if the file is not such a table. An input file of
+                the running command is never replaced.
 
         Raises:
-            OutputError: If the file cannot be written, or exists and is not such a table.
+            OutputError: If the file cannot be written, or would replace other content.
         """
         has_slides = "m" in self.units
         position, torque = " (rad)", " (N m)"
