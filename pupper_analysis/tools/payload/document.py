@@ -145,10 +145,11 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure that limits the payload, and of the next larger bound.
+    """Return the text of the failure that limits the payload, and of a larger bound.
 
-    The next bound is left out if it is infinite or belongs to the same failure. None if the limit
-    is unknown: torque limits are unknown, and the upper bound is above 0 kg.
+    The larger bound is the smallest finite bound with another failure; it is left out if there is
+    none. None if the limit is unknown: torque limits are unknown, and the upper bound is above 0
+    kg.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
@@ -171,7 +172,8 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
 def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
     """Return the text of the upper bound of the mass if torque limits are unknown.
 
-    It contains the largest torque, with this mass, of a motor without a stated limit.
+    The text also contains the largest torque in `PayloadLimit.stand` of a motor without a stated
+    limit.
     """
     torques = limit.torque_by_joint
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))

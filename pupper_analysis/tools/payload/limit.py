@@ -135,10 +135,10 @@ holds this larger payload in simulation, the bound was too small and is raised. 
 """
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance [1] of two bisections by simulation. The first finds the largest payload that
-holds in simulation; it also has an absolute tolerance of ``SIMULATION_RTOL**2`` times the smallest
-static bound. The second finds the largest payload of the servos, if a simulation contradicts the
-eigenvalues. Chosen, not tuned.
+"""Relative tolerance [1] of bisections by simulation. `_bisect_simulation_bound` finds the largest
+payload that holds in simulation, with the absolute tolerance ``SIMULATION_RTOL**2`` times the
+smallest static bound. The other bisections find the largest payload of the servos, if a simulation
+contradicts the eigenvalues. Chosen, not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
