@@ -60,16 +60,17 @@ of a fall are mistaken for rest, and the limits must be searched again.
 """
 
 _SLOW_DURATION = 0.1
-"""Length [s] of the final part of a simulated interval. The eigenvalues of the linearised motion
-are computed only if all velocities in this part are at most `_MAX_SLOW_SPEED`. Chosen, not tuned.
+"""Length [s] of the final part of a simulated interval. Before the requested time has elapsed, the
+eigenvalues of the linearised motion are computed only if all velocities in this part are at most
+`_MAX_SLOW_SPEED`. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02
-"""Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If all
-velocities are smaller, the simulation of a push may end early, before the requested time. A second
-condition is that no eigenvalue of the linearised motion (spectrum) belongs to a growing mode. A
-robot that almost tips can be slow for a while, but the spectrum contains the growing mode of the
-fall. Chosen, not tuned.
+"""Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If no
+velocity is larger, the simulation of a push may end early, before the requested time. `_is_at_rest`
+lists the other conditions, for example that no eigenvalue of the linearised motion (spectrum)
+belongs to a growing mode. A robot that almost tips can be slow for a while, but the spectrum
+contains the growing mode of the fall. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004

@@ -122,9 +122,9 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
     """Yield a text that compares the motor torques with the torque-speed regions of the motors.
 
-    The text names the motor that is outside of the region for the longest time. If all motors are
-    inside, the text names the motor with the largest utilisation. Nothing is yielded without
-    assigned motors, or if the robot falls without a push.
+    The text names the motor that is outside of the region for the longest time. If no motor is
+    outside for more than `MAX_BEYOND_TIME`, the text names the motor with the largest utilisation.
+    Nothing is yielded without assigned motors, or if the robot falls without a push.
     """
     peaks, times = pushed.region_peaks, pushed.beyond_times
     if peaks is None or times is None:
