@@ -171,8 +171,8 @@ def solve_segments(
 
 
 _MAX_FOOT_MOTION = 1e-9
-"""Largest difference [m] between the positions of a loaded foot in two successive stances: the
-error of a solved stand. Chosen, not tuned."""
+"""Largest difference [m] of a coordinate of a loaded foot between two successive stances: the error
+of a solved stand. Chosen, not tuned."""
 
 
 def _describe_moved_foot(
@@ -180,8 +180,9 @@ def _describe_moved_foot(
 ) -> Diagnostic:
     """Return the message that a loaded contact point has different positions in two stances.
 
-    If both tasks place the foot equally, and its leg has fewer than six joints, the cause is the
-    leg: its sole is tilted or rotated in one of the stances (`relax_foot_orientation`).
+    If the distance is at most 2 `MAX_SOLE_ERROR`, and the leg has fewer than six joints, the
+    message names the leg as cause: the sole is tilted or rotated in one of the stances
+    (`relax_foot_orientation`).
     """
     foot = robot.foot_of(point)
     moved = float(np.linalg.norm(end.feet[point] - start.feet[point]))
@@ -359,8 +360,8 @@ class Geometry:
     def describe_sample(self, index: int) -> Diagnostic:
         """Return the part of an error message with the time [s] and the two stances of a sample.
 
-        ``index`` is the index of the sample in ``places``. The stances are those before and after
-        it.
+        ``index`` is the index of the sample in ``places``. The two stances are the previous and the
+        next stance of the sample.
         """
         return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
