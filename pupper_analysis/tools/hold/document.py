@@ -47,8 +47,9 @@ of the 600 random postures. Chosen, not tuned.
 
 
 MIN_FURTHER_SHARE = 0.1
-"""Smallest further payload that is proposed, divided by the present payload [1]. A smaller further
-payload is only what rounding left out in the last proposal. Chosen, not tuned."""
+"""Further payload, divided by the present payload [1], above which a further payload is proposed. A
+smaller further payload is only the amount that the last proposal lost by rounding. Chosen, not
+tuned."""
 
 
 @build_document.register(Hold)
@@ -113,7 +114,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
     - The posture fails with a payload, or a worst posture with this payload fails: `hold` without
       the payload, which finds the largest payload.
     - The posture fails without payload: `audit`, which checks the files.
-    - The further payload that all postures found hold is unknown or unlimited, zero, or less than
+    - The further payload that all postures found hold is unknown or unlimited, zero, or at most
       `MIN_FURTHER_SHARE` of the present payload: `audit`.
     - Otherwise: `hold` with the present and the further payload, rounded down.
     """
@@ -154,7 +155,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
 def _describe_worst_payload(hold: Hold) -> doc.Words:
     """Return the text of the payload limit over all postures found.
 
-    If effort limits are unknown, a word replaces the payload.
+    If effort limits are unknown, or no limit exists, a word replaces the payload.
     """
     payload = hold.payload.worst_posture_mass
     return text(
@@ -176,7 +177,8 @@ def _format_payload_limit(payload: float) -> doc.Words:
 def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
     """Yield a line with the posture, its most utilised motor, and the largest payload [kg].
 
-    The motor is left out if no utilisation is known (`describe_hardest_motor`).
+    The motor is left out if no utilisation is known, or if a limit is zero
+    (`describe_hardest_motor`).
     """
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)

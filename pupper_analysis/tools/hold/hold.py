@@ -186,9 +186,10 @@ def tool_payload(
 
     In a single posture, torques are linear in the mass, so the limit has a closed form. Over all
     postures, a mass M is reduced iteratively. Each iteration searches the worst postures with
-    payload M, and sets M to the smallest limit of these postures. The iteration stops if M changes
-    by at most the fraction `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. There is no
-    search if a motor that may bear the mass has an unknown limit or a limit of zero.
+    payload M, and sets M to the smallest limit of these postures. The iteration stops if M
+    decreases by less than the fraction `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches.
+    There is no search if M is 0, or if a motor that may bear the mass has an unknown limit or a
+    limit of zero.
 
     Args:
         robot: Robot with a fixed base.

@@ -2,10 +2,10 @@
 
 `worst_postures` returns a torque and a posture for each motor of a robot with a fixed base, a tool
 and a payload. The method is a coordinate search from several postures (`TorqueSearch`). Along a
-single hinge, the torque is a sinusoid plus a linear term; its maximum has a closed form. Along a
-slide, the torque is linear. Along coupled joints the torque is sampled. It is also sampled if there
-are other forces at rest, for example tendon springs. The largest torque found is not proven to be
-the global maximum.
+single hinge, the torque is a sinusoid plus a linear term; its maximum has a closed form. Along
+slides that move in proportion, the torque is linear. Along other coupled joints the torque is
+sampled. The torque is also sampled if there are other forces at rest, for example tendon springs.
+The largest torque found is not proven to be the global maximum.
 """
 
 from __future__ import annotations
@@ -178,9 +178,10 @@ class TorqueSearch:
     ) -> float:
         """Find the displacement along a motion at which ``sign`` times a joint torque is largest.
 
-        The maximum along a hinge without coupled joints has a closed form. Along such a slide the
-        torque is linear, so an end of the range is the maximum. The torque is sampled along coupled
-        joints. It is also sampled if there are forces at rest other than gravity and joint springs.
+        The maximum along a hinge without coupled joints has a closed form. Along a slide, also with
+        slides coupled in proportion, the torque is linear, so an end of the range is the maximum.
+        Along other coupled joints the torque is sampled. The torque is also sampled if there are
+        forces at rest other than gravity and joint springs.
 
         Args:
             joint: Index of the joint whose torque is maximised.
@@ -314,9 +315,10 @@ _NUM_RANDOM_STARTS = 12
 not tuned."""
 
 _NUM_POOL_POSTURES = 500
-"""Number of random postures that are evaluated before the searches, if a robot has closed loops
-whose joints do not move in proportion. The searches also start from the worst of these postures,
-because the torques of such loops have many local maxima. Chosen, not tuned."""
+"""Number of random postures that are evaluated before the searches without an earlier result
+(``near``), if a robot has closed loops whose joints do not move in proportion. The searches also
+start from the worst of these postures, because the torques of such loops have many local maxima.
+Chosen, not tuned."""
 
 _NUM_POOL_STARTS = 3
 """Number of start postures of a motor that are selected from the `_NUM_POOL_POSTURES` random
@@ -374,13 +376,14 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    A search maximises the torque over one joint after another. It ends if a sweep over all joints
-    no longer increases the torque, or after `_MAX_SWEEPS` sweeps. Under gravity and joint springs
-    alone, the torque over a hinge angle q is a + b cos q + c sin q + k q, if the hinge is not
-    coupled to other joints. Its maximum has a closed form. Over the position of a slide without
-    couplings, the torque is linear. In other cases the torque is sampled. Searches start from
-    ``posture`` and from random postures, until several searches end at the same torque. Torques up
-    to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero.
+    A search maximises the torque over one joint after another. A search ends if a sweep over all
+    joints no longer increases the torque, or after `_MAX_SWEEPS` sweeps. Under gravity and joint
+    springs alone, the torque over a hinge angle q is a + b cos q + c sin q + k q, if the hinge is
+    not coupled to other joints. The maximum of this expression has a closed form. Over the position
+    of a slide, also with slides coupled in proportion, the torque is linear. In other cases the
+    torque is sampled. Searches start from ``posture`` and from random postures, until several
+    searches end at the same torque. Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are
+    rounded to zero.
 
     The result is not proven to be the global maximum. For seven arms and hands it was compared with
     20,000 random postures each: no posture required a larger torque.
