@@ -70,8 +70,8 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with its directions, for the short answer, most directions first.
 
-    Names of joints and links are omitted. If a limit applies to all directions, or to all but one
-    of at least four, its directions are abbreviated: ``joint limits (all but x)``.
+    Names of joints and links are omitted. With at least four directions, the directions of a limit
+    that applies to all, or to all but one, are abbreviated: ``joint limits (all but x)``.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -92,7 +92,7 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
 
 _MIN_ABBREVIATED_DIRECTIONS = 4
 """Smallest number of searched directions for which the short answer may state that a limit applies
-to ``all but`` one direction. Chosen, not tuned.
+to all directions, or to ``all but`` one direction. Chosen, not tuned.
 """
 
 
