@@ -28,7 +28,7 @@ _SCHEDULER_ADDRESS: Final = re.compile(
     r"(?:\[[0-9a-f:.]+(?:%\w+)?\]|[^\s:/\[\]]+):([0-9]{1,5})(?:/\S*)?",
     re.ASCII | re.IGNORECASE,
 )
-"""Pattern of the address of a scheduler: protocol, host and port, as in ``tcp://host:8786``.
+"""Pattern of the address of a scheduler: optional protocol, host and port: ``tcp://host:8786``.
 
 The group is the port. Packages can add protocols to Dask, for example ``ucxx`` and ``gateway``.
 Addresses of web pages, and of schedulers within a process, are refused.
@@ -42,7 +42,8 @@ _MAX_PORT: Final = 65535
 """Largest number of a TCP port."""
 
 CONNECT_SECONDS: Final = 30.0
-"""Maximum time to wait for the scheduler of a cluster [s]. Chosen, not tuned."""
+"""Maximum time to wait for the scheduler of a cluster, and then for a first worker [s]. Chosen, not
+tuned."""
 
 
 _LOCAL_DASK_SETTINGS: Final = {

@@ -161,8 +161,8 @@ class Design:
     def simulated_stand(self) -> Stand:
         """Stand on MuJoCo's soft ground, the initial state of simulations.
 
-        The stand is on rigid ground if the soft-ground stand is out of reach.
-        ``solve_stand_as_simulated`` documents the errors.
+        The stand is on rigid ground if the soft-ground stand is out of reach, or if the depths of
+        soft loops do not converge. ``solve_stand_as_simulated`` documents the errors.
         """
         return solve_stand_as_simulated(self.robot, self.stand)
 

@@ -238,7 +238,7 @@ def compute_main_effects(
 
     For samples, the fraction is epsilon squared, which corrects eta squared for the number of
     designs. If a variable has more than `MAX_VALUE_CELLS` different values, the groups are
-    intervals of equal width. Designs without a value of the metric are left out.
+    intervals of equal width. Designs without a finite value of the metric are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 

@@ -530,7 +530,8 @@ class Study:
 def _resolve_files(path: Path, word: str) -> str:
     """Prepend the folder of the study file ``path`` to the file names in ``word``.
 
-    ``word`` contains names joined by ``+``. Names of variants are unchanged.
+    ``word`` contains names joined by ``+``. A name without a file in this folder is unchanged, for
+    example the name of a variant.
     """
     parts = [(path.parent / part, part) for part in word.split("+")]
     return "+".join(str(file) if is_input(file) else part for file, part in parts)
