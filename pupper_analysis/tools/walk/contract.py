@@ -794,9 +794,9 @@ def _put_known_layout(
 ) -> None:
     """Infer the observation from the network's number of inputs: first known layout of this size.
 
-    The layouts are `KNOWN_LAYOUTS`. The known layouts are `KNOWN_LAYOUTS`. The function passes the
-    observation and the gait frequency to ``put``. ``put`` is not called if the files do not
-    contain scales as in legged_gym, or if no layout has this size.
+    The known layouts are `KNOWN_LAYOUTS`. The function passes the observation and the gait
+    frequency to ``put``. ``put`` is not called if the files do not contain scales as in legged_gym,
+    or if no layout has this size.
 
     Args:
         deployment: Numbers of a deployment.

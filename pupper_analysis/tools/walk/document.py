@@ -218,9 +218,9 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
     """Yield a text that compares a motor with the torque-speed region of this motor.
 
-    The motor is the closest to the edge of the region. If motors are outside of the regions, the
-    text is about the motor that is outside for the longest time. Nothing is yielded without
-    assigned motors.
+    The motor is the closest to the edge of the region. If a motor is outside for more than
+    `MAX_BEYOND_FRACTION` of a run, the text is about the motor that is outside for the longest
+    time. Nothing is yielded without assigned motors, or if all runs end at the first state.
     """
     peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
     if np.isnan(peaks).all():

@@ -130,8 +130,9 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Multiply the lengths of the legs by ``value``, in ``model``; sizes and masses are unchanged.
 
-    In each limb with a foot, all bodies except the first body are changed. ``value`` multiplies the
-    positions of the changed bodies, and of the CoMs, geoms and sites on these bodies.
+    The changed bodies are the bodies between the base and a foot, with the body of the foot, but
+    without the first body after the base. ``value`` multiplies the positions of the changed bodies,
+    and of the CoMs, geoms and sites on these bodies.
     """
     base, bodies_beyond = _get_base_id(stage, model), set()
     for body, _ in stage.robot.contact_places.values():

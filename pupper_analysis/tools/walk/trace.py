@@ -138,7 +138,7 @@ def read_trace(path: str | Path) -> Trace:
             missing, an array has an invalid shape, or the magnitude of a number is not at most
             `_MAX_MAGNITUDE`. Also if the norm of a quaternion differs from 1 by more than
             `MAX_NORM_DEVIATION`, times do not ascend, or there are fewer than `MIN_SAMPLES`
-            samples. The error contains the line of a CSV file.
+            samples. An error in a line of a CSV file contains the line.
     """
     path, lines = Path(path), list[int]()
     try:
