@@ -90,7 +90,7 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
     """Return the command that the report proposes to run next.
 
     - Trial ``sync --take urdf --dry-run``: the files differ and no value was chosen.
-    - ``sync`` without ``--dry-run``: a trial has planned changes.
+    - ``sync`` without ``--dry-run``: a trial has planned changes, and none is withheld.
     - ``crosscheck``: all other cases.
     """
     if not chosen and not sync.agree:

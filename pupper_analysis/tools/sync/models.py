@@ -326,8 +326,8 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Parts and joints that only a single file contains are also yielded. If nothing else is yielded,
-    the result contains the reasons why the files do not agree.
+    Parts and joints that only a single file contains are also yielded. If no difference remains,
+    other reasons why the files do not agree are yielded as well.
 
     Args:
         plan: Planned changes.

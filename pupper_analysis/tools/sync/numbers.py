@@ -203,7 +203,7 @@ def write_numbers(
 
 @dataclass(frozen=True, eq=False)
 class _EditedFile:
-    """Model file with new numbers, edited in memory; all fields are empty without the file.
+    """Model file with new numbers, edited in memory; without a file, no documents and no layout.
 
     Attributes:
         documents: {path: edited XML document} of the file and the included files.
@@ -341,7 +341,9 @@ def try_files(
 def _find_wrong_numbers(
     changes: NumberChanges, after: Robot, sides: Iterable[str]
 ) -> Iterator[PropertyKey]:
-    """Yield the numbers (kind, element) whose value in the written files differs from the request.
+    """Yield the numbers (kind, element) whose value in the written files differs from the target.
+
+    The targets (`NumberChanges.make_tree`) contain all numbers, including numbers without request.
 
     Args:
         changes: Requested numbers.
