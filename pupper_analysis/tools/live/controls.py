@@ -518,10 +518,10 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
     The ends of a range are multiples of a reference value. The reference of a length is the height
     of the nominal stand, and that of a mass is the robot's mass. The reference of a gain is the
-    median gain, or the slider's initial value if the robot has no servos. The magnitudes of the
-    ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not allowed, it becomes one
-    step. Ranges of angles do not depend on the robot. Initial values are not rounded. Sliders of
-    joints are not included.
+    median gain, or the slider's initial value if the robot has no servos or the median is 0. The
+    magnitudes of the ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not
+    allowed, it becomes one step. Ranges of angles do not depend on the robot. Initial values are
+    not rounded. Sliders of joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
@@ -555,8 +555,9 @@ def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
 def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
     """Return the slider range of a servo gain, from 0 (stiffness: one step) to 8 times the median.
 
-    The median of the model's gains is also the initial value; without servos, the start value of
-    ``slider``, or 1. The upper end is rounded up.
+    The median of the model's gains is also the initial value. Without servos, or if the median is
+    0, the start value of ``slider`` replaces the median, or 1 without a start value. The upper end
+    is rounded up.
     """
     servos = list_position_servos(robot)
     values = [gains[("kp", "kd").index(field.name)] for gains in servos.values()]
