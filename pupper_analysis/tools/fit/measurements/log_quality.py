@@ -238,7 +238,7 @@ def find_degrees(
     """Find position and command columns that exceed the joint limits, probably because of degrees.
 
     A diagnostic is yielded for each column whose median magnitude is more than twice the larger
-    absolute limit of the joint, or more than 4 pi for a joint without a limit.
+    absolute limit of the joint, or more than 4 pi if this limit is infinite or 0.
 
     Args:
         robot: Robot.

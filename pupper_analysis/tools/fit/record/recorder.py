@@ -172,12 +172,13 @@ def record_stands(
         robot: Robot, with the values of the files.
         plan: File of ``write_plan``.
         output: Output file. Stands named in this file are not recorded again.
-        bridge: Connection to the robot; closed at the end of the recording.
+        bridge: Connection to the robot. Closed at the end of the recording, except after an error
+            before the first stand.
         operator: Person who lifts the robot and reports the feet in the air.
 
     Raises:
-        ConfigurationError: If the output is the plan itself, or the command of a joint without
-            limits is missing.
+        ConfigurationError: If the output is the plan itself, the command of a joint without limits
+            is missing, or the mass or the place of a known load is invalid.
         MeasurementError: If the plan or the output cannot be read, or the output belongs to another
             plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
             or a stand is not balanced with the masses of the model.
@@ -225,7 +226,8 @@ def _record_missing_stands(
         MeasurementError: If the plan or the output cannot be read, or the output belongs to another
             plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
             or a stand is not balanced with the masses of the model.
-        ConfigurationError: If the command of a joint without limits is missing.
+        ConfigurationError: If the command of a joint without limits is missing, or the mass or the
+            place of a known load is invalid.
         OutputError: If the output cannot be written.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
         ModelError: If the model with a known load cannot be built.

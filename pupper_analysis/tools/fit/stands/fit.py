@@ -758,7 +758,7 @@ class _StandProblem:
         """Estimate the parameters with the expected noise, and again with the estimated noise.
 
         While the dead band changes by at least a standard deviation, the noise is estimated again.
-        At most `_MAX_FRICTION_PASSES` estimates are made.
+        At most `_MAX_FRICTION_PASSES` estimates with estimated noise are made.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -1085,7 +1085,7 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without the commands that do not determine a torque, and notes on them.
+    """Return stands without the commands that do not determine a torque, and notes on these.
 
     These commands are replaced by NaN:
 
