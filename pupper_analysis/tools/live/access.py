@@ -1,10 +1,10 @@
 """Access control of the page server.
 
-Any web page can connect to a server on the same machine. It can also use its own host name, if its
-DNS entry points to this machine (DNS rebinding). If only this machine can reach the server, a
-request must therefore contain a known host name. If other machines can reach the server, any host
-name is accepted, but a request must contain a token. Assets of the page need no token. In both
-cases an origin, if stated, must be the server's own page.
+Any web page can connect to a server on the same machine. Such a page can also use its own host name
+if the DNS entry of the name points to this machine (DNS rebinding). If only this machine can reach
+the server, a request must therefore contain a known host name. If other machines can reach the
+server, any host name is accepted, but a request must contain a token. Assets of the page need no
+token. In both cases an origin, if stated, must be the server's own page.
 """
 
 from __future__ import annotations
