@@ -221,7 +221,7 @@ class OwnRun(BodyMotion):
     missing: tuple[str, ...] = ()
     redirected: JointOff | None = None
     lifted_leg: JointOff | None = None
-    stance_travel: float = 0.0
+    stance_travel: float = field(default=0.0, metadata={"unit": "m"})
 
     @property
     def has_left_posture(self) -> bool:
