@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 NUM_COLUMNS = 2
-"""Number of panels in a row of a figure. With three panels, the labels are illegible at the width
+"""Largest number of panels in a row of a figure. With three panels, the labels are illegible at the width
 of a printed page.
 """
 
@@ -115,8 +115,8 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw the base height [mm], relative to the height in the stand, over the simulated time [s].
 
-    The legend of a panel states the mean over the last second of each curve. If a robot fails, the
-    first contact of another link with the ground is marked.
+    The legend of a panel states the mean over the last second of each curve. If a link other than a
+    foot touches the ground, and this is a failure of the simulation, the first contact is marked.
 
     Args:
         analyses: Results; ``stand``, ``verification`` and ``sagging`` are drawn.
@@ -300,7 +300,10 @@ def _format_range(values: Array) -> str:
 
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact of a link with the ground, at its time [s], in a plot of heights."""
+    """Mark the first contact of a link with the ground that is a failure, in a plot of heights.
+
+    Nothing is marked without such a contact.
+    """
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return

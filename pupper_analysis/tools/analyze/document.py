@@ -128,14 +128,14 @@ _MAX_SHOWN_FAILURES = 2
 tuned."""
 
 _CROSS_CHECK_CODE = "models-deviate"
-"""Code of the failures that report a quantity in which URDF and MJCF differ. The report joins all
+"""Code of the failures that report a deviating quantity of the cross-check. The report joins all
 these failures."""
 
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
     """List the failures of an analysis, causes before effects.
 
-    All quantities in which URDF and MJCF differ are a single failure.
+    All quantities that deviate in the cross-check are a single failure.
     """
     order = sorted(analysis.failures, key=lambda failure: failure.code != TWO_ROBOTS_CODE)
     others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
@@ -159,7 +159,7 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
 def _select_next_step(analysis: Analysis) -> doc.NextStep:
     """Return the command to suggest next.
 
-    ``payload`` for a verified robot, ``crosscheck`` if URDF and MJCF differ, else ``stand``.
+    ``payload`` for a verified robot, ``crosscheck`` if the cross-check fails, else ``stand``.
     """
     if analysis.verified:
         return doc.NextStep("payload")
@@ -189,7 +189,10 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
-    """Yield three lines: mass and peak torque, base height, deviation of the MJCF from the URDF."""
+    """Yield three lines: mass and largest load, base height, largest deviation of the cross-check.
+
+    The load is the torque of the motor that `find_hardest_motor` selects.
+    """
     statics = analysis.statics
     most = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[most])

@@ -53,8 +53,8 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 )
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
-"""Margin around a robot in its tile (part of the picture), relative to the tile width [1]. Chosen,
-not tuned."""
+"""Smallest margin around a robot in its tile (part of the picture), relative to the tile width [1].
+Chosen, not tuned."""
 LABEL_HEIGHT = 0.125
 """Height of the text below a robot, relative to the width of the robot's tile [1]. Chosen, not
 tuned."""
@@ -130,7 +130,7 @@ def project_points(points: Array) -> Array:
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
     """Assign a tile of the picture to each robot, in rows, all at the same scale.
 
-    The lowest points of the robots in a row are at the same height of the picture.
+    In a row, the lowest points of robot and ground are at the same height of the picture.
 
     Args:
         poses: (robot, configuration in MuJoCo's coordinates of shape (nq,)) pairs.
@@ -271,9 +271,9 @@ def _list_backends() -> tuple[str, ...]:
 def _quiet_attempt() -> Iterator[None]:
     """Suppress warnings while an OpenGL backend is tried, and undo side effects afterwards.
 
-    Environment variables are restored. After an exception, imported modules of OpenGL are removed,
-    so that another backend can be tried: PyOpenGL binds to a single backend on import, by an
-    environment variable that MuJoCo sets.
+    ``PYOPENGL_PLATFORM`` and ``EGL_LOG_LEVEL`` are restored. After an exception, new modules of
+    OpenGL and submodules of mujoco are removed from ``sys.modules``, so that another backend can be
+    tried. Reason: PyOpenGL binds to a single backend on import, by a variable that MuJoCo sets.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)

@@ -215,8 +215,9 @@ class _SweepTrial:
 
         Returns:
             {pair: (height deviation [m], rest)}. The deviation is the standard deviation of the
-            base height in the last second, infinite if the robot fell. ``rest`` is True if the
-            robot without the force comes to rest and remains at rest (see `GainSweep.lasts`).
+            base height in the last second, infinite if the robot fell or the simulation diverged.
+            ``rest`` is True if the robot without the force comes to rest and remains at rest (see
+            `GainSweep.lasts`).
         """
         from rich.progress import track
 
@@ -233,7 +234,10 @@ class _SweepTrial:
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m]."""
+            """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m].
+
+            The state of rest is None if the pose has failures. After an error, none is stored.
+            """
             # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
             starts[kp] = place_on_ground(robot, drive, stand, self.torques)
@@ -290,7 +294,8 @@ class _SweepTrial:
     def _compute_deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Compute the standard deviation of the base height in the last second [m].
 
-        The value is infinite if the robot fell. ``states`` are MuJoCo states, a row per time step.
+        The value is infinite if the robot does not stand at the end (`_is_standing`). ``states``
+        are MuJoCo states, a row per time step.
         """
         if not self._is_standing(watcher, states):
             return math.inf
