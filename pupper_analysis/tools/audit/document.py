@@ -79,7 +79,7 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command that the report proposes to run next, or None.
 
     - ``audit --fix``: the audit has errors, the file suffix is ``.urdf`` or ``.xml``, and a finding
-      has a single repair.
+      has a single repair that is no estimate.
     - ``stand`` (free base) or ``hold``: the audit has no errors, and the file has such a suffix or
       is a published robot.
     - None: all other cases.

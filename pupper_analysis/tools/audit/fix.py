@@ -3,7 +3,7 @@
 Inputs are audits, of whose findings only those with a single repair are applied. A repair that
 estimates a value (`ValueRepair.is_estimate`) is not applied. Attribute values
 are replaced, and missing attributes and elements inserted, in the bytes of the file, so that all
-other bytes stay. Files with uncommitted changes in git are not written.
+other bytes stay. Files with uncommitted changes in git are written only if forced.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pupper_analysis.tools.audit.registry import Audit, ValueRepair
 
 
 def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
-    """Change the files of audits in memory, by the findings that have a single repair.
+    """Change the files of audits in memory, by the repairs of `list_unique_repairs`.
 
     Args:
         audits: Results of audits.
@@ -43,7 +43,8 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
     """Apply a repair to a file in memory; return True if it was applied.
 
     A repair is not applied if an element has other values than the repair expects, for example
-    because another repair has changed the element, or if an element is missing or not unique.
+    because another repair has changed the element. Missing elements are created if the repair
+    expects no old value (`_has_old_values`).
     """
     if not _has_old_values(document, repair):
         return False
@@ -71,10 +72,10 @@ def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the repairs that cannot be written, because the file does not contain the old value.
+    """Return the repairs that cannot be written, because the file lacks the expected old values.
 
-    A xacro macro, for example, computes such values. Only the repairs of `list_unique_repairs` are
-    tested.
+    A xacro macro, for example, computes such values. `_has_old_values` tests each repair of
+    `list_unique_repairs`.
     """
     repairs = list_unique_repairs(audits)
     documents = {file: read_xml_bytes(Path(file)) for file in {repair.file for repair in repairs}}
@@ -125,7 +126,7 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]
 
 
 def _find_owner(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
-    """Return the child of the XML root with the tag and name of a repair; None if not unique."""
+    """Return the child of the XML root with the tag and name of a repair; None if none or several."""
     found = [one for one in _list_owners(document, repair) if one.parent is document.root]
     return found[0] if len(found) == 1 else None
 
@@ -158,8 +159,7 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
 
     Returns:
         (start [bytes], length [bytes], new text) of each changed value, new attribute or new
-        element; empty if no or several elements fit the repair, or the file has other values than
-        the repair expects.
+        element; empty if the repair cannot be applied (`_has_old_values`).
     """
     document = read_xml_bytes(Path(repair.file))
     if not _change_elements(document, repair):

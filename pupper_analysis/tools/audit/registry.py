@@ -298,9 +298,9 @@ def compute_hull_distance(points: Array, point: Array) -> float:
 
     Returns:
         Largest signed distance [m] to the planes of the hull's faces: positive outside the hull,
-        negative inside. Fewer than four points, or points in a plane, have no hull with a volume.
-        In this case the result is the largest signed distance to the sides of the bounding box
-        along the coordinate axes.
+        negative inside. If the hull has no volume (in a plane, no area), for example of too few
+        points, the result is the largest signed distance to the sides of the bounding box along the
+        coordinate axes.
     """
     from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 

@@ -79,7 +79,7 @@ class _MissingMesh:
         name: File name, as written.
         owner: Link of a URDF, or mesh asset of an MJCF.
         place: File and line.
-        pointer: True for a pointer of Git LFS; in a URDF, only if the name is a relative path.
+        pointer: True if a path to which the name may refer is a pointer of Git LFS.
         touches: True if the mesh is used for collisions.
     """
 

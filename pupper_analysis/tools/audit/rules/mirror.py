@@ -80,10 +80,10 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
         tolerance: Largest distance between a link and the mirror image of the partner [m].
 
     Returns:
-        The selected plane if at least a third of the pairs are mirror images. Otherwise, for a
-        planar robot, the plane in which the robot moves: both links of each pair have the same
-        position, and all hinges are parallel to an axis of the base. None in all other cases, and
-        for a robot without pairs.
+        The selected plane if at least a third of the pairs are mirror images on different sides.
+        Otherwise, for a planar robot, the plane in which the robot moves: both links of each pair
+        have the same position, and all hinges are parallel to an axis of the base. None in all
+        other cases, and for a robot without pairs.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -159,8 +159,8 @@ def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
     A limb is a copy if at least `MIN_COPIED_TERMS` terms agree with the copy only, and fewer with
     the mirror image only. Inertials alone do not decide against the joints: of the offsets between
     joints, more must agree with the copy only than with the mirror image only, unless both numbers
-    are zero. A limb is no copy if a pair with the same name apart from the sides is a mirror image,
-    such as the other legs.
+    are zero. A limb is no copy if a limb with the same name apart from the sides, such as another
+    leg, has more terms that agree with the mirror image only than with the copy only.
     """
     limbs: dict[str, list[tuple[Link, Link]]] = {}
     roots: dict[tuple[str, str], str] = {}
@@ -698,12 +698,13 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 SIMPLE_SHAPE_TOLERANCE = 2e-3
-"""Largest difference of the extents of left and right primitive shapes [m] that is not reported.
-Measured on published robots: at most 1 mm."""
+"""Largest distance between corresponding sides of the bounding boxes of left and right primitive
+shapes [m] that is not reported. Measured on published robots: at most 1 mm."""
 
 SHAPE_TOLERANCE = 0.01
-"""Largest difference of the extents of left and right meshes [m] that is not reported, in addition
-to a tenth of the size: left and right meshes are cut differently. Chosen, not tuned.
+"""Largest distance between corresponding sides of the bounding boxes of left and right meshes [m]
+that is not reported, in addition to a tenth of the size: left and right meshes are cut differently.
+Chosen, not tuned.
 """
 
 

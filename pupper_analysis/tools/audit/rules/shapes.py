@@ -144,9 +144,10 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Only moving links with a single moving child are checked. A shape is checked if the length is 60
-    to 140 % of the distance between the joints (the link length), and more than twice the width. A
-    shape is reported in two cases:
+    Only moving links with a single moving child are checked, if the distance between the joints
+    (the link length) is at least `MIN_LINK_LENGTH`. A shape is checked if three conditions hold:
+    the length is 60 to 140 % of the link length; the length is more than twice the width; the long
+    axis is parallel to the line (`MIN_ALIGNMENT_COSINE`). A shape is reported in two cases:
 
     - The centre is farther from the line than the half width plus 10 % of the link length.
     - The centre is displaced along the line by more than 40 % of the link length.
@@ -414,8 +415,9 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
     """Compute the median density of a robot's links except one: mass / hull volume [kg/m^3].
 
     The other links are the root links and moving links except the link ``name``, each with all
-    fixed links. Light links (`MIN_MASS_FRACTION`), and links without mass, without volume or with a
-    shape of unknown size are left out. None if fewer than `MIN_OTHER_LINKS` remain.
+    fixed links. Links without mass, without volume or with a shape of unknown size are left out.
+    Links below `MIN_MASS_FRACTION` of the robot's mass without the link ``name`` are also left out.
+    None if fewer than `MIN_OTHER_LINKS` remain.
 
     Args:
         robot: Model of the robot.
@@ -499,7 +501,8 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
     The gap between both bounding boxes, along the axes of the link, is compared with the extent of
-    the visual shapes. A gap above `MIN_GAP_FRACTION` of the extent is reported.
+    the visual shapes. A gap above `MIN_GAP_FRACTION` of the extent and `POSITION_TOLERANCE` is
+    reported.
 
     If a size is unknown, for example of a mesh that was not read, the gap is the distance between
     the origins of the same mesh in both (`_measure_equal_mesh_gap`). The extent is then the extent
@@ -541,7 +544,10 @@ def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]
 
 
 def _measure_collision_gap(robot: UrdfModel, body: Link) -> float:
-    """Return the gap between collision and visual shapes of a link [m]; 0 below the bounds."""
+    """Return the gap between collision and visual shapes of a link [m].
+
+    0 for a gap that is not reported, of unknown size, or without one kind of shapes.
+    """
     sides = [_select_shapes(body, collides=collides) for collides in (False, True)]
     if not all(side.shapes for side in sides):
         return 0.0
@@ -561,7 +567,10 @@ def _select_shapes(body: Link, *, collides: bool) -> Link:
 
 
 def _measure_box_gap(first: Array, second: Array) -> float:
-    """Return the gap between the bounding boxes of points, shape (n, 3) [m]; negative if none."""
+    """Return the largest gap along an axis between the bounding boxes of points, (n, 3) [m].
+
+    The result is negative if the boxes overlap.
+    """
     gaps = np.maximum(
         second.min(axis=0) - first.max(axis=0), first.min(axis=0) - second.max(axis=0)
     )

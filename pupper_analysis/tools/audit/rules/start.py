@@ -285,8 +285,8 @@ def _find_opposite_signs(
     """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
     The angles of these joints are negated in all legs alike: for example, of each second joint of
-    a leg. The smallest such set is returned that puts all hinges inside the limits and the feet
-    lowest.
+    a leg. The smallest such set is returned that puts the legs' hinges inside the limits and the
+    feet lowest.
 
     Args:
         robot: Model of the MJCF, which MuJoCo compiles.
@@ -425,8 +425,8 @@ def _choose_keyframe(model: mujoco.MjModel) -> int | None:
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
     """Command the position servos to hold the joint positions in ``data.qpos``.
 
-    ``data.ctrl`` is changed in place. Return True if there are at least half as many position
-    servos as moving joints.
+    ``data.ctrl`` is changed in place. Return True if there is a position servo, and at least half
+    as many position servos as moving joints.
     """
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.is_servo]
