@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 NUM_COLUMNS = 2
-"""Largest number of panels in a row of a figure. With three panels, the labels are illegible at the width
-of a printed page.
+"""Largest number of panels in a row of a figure. With three panels, the labels are illegible at the
+width of a printed page.
 """
 
 MIN_SHOWN_DEVIATION = 1e-4
