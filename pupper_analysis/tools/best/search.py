@@ -46,8 +46,8 @@ or more the payload is 14.1 kg (measured). By symmetry the nominal stand is a sa
 errors determine the direction in which a descent leaves this point."""
 
 _RANKING_ITERATIONS = 8
-"""SLSQP iterations of the first descent from each initial guess, which ranks the guesses. Chosen,
-not tuned."""
+"""Upper bound of the SLSQP iterations of the first descent from each initial guess, which ranks the
+guesses. Chosen, not tuned."""
 
 _FINALIST_COUNT = 6
 """Number of first descents, those with the best results, that are continued. Measured: with 1, four
@@ -147,7 +147,7 @@ class StanceSearch:
         robot: Robot.
         objective: Objective.
         point: Position of the payload.
-        limits: Effort limits, shape (nu,) [N m].
+        limits: Effort limits, shape (nu,) [N m, N].
         bears: Mask of the motors with a finite effort limit, shape (nu,).
         evaluations: Number of evaluated stances so far.
         space: Search space.
@@ -275,7 +275,8 @@ class StanceSearch:
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
                 stand without payload.
-            StaticsInfeasibleError: If no contact forces balance the stand.
+            StaticsInfeasibleError: If the objective is not the margin, and no contact
+                forces balance the stand.
         """
         slack = self.space.compute_slack(stand)
         scaled_objective, rows = self._compute_scaled_objective(stand, slack)
@@ -305,7 +306,8 @@ class StanceSearch:
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
                 stand without payload.
-            StaticsInfeasibleError: If no contact forces balance the stand.
+            StaticsInfeasibleError: If the objective is not the margin, and no contact
+                forces balance the stand.
         """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_objective(stand)

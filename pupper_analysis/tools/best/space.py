@@ -221,8 +221,8 @@ class StanceSpace:
     def is_symmetric(self) -> bool:
         """True if the initial stand task is symmetric between left and right.
 
-        Roll, yaw, lateral offset of the base, slope, steps, swing feet and foot positions are
-        checked, not the robot.
+        Roll, yaw, lateral offset of the base, lateral slope, steps, swing feet, foot positions and
+        foot displacements are checked, not the robot.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope
