@@ -261,7 +261,7 @@ def _list_changes_since(
     """Yield changes of the files since a git revision, as remarks.
 
     ``found`` are the remarks on the present files. Changes that these report as a difference
-    between URDF and MJCF are left out, and pairs with a file that cannot be read.
+    between URDF and MJCF are left out, and pairs with a file that cannot be read or compared.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}

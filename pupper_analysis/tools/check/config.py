@@ -108,7 +108,7 @@ def find_config(start: Path | None = None) -> Path:
 def is_include_part(path: Path) -> bool:
     """Return True if a file is a part that other MJCFs include (root element ``mujocoinclude``).
 
-    False for a file that cannot be read.
+    False for a file that cannot be read, or that is no valid XML.
     """
     try:
         # No entities and no network access: the files are not trusted.
@@ -508,8 +508,9 @@ def _format_pair(entry: dict[str, str]) -> str:
 def list_pair_entries(folder: Path) -> list[dict[str, str]]:
     """List the models in a folder and below as entries of a configuration.
 
-    An entry is a URDF, an MJCF, or both. Two files with the same stem (name without suffix) form an
-    entry if they are in the same folder, or if no other unpaired file has this stem.
+    An entry is a URDF, an MJCF, or both. A URDF and an MJCF with the same stem (name without
+    suffix) form an entry if both are in the same folder, or if no other unpaired file has this
+    stem.
 
     Returns:
         The keys ``name``, ``urdf`` and ``mjcf`` of each [[pair]], paths relative to ``folder``.

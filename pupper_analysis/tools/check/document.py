@@ -82,7 +82,8 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     """Return the command to suggest next, or None; the first case that applies is used.
 
-    - The first failing finding is a file that cannot be read, or a finding of `audit`: ``audit``.
+    - The first failing finding is a finding of `audit`, or a file that cannot be read or compared:
+      ``audit``.
     - The first failing finding is a difference of URDF and MJCF: ``crosscheck`` of the pair.
     - Other failures, such as a change since a revision: None.
     - The baseline has entries that no longer occur: ``check --update-baseline``.
@@ -207,7 +208,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
     """Return a line with the numbers of failing, less severe and known findings of a check.
 
     The line also has the number of baseline entries that no longer occur, and the name of the
-    baseline if it was rewritten.
+    baseline if it was rewritten. A number of 0 is omitted, except that of the failing findings.
     """
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
