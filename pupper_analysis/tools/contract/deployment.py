@@ -86,9 +86,10 @@ def read_deployment(
         names: {joint name in a source: joint of the robot} of joints that are not matched.
 
     Raises:
-        ModelError: If a file cannot be read, or states nothing about joints of the robot, if a file
-            contains several policies and no name is passed, or if a source is a folder. Also if a
-            value that `contract` compares, such as a gain, is no number.
+        ModelError: If a file of ``sources`` cannot be read or states nothing about joints of the
+            robot, if a file contains several configurations and no name is passed, or if a source
+            is a folder. Also if a value that `contract` compares, such as a gain, is no number.
+            These errors of ``policy`` are ignored.
     """
     requests, folders = split_arguments(sources)
     if folders:

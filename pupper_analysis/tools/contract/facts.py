@@ -383,8 +383,8 @@ class LocatedValue:
         """Return the value in this table for a concept, such as joint names, in any file format.
 
         Each format has its own key for the concept. The keys in `KEY_ALIASES` are tried in order,
-        and the value of the first key in the table is returned. If no key is present, a node with
-        the value None is returned.
+        and the first value other than None is returned. Without such a value, the result is a node
+        with the value None.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.
@@ -478,8 +478,7 @@ class LocatedValue:
 
 _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 """Pattern of an unquoted text in a YAML file that is read as a number, if the text has at most 64
-characters and the number is finite. Includes ``1e-3``, a text in YAML 1.1, but a number for C++
-readers."""
+characters. Includes ``1e-3``, a text in YAML 1.1, but a number for C++ readers."""
 
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Pattern of a number as written, with groups for the decimals and the exponent."""

@@ -140,6 +140,7 @@ def find_disagreements(
 
     - quantities without a severity,
     - joint damping, if it represents the kd of a servo,
+    - infinite efforts, except of models with unlimited motors (`_find_unlimited_efforts`),
     - different numbers of several policies of one deployment,
     - different action offsets, if the default angles of the same joints differ.
 
@@ -581,7 +582,8 @@ def _compare_sides(
 ) -> Iterator[Disagreement]:
     """Yield a disagreement for each left-right pair of joints whose numbers are not symmetric.
 
-    Numbers of the same source are compared.
+    Numbers of the same source are compared. Skipped are pairs without both numbers, and pairs whose
+    numbers the file does not state (`Fact.implied`).
     """
     for source, pair in product(placed, find_mirror_pairs(model.order)):
         facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]

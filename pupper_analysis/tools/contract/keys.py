@@ -69,7 +69,10 @@ class KeyRule:
     inverse: bool = False
 
     def accepts(self, node: LocatedValue) -> bool:
-        """Return True if a node has a value of the required shape: number, list or table."""
+        """Return True if a node has a value of the required shape: number, list or table.
+
+        Each value that is neither list nor table, such as a text, counts as a number.
+        """
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
         return node.is_present and self.shape in ("", shape)

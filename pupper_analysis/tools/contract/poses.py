@@ -128,7 +128,7 @@ def _stand_in_pose(
             (``Robot.home``).
         kp: Stiffnesses, shape (nu,) [N m/rad, N/m]; None if the source does not state all.
         kd: Dampings, shape (nu,) [N m s/rad, N s/m]; None if the source does not state all.
-        efforts: Effort limits, shape (nu,) [N m].
+        efforts: Effort limits, shape (nu,) [N m, N].
     """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
     pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])

@@ -859,7 +859,8 @@ class Evaluator:
         neither a list nor a table.
 
         Raises:
-            NotConstantError: If the target is of another kind, or the value does not fit it.
+            NotConstantError: If the target is of another kind, the value does not fit the target,
+                or a key is unknown.
         """
         match to:
             case ast.Name():
@@ -1123,7 +1124,8 @@ class Evaluator:
         """Return the result of a single comparison.
 
         Raises:
-            NotConstantError: If a value is unknown, or several comparisons are chained.
+            NotConstantError: If a value is unknown, several comparisons are chained, or a table that
+                may have unknown keys lacks the tested key.
         """
         if len(expression.ops) > 1:
             raise NotConstantError
@@ -1423,7 +1425,11 @@ def _list_defined_names(node: ast.AST) -> list[str]:
 
 
 def _list_search_folders(path: Path) -> Iterator[Path]:
-    """Yield the folders above a file up to the top folder of the project or package."""
+    """Yield the folders above a file up to the top folder of the project or package.
+
+    At least the two nearest folders are yielded. Of a package, the folder that contains the package
+    is the last.
+    """
     project = [
         folder
         for folder in path.parents

@@ -210,8 +210,9 @@ def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagno
 
     Raises:
         ModelError: If the source states neither a number for a joint of the robot nor a joint
-            order. A source with settings, but without names and notes, is accepted: for example a
-            network that states the number of joints.
+            order. Default values and derived numbers do not count. A source with settings, but
+            without names and notes, is accepted: for example a network that states the number of
+            joints.
     """
     stated_facts = [
         fact for fact in placed_source.facts.values() if fact.joint and not fact.implied

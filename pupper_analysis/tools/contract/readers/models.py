@@ -204,7 +204,8 @@ def match_joint_names(
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Match the joints of further models to the joints of the first model, as `crosscheck` does.
 
-    Joints are matched by name, link and position.
+    Joints are matched by name, link and position. Models with the joint names of the first model
+    are skipped.
 
     Args:
         models: Sources of models. A USD is read as the format that the comparison of two models

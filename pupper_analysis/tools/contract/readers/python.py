@@ -41,7 +41,8 @@ def read(request: Request) -> Iterator[JointSource]:
     such object, tables ``{key: value}`` with joint values are read instead. The tables may be
     defined in the file or returned by its functions, alone or in a list. If there are no tables,
     constants of the file are read, and finally constants of the block ``if __name__ ==
-    "__main__"``. No code is executed.
+    "__main__"``. Names that contain ``action_scale`` add action scales to sources that state a
+    stiffness but no action scale. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -155,8 +156,8 @@ def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> Located
     """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
 
     The table contains the attributes of the class. It also contains the constants that the methods
-    assign to attributes such as ``self.kp``. If an attribute is assigned several times, the table
-    contains the first constant.
+    assign to attributes such as ``self.kp``. If methods assign an attribute several times, the
+    table contains the first value, which may be unknown.
     """
     if not isinstance(node.value, py.ClassValue):
         return node

@@ -525,9 +525,9 @@ def _describe_unread_terms(view: _View) -> dict[str, Diagnostic]:
 def _find_unread_operation(name: str, term: LocatedValue) -> str | None:
     """Return the first operation of a term that `ObservedTerm` cannot contain; None without.
 
-    Such operations are a scale that is no number, bounds that differ by element, and an offset
-    other than 0. The offset of joint positions as first operation is a default angle, and is read
-    (`_list_reference_angles`).
+    Such operations are a scale that is no number, bounds that `_read_bounds` cannot return, and an
+    offset other than 0. The offset of joint positions as first operation is a default angle, and is
+    read (`_list_reference_angles`).
     """
     operations = term.get("process_order").texts
     is_angle = _is_position(name) and operations[:1] == ("offset",)
