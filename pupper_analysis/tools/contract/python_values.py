@@ -1124,8 +1124,8 @@ class Evaluator:
         """Return the result of a single comparison.
 
         Raises:
-            NotConstantError: If a value is unknown, several comparisons are chained, or a table that
-                may have unknown keys lacks the tested key.
+            NotConstantError: If a value is unknown, several comparisons are chained, or a table
+                with possible unknown keys lacks the tested key.
         """
         if len(expression.ops) > 1:
             raise NotConstantError
@@ -1427,8 +1427,7 @@ def _list_defined_names(node: ast.AST) -> list[str]:
 def _list_search_folders(path: Path) -> Iterator[Path]:
     """Yield the folders above a file up to the top folder of the project or package.
 
-    At least the two nearest folders are yielded. Of a package, the folder that contains the package
-    is the last.
+    At least the two nearest folders are yielded.
     """
     project = [
         folder
