@@ -469,7 +469,7 @@ micrometre. Chosen, not tuned."""
 
 
 def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
-    """Add an IMU at the link with "imu" in the name, otherwise at the origin of the base.
+    """Add an IMU at the link with the shortest name that contains "imu", else at the base.
 
     Returns:
         Note about the addition.

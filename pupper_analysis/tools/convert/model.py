@@ -273,7 +273,10 @@ def _check_output(output: Path, *, force: bool) -> None:
 def _put_impossible_first(
     failures: Iterable[Diagnostic], remarks: Iterable[Diagnostic]
 ) -> tuple[Diagnostic, ...]:
-    """Put remarks about impossible inertials, as possible causes, before the failures."""
+    """Put remarks about impossible inertials, as possible causes, before the failures.
+
+    Without failures, the result is empty.
+    """
     found = tuple(failures)
     return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
 
