@@ -275,9 +275,10 @@ axes. Each is also tested in upper case, for fixed axes."""
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
-    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. It is a finding if at least
-    60 % of the differences in rotations and axes disappear. If no rotation or axis differs, at
-    least 60 % of the differences in joint limits must disappear.
+    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. The setting with which most
+    differences disappear is a finding if at least 60 % of the differences in rotations and axes
+    disappear. If no rotation or axis differs, at least 60 % of the differences in joint limits must
+    disappear. ``eulerseq`` is tested only if the MJCF contains Euler angles.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -516,8 +517,9 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the factor second / first that pairs of proportional arrays have in common.
 
     Returns:
-        Common factor of all pairs of elements. None if fewer than two pairs are nonzero, if the
-        ratios are not positive or not equal within 0.1 %, or if the factor is 1 within 1 %.
+        Common factor of all pairs. None if fewer than two first arrays are nonzero, or if the
+        arrays of a pair are not proportional within 0.1 %. None also if the ratios are not positive
+        or not equal within 0.1 %, or if the factor is 1 within 1 %.
     """
     ratios = []
     for first, second in pairs:

@@ -364,7 +364,7 @@ def _tabulate_differences(comparison: Comparison) -> doc.Table:
 
 
 def _shorten_place(place: str | None) -> str:
-    """Return a place with the file name only, without folders."""
+    """Return a place with the file name only, without folders; empty for None."""
     return "" if place is None else Path(place).name
 
 
