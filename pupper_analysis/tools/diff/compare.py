@@ -150,8 +150,8 @@ def diff_models(
 
     Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
     Collision shapes are compared by surface. The comparison of MJCFs includes contact parameters,
-    pairs, options, flags, keyframes, motors, tendons and equalities. Visual shapes and sensors are
-    ignored.
+    pairs, options, flags, keyframes, motors, tendons and equalities. Compiler settings are compared
+    if there is another change. Visual shapes and sensors are ignored.
 
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
