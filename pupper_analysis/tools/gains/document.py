@@ -135,7 +135,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
 def _format_range(gains: Iterable[float], unit: str) -> str:
     """Return the smallest and the largest positive gain with three digits, and the unit.
 
-    Gains that are equal in three digits are a single number.
+    Gains that are equal in three digits are a single number. 0 if no gain is positive.
     """
     used = sorted(gain for gain in gains if gain > 0)
     if not used:

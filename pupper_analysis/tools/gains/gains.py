@@ -100,8 +100,9 @@ _REFERENCE_FREQUENCY = 50.0
 inertia. Chosen: 8 Hz, within a factor of 4096 of all servos. The bounds do not depend on it."""
 
 _NEAR_POWER = 6
-"""Largest sum of the exponents of two factors on kp and kd up to which all powers of two are tried
-[1]. Chosen: a G1 with delay then needs 10 s instead of 28 s to find that no factors are stable."""
+"""Largest sum of the magnitudes of two exponents (of 2, for factors on kp and kd) up to which all
+pairs are tried [1]. Chosen: a G1 with delay then needs 10 s instead of 28 s to find that no factors
+are stable."""
 
 _SAG_RATIO = 2.0**0.5
 """Ratio of successive factors on the stiffness in the search for a stand without feed-forward.
@@ -555,12 +556,12 @@ _Pair = tuple[Array, Array]
 
 
 class _Gains:
-    """Present gains of a standing robot, and searches for their bounds of stability.
+    """Reference gains of a standing robot, and searches for the bounds of stability.
 
     Args:
         loop: The controlled stand.
-        kp: Reference stiffness, which the factors multiply, shape (nu,) [N m/rad].
-        kd: Reference damping, which the factors multiply, shape (nu,) [N m s/rad].
+        kp: Reference stiffness, which the factors multiply, shape (nu,) [N m/rad, N/m].
+        kd: Reference damping, which the factors multiply, shape (nu,) [N m s/rad, N s/m].
     """
 
     def __init__(self, loop: ControlledStand, kp: Array, kd: Array) -> None:
@@ -675,8 +676,8 @@ class _Gains:
         beyond this bound, and the bound found by simulation.
 
         Args:
-            factor: Factor on the present gains at which the linear model becomes unstable; None if
-                there is no such factor.
+            factor: Factor on the reference gains at which the linear model becomes unstable; None
+                if there is no such factor.
             gains: Function that returns kp and kd of all joints for a factor.
             below: Whether smaller factors (otherwise larger factors) are unstable.
         """
@@ -770,7 +771,7 @@ class _Gains:
             present: Present kp and kd of all joints, shape (nu,) each.
             least_kp: Lower bound of the stiffness of all joints.
             largest_kd: Upper bound of the damping of all joints.
-            stable_pair: Factors on the present stiffness and damping of all joints with which the
+            stable_pair: Factors on the reference stiffness and damping of all joints with which the
                 controlled stand is stable.
             recommended: Recommended factors on stiffness and damping.
             error: Position error at which the servo torque of hinges must not exceed the torque
