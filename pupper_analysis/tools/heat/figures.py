@@ -19,7 +19,8 @@ def heat_figure(study: HeatStudy, path: str | Path) -> None:
         path: PNG file that is written.
 
     Raises:
-        ConfigurationError: If no temperature is known.
+        ConfigurationError: If no temperature of a loaded motor is known, or if all times of the
+            curves are zero.
         OutputError: If the file cannot be written.
     """
     plots = heat_plots(study)
