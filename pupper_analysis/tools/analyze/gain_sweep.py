@@ -215,7 +215,7 @@ class _SweepTrial:
 
         Returns:
             {pair: (height deviation [m], rest)}. The deviation is the standard deviation of the
-            base height in the last second, infinite if the robot fell or the simulation diverged.
+            base height in the last second, infinite if the robot does not stand at the end.
             ``rest`` is True if the robot without the force comes to rest and remains at rest (see
             `GainSweep.lasts`).
         """
