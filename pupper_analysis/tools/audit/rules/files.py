@@ -197,7 +197,8 @@ def list_turned_links(file: UrdfFile) -> list[str]:
 def measure_joint_gap(robot: UrdfModel, name: str) -> float:
     """Return the largest distance [m] between the shapes of a link and the next moving joints.
 
-    The distance is a lower bound (`compute_hull_distance`). 0 without shapes or joints.
+    The distance is a lower bound (`compute_hull_distance`). 0 without shapes of known size or
+    without joints.
     """
     body = robot.links[name]
     points, _ = list_known_points([body], body)

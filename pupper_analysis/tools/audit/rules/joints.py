@@ -521,7 +521,8 @@ def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
     """Return the end of a shank in the base frame, shape (3,) [m].
 
     The end is the next joint, or else the fixed link, frame or sphere farthest from the shank's
-    joint. None if the shank has several moving children, or no moving child and no fixed part.
+    joint. None if the shank has several moving children. None also if there is no moving child,
+    fixed link, frame or sphere.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]
