@@ -45,7 +45,7 @@ _KIND_TOLERANCES = {
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Position limits of joints. Two sources agree on a limit if the difference is at most the absolute
-tolerance of position limits in `crosscheck`, or the relative tolerance `_NUMBER_RTOL`."""
+tolerance of position limits in `crosscheck`, or for other reasons of `facts_agree`."""
 
 _MIN_COMPUTED_DECIMALS = 5
 """Smallest number of decimals with which a number counts as computed, not typed. If another source
