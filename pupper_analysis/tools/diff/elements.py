@@ -306,10 +306,10 @@ class ElementDifference(Difference):
 
 
 def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
-    """Compute the largest distance [m] between the surfaces of two shapes (convex hulls).
+    """Estimate the largest distance [m] between the surfaces of two shapes (convex hulls).
 
-    The extents of both shapes (support functions) are compared along each of
-    `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown (planes, missing meshes), the
+    The result is a lower bound: the largest difference of the support functions of both shapes
+    along `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown (planes, missing meshes), the
     distance is 0 for equal kind, pose and size within `SURFACE_ATOL`, otherwise infinite.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
