@@ -12,7 +12,7 @@ from pupper_analysis.tools.gains.gains import GainStudy
 
 
 def gain_figure(study: GainStudy, path: str | Path) -> None:
-    """Draw the largest stable damping over the stiffness, with present and recommended gains.
+    """Draw the largest stable damping over the stiffness, with reference and recommended gains.
 
     Args:
         study: Stable gains of a robot.

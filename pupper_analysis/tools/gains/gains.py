@@ -77,8 +77,8 @@ _SHAKE_DURATION = 3.0
 Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
 
 GAIN_MARGIN = 2.0
-"""Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray
-2008, section 9.3)."""
+"""Smallest factor between a recommended gain and a stability bound, in either direction: the usual
+gain margin of 6 dB (Åström and Murray 2008, section 9.3)."""
 
 MIN_DAMPING_RATIO = 0.5
 """Required damping ratio [1] of each oscillation with the recommended damping. If no damping within
@@ -113,7 +113,7 @@ _CURVE_RATIO = 2.0**0.5
 Chosen, not tuned."""
 
 _CURVE_HALF_LENGTH = 6
-"""Number of points on each side of the present stiffness in the plot of the largest stable damping
+"""Number of points on each side of the reference stiffness in the plot of the largest stable damping
 over the stiffness: a factor of 8. Chosen, not tuned."""
 
 
@@ -432,8 +432,8 @@ def _find_common_bounds(
     """Find the bounds of stiffness and damping if the gains of all joints are scaled together.
 
     Args:
-        gains: Gains of the stand.
-        stable_pair: Factors on the stand's kp and kd with which the stand is stable.
+        gains: Reference gains.
+        stable_pair: Factors on the reference kp and kd with which the stand is stable.
         num_parts: Number of parts of the stage, for reports of progress.
 
     Returns:
@@ -443,14 +443,14 @@ def _find_common_bounds(
     stiffness, damping = stable_pair
 
     def with_stiffness(factor: float) -> _Pair:
-        """Return kp = ``factor`` times the stand's kp, and the kd of ``stable_pair``.
+        """Return kp = ``factor`` times the reference kp, and the kd of ``stable_pair``.
 
         Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
         """
         return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
-        """Return the kp of ``stable_pair``, and kd = ``factor`` times the stand's kd.
+        """Return the kp of ``stable_pair``, and kd = ``factor`` times the reference kd.
 
         Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
         """
