@@ -113,8 +113,8 @@ _CURVE_RATIO = 2.0**0.5
 Chosen, not tuned."""
 
 _CURVE_HALF_LENGTH = 6
-"""Number of points on each side of the reference stiffness in the plot of the largest stable damping
-over the stiffness: a factor of 8. Chosen, not tuned."""
+"""Number of points on each side of the reference stiffness in the plot of the largest stable
+damping over the stiffness: a factor of 8. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
