@@ -74,7 +74,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
 
     Args:
         analysis: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if not available.
+        robot: Robot of the result, for the 3-D view and the names of the files; None if not
+            available.
     """
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
