@@ -732,7 +732,8 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
     the extent of the joints. Shapes are not checked if the extent of the joints is below
     `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent of the joints is
-    `IMPOSSIBLE_SIZE_RATIO` times beyond a bound.
+    `IMPOSSIBLE_SIZE_RATIO` times beyond a bound. Robots with fewer than two moving joints are
+    skipped.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
