@@ -86,7 +86,8 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
       ``audit``.
     - The first failing finding is a difference of URDF and MJCF: ``crosscheck`` of the pair.
     - Other failures, such as a change since a revision: None.
-    - The baseline has entries that no longer occur: ``check --update-baseline``.
+    - The baseline has entries that no longer occur, and was not rewritten:
+      ``check --update-baseline``.
     - A pair has two files: for the first such pair ``crosscheck`` if it has known differences,
       otherwise ``stand``, or ``hold`` for a fixed base.
     - No pair has two files: None.
