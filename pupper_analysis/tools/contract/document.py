@@ -89,7 +89,7 @@ def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
 
 
 def _list_compared(contract: Contract) -> doc.Words:
-    """Return the quantities of which at least two sources state a number for one joint or setting.
+    """Return the quantities that at least two sources state for the same joint or setting.
 
     The short form names at most `_MAX_NAMED_QUANTITIES` quantities, and the number of further ones.
     """

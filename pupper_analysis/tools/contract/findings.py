@@ -349,7 +349,8 @@ def _compare_joint_quantity(
 ) -> Iterator[Disagreement]:
     """Yield the disagreements of the sources about a quantity of joints, such as gains.
 
-    For each joint, the reference is the first source that states a number.
+    For each joint, the reference is the first source that states a number. The joint "" stands for
+    a setting.
     """
     pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
