@@ -293,8 +293,8 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     """List the parts of a URDF that the new MJCF does not contain, with their counts.
 
-    The parts are stated velocity limits, textures, children of ``<robot>`` with other tags than
-    `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
+    The parts are finite, nonzero velocity limits, textures, children of ``<robot>`` with other tags
+    than `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
     """
     losses = []
     for are_slides in (False, True):
