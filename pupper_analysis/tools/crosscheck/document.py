@@ -72,8 +72,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
     An effect is the deviation of a quantity that this single difference causes. The message states
-    the deviation relative to the scale of the quantity. The message also states the fraction of the
-    deviation that all differences cause together.
+    the deviation relative to the scale of the quantity. The message also states the share in the
+    deviation that all differences cause together, unless above `_MAX_PRINTED_SHARE`.
     """
     if not difference.effects:
         return diagnose("no-effect")
@@ -440,7 +440,8 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
     """Create the table of relative deviations: a row per quantity, a column per compared pair.
 
-    A pair consists of two evaluations, for example of the same model in two engines.
+    A pair consists of two evaluations, for example of the same model in two engines. Pairs without
+    evaluation are left out, and the pair `EXTRAS_EDGE` if all deviations are 0.
     """
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
