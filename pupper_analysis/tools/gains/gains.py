@@ -496,6 +496,7 @@ def _compute_damping_curve(gains: _Gains, num_parts: int) -> tuple[Array, Array]
 
     Returns:
         Factors on kp, and the largest factors on kd, shape (2 * `_CURVE_HALF_LENGTH` + 1,) each.
+        Largest factors may be infinite or NaN (`_Gains.find_largest_damping`).
     """
     powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
     curve: Array = _CURVE_RATIO**powers
