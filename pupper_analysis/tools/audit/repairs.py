@@ -605,7 +605,7 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the other limbs state equal origins (`_find_common_attributes`), this xyz is copied. If
+    If the other limbs state equal origins (`_find_common_attributes`), the xyz is copied. If
     the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
     repaired. The selection compares the magnitudes of the CoM coordinates, in the link frame, with
     other limbs. If there are too few other limbs, or the other limbs differ, both links are
