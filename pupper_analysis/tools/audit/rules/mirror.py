@@ -439,7 +439,8 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    Pairs at displaced positions are left out. The tolerance is that of `_get_com_tolerance`.
+    Pairs at displaced positions, and copied limbs, are left out. The tolerance is that of
+    `_get_com_tolerance`.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
@@ -464,8 +465,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     pair is reported if an entry of S I S - I' exceeds 10 % of the largest entry of both. If twice
     the rounding of the written digits is larger than 10 %, this tolerance is used instead, up to 50
     %. A pair is also reported if I' has products of inertia of the wrong sign (`_has_wrong_sign`).
-    The message states the entry with the largest difference. Pairs with different masses, or at
-    displaced positions, are not compared.
+    The message states the entry with the largest difference. Pairs with different masses or at
+    displaced positions, and copied limbs, are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
