@@ -1,8 +1,9 @@
 """Free the base of a robot that is fixed in the MJCF, and place the frame of a free base.
 
-Input is the spec of an MJCF. A robot with two or more limbs that the file fixes to the world gets a
-free base. The frame of a free base is raised to the CoM of the base if no limb ends below the
-frame. Reason: height, roll and pitch of a stand refer to this frame.
+Input is the spec of an MJCF. A robot that the file fixes to the world gets a free base in two
+cases: there are two or more limbs, or the URDF has a free base. The frame of a free base is raised
+to the CoM of the base if no limb ends below the frame. Reason: height, roll and pitch of a stand
+refer to this frame.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ def free_base(
 
     Returns:
         The same spec, and a list with a note about the change. The list is empty if nothing
-        changed: the spec has a free joint, the base has other joints, or the base has fewer than
-        two limbs.
+        changed: the spec has a free joint or no body, or the base has other joints. Nothing changes
+        either if the base has fewer than two limbs and is not free in the URDF.
 
     Raises:
         ModelError: If two or more limbs are fixed to the world without a base body. MuJoCo fuses

@@ -606,7 +606,8 @@ def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
     """Yield shapes of the published model that may cause a deviation from the prepared robot.
 
     There are at most two candidates: all shapes whose contacts the preparation disabled, and all
-    obstacles. An obstacle is a shape, other than a plane, that is fixed to the world or to a mocap
+    obstacles. Bodies with added balls, and imports of a URDF, have no disabled shapes here. An
+    obstacle is a shape, other than a plane, that is fixed to the world or to a mocap
     body.
     """
     model = published.model

@@ -260,9 +260,10 @@ _MAX_AXIS_COSINE = 0.1
 cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
-"""Two tolerances [m]. A mesh vertex or the surface of a sphere belongs to a sole if its distance
-from the plane of the sole, or from the lowest point of the mesh, is at most this value. Contact
-points count as a single point if the distance is at most this value. Chosen, not tuned."""
+"""Three tolerances [m]. A point belongs to a sole if its distance from the plane of the sole, or
+from the lowest point of a mesh, is below this value. A sole may be higher than the lowest point of
+the foot by at most this value. Contact points before and after a small tilt count as equal if their
+distance is below this value. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -156,9 +156,9 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     - The published MJCF with these servos comes to rest, too. This condition is omitted for a robot
       with a URDF alone, and with a reduced time step.
 
-    A reduced time step is tried only if no candidate with the time step of the file meets the first
-    three conditions. For a robot with a URDF alone, a time step is no longer tried after contacts
-    chattered: after a nudge of the base the motion did not decay.
+    A reduced time step is chosen only if no candidate with the time step of the file meets the
+    first three conditions. For a robot with a URDF alone, a time step is no longer tried after
+    contacts chattered: after a nudge of the base the motion did not decay.
 
     If no candidate meets all conditions, the first candidate with the best partial result is
     chosen. The partial results are, best first:

@@ -484,9 +484,10 @@ def _map_to_urdf(
     URDF and MJCF may have different joint axes. The position is therefore shifted by the offset
     between the two axes of the last joint that is no slide. Only the part of the offset
     perpendicular to the axis counts: the position of a joint frame along its axis has no meaning.
+    Without such a joint, the position is unchanged.
 
-    Exception: the URDF may have a link at the unshifted position, or at the same position relative
-    to the joint frame. Then the position is that of this link.
+    Exception: a link that the joint moves may be within `_FOOT_PLACE_ATOL` of the unshifted
+    position, or of the position shifted by the complete offset. That position is then returned.
 
     Args:
         robot: Robot.

@@ -152,7 +152,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
-    """Raise an error if a joint has several actuators.
+    """Raise an error if a hinge or slide has several actuators.
 
     Reason: a stand is held by a single servo command per joint.
 

@@ -3,7 +3,8 @@
 Inputs are the statics, and the results of two simulations of the prepared robot: with feed-forward
 torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on two
 simulations of the published file (the user's MJCF or URDF). The first starts at a keyframe of the
-file. The second starts at the predicted equilibrium of the stand, and is compared with it.
+file, or at the start pose. The second starts at the predicted equilibrium of the stand, and is
+compared with this equilibrium.
 """
 
 from __future__ import annotations
@@ -91,8 +92,8 @@ def judge_simulation(
 
     - In all directions (`simulate_nudges`) for a stand near a limit, or a stand that fails
       without feed-forward.
-    - Large (`simulate_large_nudges`) for other stands, and for stands whose servos saturate at
-      small deviations.
+    - Large (`simulate_large_nudges`) for other stands. Stands whose servos saturate at small
+      deviations get large nudges after small nudges that cause no failure.
 
     Args:
         robot: Robot.
@@ -315,9 +316,10 @@ increase counts as a payload. Smaller increases are rounding errors. Chosen, not
 def _report_buried_foot(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first foot that sinks into the ground by more than its contact radius; () if none.
+    """Report the first contact point that sinks by more than its contact radius; () if none.
 
-    The penetration is that under the static contact force.
+    The penetration is that under the static contact force. Contact points without a radius are
+    ignored. The result is also empty if ``statics`` is None.
     """
     if statics is None:
         return ()
@@ -344,10 +346,11 @@ def _fail_if_upset(
     """Mark a simulation as failed if the stand fails after a nudge; return the result.
 
     A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here. A
-    stand near a limit, or a ``fragile`` one, is nudged in all directions (`simulate_nudges`). Other
-    stands, and stands whose servos saturate at small deviations (`saturates_after_nudge`), get
-    large nudges (`simulate_large_nudges`), after which only shaking and divergence are failures.
-    Without a free base or without a CoM margin, there is no nudge.
+    stand near a limit, or a ``fragile`` stand, is nudged in all directions (`simulate_nudges`).
+    Other stands get large nudges (`simulate_large_nudges`), after which only shaking and divergence
+    are failures. Large nudges also follow if the servos saturate at small deviations
+    (`saturates_after_nudge`) and the stand survives `simulate_nudges`. Without a free base or
+    without a CoM margin, there is no nudge.
 
     Args:
         robot: Robot.
@@ -408,10 +411,10 @@ contain these notes, since the results depend on assumptions that replace the er
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message that links of the URDF have no mass, or a negative mass.
 
-    The message states the consequences. A moving link without a positive mass gets 1 g in the
-    prepared robot; MuJoCo itself refuses such a URDF. A negative mass of a link that is fixed to
-    another link is subtracted from the mass of the other link; MuJoCo itself ignores the negative
-    mass.
+    The message states the consequences. A moving link gets 1 g in the prepared robot if neither
+    this link nor a link fixed to this link has a positive mass; MuJoCo itself refuses such a URDF.
+    A negative mass of a link that is fixed to another link is subtracted from the mass of the other
+    link; MuJoCo itself ignores the negative mass.
 
     Returns:
         The message; None without such links.
@@ -484,7 +487,8 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
 
     The volume of a body is that of a ball around the CoM. The ball contains the bounding spheres of
     all geoms, the frame of the body and the frames of the child bodies; the radius is at least
-    `_MIN_RADIUS`. Bodies without geoms are omitted, since the size is unknown.
+    `_MIN_RADIUS`. Bodies without geoms are omitted, since the size is unknown. Bodies that are
+    fixed to the world are omitted, too.
 
     Returns:
         The message; None without such bodies.

@@ -112,7 +112,9 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Create the message that lists the feet of a robot, with bodies and numbers of contact points.
+    """Create the message that lists the feet of a robot, with their bodies.
+
+    The number of contact points is stated for a foot with several points.
 
     Args:
         robot: Robot.

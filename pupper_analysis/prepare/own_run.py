@@ -2,10 +2,11 @@
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The simulation of the published file from a keyframe (called
-own run) shows if the file alone stands in MuJoCo. It runs three times: with a nudge (a small
-velocity) at the start, with the opposite nudge, and without a nudge. Each simulation lasts 5 s, or
-less with short time steps. A URDF is simulated as MuJoCo's import, with an added free base, floor
-and servos. Results are computed when a verdict is first requested.
+own run) shows if the file alone stands in MuJoCo. The file is simulated up to three times, until
+the robot collapses: with a nudge (a small velocity) at the start, with the opposite nudge, and
+without a nudge. Each simulation lasts 5 s, or less with short time steps. A fixed base is simulated
+once. A URDF is simulated as MuJoCo's import, with an added free base, floor and servos. Results are
+computed when a verdict is first requested.
 """
 
 from __future__ import annotations
@@ -71,9 +72,10 @@ from pupper_analysis.robot.joints import joint_unit, leg_joints
 from pupper_analysis.robot.robot import Robot
 
 _CTRL_ANGLE_RTOL = 0.1
-"""Upper bound [1] of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of
-a keyframe counts as joint angles, not torques. Chosen, not tuned: position commands differ from the
-angles by the deflection that carries the weight."""
+"""Upper bound [1] of ``|ctrl - angles| / |angles|`` with which the ctrl of a keyframe counts as
+joint angles, not torques. The norms are over all actuators at joints; angles are multiplied by the
+gear. Chosen, not tuned: position commands differ from the angles by the deflection that carries the
+weight."""
 
 _CTRL_DEGREE_RTOL = 1e-3
 """Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the
@@ -244,7 +246,8 @@ def _import_urdf(
 ) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedStates | None]:
     """Import the URDF of a robot without MJCF by MuJoCo's own importer, with a stable time step.
 
-    The time step of a robot on feet is reduced if the robot does not settle otherwise.
+    The time step of a robot on feet is reduced if the robot does not settle otherwise. If the robot
+    settles with no time step, the time step is not reduced.
 
     Returns:
         A pair. First: the model; the error message if MuJoCo refuses the URDF; None if the robot
@@ -397,7 +400,7 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 
 @silence_mujoco()
 def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
-    """Simulate a published model from a keyframe, with the ctrl of the keyframe.
+    """Simulate a published model from a keyframe, with the ctrl of the keyframe (zeros if absent).
 
     If the keyframe specifies no ctrl, the result contains a second run (``OwnRun.held``), in which
     the servos of the file hold the joint positions of the keyframe. There is no second run if most
@@ -632,10 +635,12 @@ def _list_lifted_legs(
     """Return the joints of legs that are on the ground at reset, but not at the end of a run.
 
     The norm of the displacements of a leg's joints (rad and m mixed) must exceed
-    `MIN_POSTURE_DEVIATION`. A leg is on the ground if a body of it, such as a heel behind a toe
-    joint, is less than ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height from a fixed geom. The
-    bodies are the descendants of the first joint that moves no other foot. At reset, the clearance
-    of the robot does not count. A leg that the keyframe itself lifts is not returned.
+    `MIN_POSTURE_DEVIATION`. A leg is on the ground if the distance of a body of the leg from a
+    fixed geom is below ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height. Such a body may be a
+    heel behind a toe joint. The leg's bodies are that of the first joint that is in no other leg,
+    and its descendants. Without such a joint, the last joint is used. At reset, the clearance of
+    the robot does not count. A leg that the keyframe itself lifts is not returned. Empty for a
+    fixed base.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -643,7 +648,7 @@ def _list_lifted_legs(
         joints: Displacements of the joints.
         start: State at reset.
         end: State at the end.
-        motion: Motion of the base: initial CoM height and clearance.
+        motion: Motion of the robot, with the initial CoM height and clearance.
     """
     offsets = {joint.joint: joint for joint in joints}
     legs = (
@@ -681,12 +686,13 @@ def _list_descendants(model: mujoco.MjModel, body: int) -> set[int]:
 def _measure_lean_from_upright(
     published: PublishedModel, robot: Robot, motion: BodyMotion, end: mujoco.MjData
 ) -> BodyMotion:
-    """Replace the tilt of a motion if the keyframe itself is tilted; return the motion.
+    """Replace the final tilt of a motion, so that a tilted keyframe does not decide about a fall.
 
-    The upright orientation is that of the start pose (`Robot.home`). If the robot ends tilted from
-    it by more than ``FALLEN_TILT`` and lies on its trunk, as on its back, or ends upside down, this
-    is the tilt. Otherwise the smaller tilt counts: relative to the start pose, or to reset. So a
-    humanoid whose keyframe bends the base forward has not fallen.
+    The final tilt is measured from the start pose (`Robot.home`), and from reset. The tilt from the
+    start pose is returned in two cases: this tilt exceeds ``FALLEN_TILT`` and the robot lies on its
+    trunk, or this tilt exceeds 90 deg. Otherwise the smaller tilt is returned. Reason: a humanoid
+    whose keyframe bends the base forward has not fallen. A diverged motion is unchanged; so is each
+    motion if the start pose cannot be placed.
 
     Args:
         published: Published model: the user's file as compiled.

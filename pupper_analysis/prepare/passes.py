@@ -379,10 +379,10 @@ def _name_elements(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
-    """Add a free joint to a fixed base with at least two limbs; see `free_base`.
+    """Add a free joint to a fixed base with two limbs, or with a free base in the URDF.
 
-    If the base moves by slides and hinges, or by a ball joint, and the URDF lacks these joints, the
-    free joint replaces them.
+    The conditions are those of the function `free_base`. If the base moves by slides and hinges, or
+    by a ball joint, and the URDF lacks these joints, the free joint replaces them.
     """
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
@@ -561,7 +561,8 @@ def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
     """Create a function that computes how deep the feet of the unmodified file rest in the ground.
 
     The argument of the function is the name of a keyframe, from which the file is simulated. The
-    result is the penetration at rest [m]; None if the file falls, or lacks the keyframe.
+    result is the penetration at rest [m]; None if the file falls, lacks the keyframe, or does not
+    have exactly one free joint.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -862,8 +863,8 @@ def make_robot(
     first simulated, drawn, pickled or copied (`defer_stages`). Kinematics and statics do not need
     the slow steps.
 
-    Servos and rest pose are computed immediately if added servos may change the order of the
-    joints. Visual meshes are then postponed only with a fixed base.
+    Servos and rest pose are computed immediately if added servos change the order of the joints.
+    Visual meshes are then postponed only with a fixed base.
 
     Args:
         urdf: URDF as read.

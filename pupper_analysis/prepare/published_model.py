@@ -355,8 +355,8 @@ def place_at_state(
 ) -> mujoco.MjData | None:
     """Place a published model at a state of the prepared robot's model; return the MuJoCo data.
 
-    Hinges and slides outside the base body are matched by name and type. Joints that the robot's
-    model lacks are at zero; ball joints keep the reference position. The base is placed so that the
+    Hinges and slides outside the base body are matched by name and type. Joints without a match are
+    at zero; ball joints keep the reference position. The base is placed so that the
     body of the robot's first joint has the same pose as in the robot's model, raised by
     `ground_height`.
 
@@ -654,7 +654,8 @@ def simulate_published(
     Args:
         published: Published model: the user's file as compiled. During the call, the damping of the
             model includes the damping of the external servos.
-        data: Initial state; changed to the final state.
+        data: Initial state, whose ctrl and activations are replaced by those of ``hold``; changed
+            to the final state.
         hold: Commands of the actuators, and gains and targets of the external servos.
         seconds: Duration [s].
         record_forces: Whether to record the extreme forces. If False, the simulation is up to a

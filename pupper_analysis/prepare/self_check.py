@@ -105,9 +105,10 @@ successive deviations show whether the torques still approach the predicted torq
 
 _MAX_APPROACH_RATIO = 0.9
 """Upper bound of the ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart [1]. If
-the ratio is smaller, the torques approach the predicted torques: the simulation continues. Measured
-after the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential
-forces relax with a time constant of 6.8 s, which is a ratio of 0.75."""
+the ratio is smaller, the torques approach the predicted torques: the simulation continues. A larger
+ratio after a large nudge is shaking without decay (`_find_shaken_state`). Measured after the nudge
+of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces relax with a
+time constant of 6.8 s, which is a ratio of 0.75."""
 
 _MAX_BASE_NUDGE_WINDOWS = 6
 """Upper bound of the simulated time after a large nudge of the base [1], in windows of
@@ -363,8 +364,8 @@ def _find_loading_causes(
         prepared: Simulation of the prepared robot; without it, no cause is found.
 
     Returns:
-        Causes. Empty if neither case applies, without differences, and in the second case for a
-        robot whose URDF or MJCF was converted.
+        Causes. Empty if neither case applies, or if ``compare_files`` finds no difference or fails.
+        Empty in the second case for a robot without an MJCF, or with a converted URDF or MJCF.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -474,9 +475,9 @@ def simulate_prediction(
     while the torques deviate from the predicted torques, but approach them. CoM height [m] and
     joint positions [rad, m] are compared at the end; joint torques [N m, N] over the last second.
 
-    If the time step of the model is longer than that of the prepared robot, and the torques agree,
-    the model then gets large nudges of the base (`_find_shaken_state`). If the model shakes without
-    decay, this motion is compared.
+    The model then gets large nudges of the base (`_find_shaken_state`) under four conditions: the
+    base is free, the commands include feed-forward, the torques agree, and the time step is longer
+    than that of the prepared robot. If the model shakes without decay, this motion is compared.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -593,12 +594,14 @@ def _simulate_nudges(
     *,
     until_decided: bool,
 ) -> _NudgedState:
-    """Simulate a published model with a nudge, then with large nudges if its time step is longer.
+    """Simulate a published model with a nudge, then with large nudges under four conditions.
+
+    The conditions are those of `simulate_prediction`.
 
     Args:
         published: Published model.
         robot: Prepared robot.
-        data: Initial state; changed.
+        data: Initial state; changed to the state before large nudges.
         hold: Commands of the actuators, and external servos.
         torques: Predicted torques.
         prediction: Predicted state of rest.
@@ -846,7 +849,8 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 def _list_pose_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """Return the keyframe of a simulation as cause if the robot is not upright at reset.
 
-    The tilt of the base from the start pose (`Robot.home`) exceeds ``FALLEN_TILT``, as on its back.
+    This is so if the tilt of the base from the start pose (`Robot.home`) exceeds ``FALLEN_TILT``.
+    Empty otherwise, without a keyframe, or if the start pose cannot be placed.
     """
     upright = place_published(published, robot, robot.home)
     if not run.keyframe or upright is None:

@@ -7,8 +7,9 @@ stiffness: h sqrt(kp / I), with the inertia I of the joint, must remain well bel
 The requirement depends on the base:
 
 - Standing robot (`ServoRequirement.of_stand`): all joints hold a single posture against a single
-  load, and the feet press against each other. Each hinge is as stiff as the most loaded joint. Each
-  slide is as stiff as a hinge with the lever of a leg. Damping is proportional to stiffness: then
+  load, and the feet press against each other. As far as the time step permits, each hinge is as
+  stiff as the most loaded joint. Each slide is as stiff as a hinge with the lever of a leg, or as
+  its own load requires. Damping is proportional to stiffness: then
   the damping ratio of a mode is proportional to its frequency.
 - Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
   commanded, and each joint moves alone. Each joint is stiff enough for the worst of random

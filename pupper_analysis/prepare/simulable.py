@@ -45,8 +45,8 @@ _MIN_IMPRATIO = 1e-9
 is no friction."""
 
 _MAX_LENGTH = 1e4
-"""Upper bound of positions and contact margins in an MJCF [m]. Chosen: no robot is as large, and at
-this distance the square of a micrometre is lost in a double."""
+"""Upper bound of the magnitude of positions and contact margins in an MJCF [m]. Chosen: no robot is
+as large, and at this distance the square of a micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:

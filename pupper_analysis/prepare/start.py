@@ -298,7 +298,7 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
     """Solve the nominal stand of a robot: the stand of the default `StandTask`.
 
     The default task has a level base at the height of the start pose, and the CoM above the centre
-    of the feet.
+    of the feet. If the legs cannot move the CoM, the CoM is only inside of the support polygon.
 
     Returns:
         The stand. None if the stand is out of reach, is not in static equilibrium, or if another
@@ -912,6 +912,7 @@ def find_start_pose(
     1. A keyframe whose feet are level, and whose joints are within the limits.
     2. A keyframe from which the unmodified file stands in a simulation (``rest_depth``). The joints
        are clipped to the limits, and the base is lowered by the penetration of the feet at rest.
+       Without a stand at this height, the base is not lowered.
     3. A searched pose (`search_start`).
 
     If no pose is found, a note reports the failure. The start pose is then the last keyframe that

@@ -310,7 +310,10 @@ class UrdfBodies:
             self.efforts[name] = effort
 
     def _is_mimic(self, joint: UrdfJoint) -> bool:
-        """Return True if a joint follows a moving joint; add a note if the leader does not move."""
+        """Return True if a joint follows a moving joint; add a note about an invalid leader.
+
+        An invalid leader does not exist, is fixed, or follows the joint itself.
+        """
         if joint.mimic is None:
             return False
         leader_name, visited = str(joint.mimic.get("joint")), {joint.name}

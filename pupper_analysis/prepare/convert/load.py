@@ -51,7 +51,8 @@ class ModelPair:
         mjcf: MJCF.
         converted: ``"urdf"`` or ``"mjcf"`` if this model was converted from the other model; empty
             if both have files.
-        imported: URDF for MuJoCo's own importer; None if there is an MJCF file.
+        imported: URDF for MuJoCo's own importer; None if there is an MJCF file, or if the URDF was
+            made from a Pinocchio model.
     """
 
     urdf: UrdfFile
@@ -130,7 +131,8 @@ def read_pair(
         *models: A URDF, an MJCF, or both, in any order: paths, XML texts or objects.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: use only the file of this format, and ignore the other file.
+        take: ``"urdf"`` or ``"mjcf"``: use only the file of this format. The other file is read,
+            but ignored.
         body: Root body or any other body of the robot, for an MJCF with several robots. None: the
             robot is detected if there is no URDF.
         packages: {ROS package: folder}, for ``package://`` paths of the URDF and ``$(find)`` of a

@@ -188,7 +188,8 @@ class MeshFiles:
         """Add the registered meshes to the ``<asset>`` of an MJCF.
 
         File names are relative to the folder of the MJCF. If ``assets`` is given, no file is
-        written: then converted meshes are keys of ``assets``, and other file names are absolute.
+        written: then converted meshes are keys of ``assets``, and other file names are absolute. A
+        tetrahedron represents each deferred mesh.
 
         Args:
             asset: Element ``<asset>``; extended in place.

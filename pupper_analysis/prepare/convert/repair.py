@@ -218,8 +218,8 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
     """Return True if MuJoCo accepts a spatial inertia.
 
-    This is so in two cases: the mass is positive, and the principal moments are positive and
-    satisfy A + B >= C; or mass and moments are zero.
+    This is so in two cases: the mass is positive, and the principal moments exceed `_MIN_INERTIA`
+    and satisfy A + B >= C; or mass and moments are zero.
     """
     if inertia.mass <= 0:
         return inertia.mass == 0 and not np.array(inertia.inertia).any()

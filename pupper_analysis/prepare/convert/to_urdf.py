@@ -567,7 +567,8 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     """Return an MJCF with a single robot: remove the other robots and moving objects of a scene.
 
     Joints, actuators, sensors, couplings and keyframe values of the removed bodies are removed,
-    too. Bodies fixed in the world remain. The same MJCF is returned if no other body moves.
+    too. Bodies fixed in the world remain. The same MJCF is returned if no other body moves, or if
+    the base of the robot is the world.
 
     Args:
         file: MJCF; not modified.
