@@ -22,13 +22,14 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 class ClearanceBounds:
     """Bounds of distance and motion that prove, without collision detection, that only feet touch.
 
-    The parts are the moving geoms that can collide, except the feet. The ground consists of the
-    geoms of the world body that can collide. The distance is measured between planes and the
-    bounding boxes of the geoms. Between two states no point of the robot moves by more than
+    The parts are the geoms of all bodies except the world that can collide, without the feet. The
+    ground consists of the geoms of the world body that can collide. The distance is measured
+    between planes and the bounding boxes of the geoms. Between two states no point of the robot
+    moves by more than
 
-        dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
+        |dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
 
-    with the displacement p and the rotation angle a of the base, and the length L of the longest
+    with the displacement dp and the rotation angle a of the base, and the length L of the longest
     chain of bodies. A slide joint is assumed to stay within twice its limits (`_MAX_LIMIT_RATIO`).
     The bounds are not available if a geom of the ground is no plane, or if a joint is a ball joint,
     a second free joint, or a slide joint without limits.

@@ -461,7 +461,7 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
     The doubling time is half the time of two successive doublings.
 
     None if the deviation does not grow by ``2 ** DOUBLINGS``, if growth slows down, or if a
-    deviation is zero.
+    deviation is zero. After a divergence in the first window, the result is ``window``.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,); infinite after a divergence.

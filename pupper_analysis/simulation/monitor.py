@@ -212,6 +212,8 @@ class StandReference:
     def is_lifted(self, state: Array) -> bool:
         """Return True if a robot is upright and far above the expected stand (`fall.is_lifted`).
 
+        The result is False for a robot with a fixed base.
+
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
         """
@@ -291,7 +293,7 @@ class ContactSampler:
     def find_surface(self, body: str) -> Diagnostic | None:
         """Create the part of a message that names the step, plane or bar which a body touches.
 
-        The contacts are those at the state of the last call of `sample`.
+        The contacts are those at the state that `sample` or `find_ground_bodies` evaluated last.
 
         Args:
             body: Name of the body.
@@ -427,9 +429,9 @@ _SAMPLE_TIME = 0.02
 
 _EQUAL_POSITION_ATOL = 1e-6
 """Tolerance of positions [m, rad] and activations with which two states count as equal in
-`record_contacts`. The contacts of equal states are computed only once. Chosen: if a foot of v3
-moves by 1e-6 m into MuJoCo's soft ground, its force changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of
-the weight."""
+`record_contacts`. A state that equals the state evaluated last reuses its contacts, except in the
+last second before the nudge. Chosen: if a foot of v3 moves by 1e-6 m into MuJoCo's soft ground, its
+force changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of the weight."""
 
 _EQUAL_SPEED_ATOL = 1e-5
 """Tolerance of velocities [m/s, rad/s] with which two states count as equal in `record_contacts`.

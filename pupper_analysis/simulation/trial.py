@@ -94,10 +94,10 @@ tuned."""
 
 _MIN_SATURATION_DEVIATION = 1e-3
 """Lower bound of the deviation of a joint [rad, m] that saturates the motor: (distance of the
-static torque from the effort limit) / kp. `is_near_limit` returns True for a smaller deviation: a
-small nudge saturates the motor, which then has no stiffness. Measured on a quadruped with 8.4 kg:
-with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the robot; at 7e-5 rad it does
-not."""
+static torque from the nearer effort limit) / kp. `saturates_after_nudge` returns True for a smaller
+deviation: a small nudge saturates the motor, which then has no stiffness. Measured on a quadruped
+with 8.4 kg: with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the robot; at 7e-5
+rad it does not."""
 
 _LIMIT_ATOL = 1e-6
 """Tolerance of joint positions [rad, m]. A joint rests on a limit if the distance from the limit is
@@ -228,7 +228,7 @@ def simulate_nudges(
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
         until_failure: Whether all simulations end once the earliest failure is known. If True,
-            ``failed_nudges`` is a lower bound.
+            ``failed_nudges`` is a lower bound. A later divergence, with time 0, is then not found.
 
     Returns:
         Whether the stand survives all nudges; otherwise the earliest failure, with its time [s].

@@ -110,9 +110,10 @@ small velocity of all coordinates). If the bound is reached, `verify_stand` repo
 does not stand still. Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Bound of the difference between settled and predicted joint position [rad, m]. A stand is
-verified only if the difference is smaller. Without feed-forward, the deadband by dry friction is
-added to the bound. Chosen, not tuned."""
+"""Bound of the difference between simulated and predicted joint positions [rad, m]. With
+feed-forward, a stand is verified only if all differences in the last second before the nudge are
+smaller. A posture without feed-forward is compared by mean positions, and the deadband by dry
+friction is added to the bound. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
 """Bound [1] of the relative differences of motor torques and of foot forces between simulation and
@@ -133,8 +134,9 @@ for the penetration of the feet. Chosen, not tuned."""
 
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
 """Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N]. If the ratio is
-larger, the two files describe different robots, which is a failure. The rounding of numbers in
-files causes 1e-6. Chosen, not tuned."""
+larger, the two files describe different robots. `verify_stand` reports this as the cause of
+deviations; the ratio alone is no failure. The rounding of numbers in files causes 1e-6. Chosen, not
+tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
 """Lever arm [m] in the lower bound of `torque_scale`: (robot weight) * (lever arm). Without a lower
@@ -392,7 +394,9 @@ def _evaluate_standing(
     *,
     has_light_foot: bool,
 ) -> tuple[list[Diagnostic], bool, bool]:
-    """Find the failures of standing: contacts, creep, and the response to the nudge.
+    """Find the failures of standing: motion, contacts, growing modes, and response to the nudge.
+
+    The creep of feet is evaluated only if the motion or the contacts are a failure.
 
     Args:
         robot: Robot.
@@ -550,7 +554,8 @@ def _nudge_duration(duration: float, nudged: float | None) -> float:
 
     Args:
         duration: Duration of the whole simulation [s].
-        nudged: Requested time after the nudge [s]; None for `NUDGED_FRACTION` of ``duration``.
+        nudged: Requested time after the nudge [s]; None for `NUDGED_FRACTION` of ``duration``, but
+            at least `MEASURING_TIME` remains before the nudge.
 
     Raises:
         ConfigurationError: If ``nudged`` is negative, or less than `MEASURING_TIME` is left before
@@ -725,13 +730,14 @@ def _compare_forces(
     Args:
         robot: Robot.
         prediction: Predicted static equilibrium.
-        forces: Simulated force of each foot and grip, shape (3,) [N].
-        normals: Contact normal of each foot, shape (3,) [1].
+        forces: Simulated force of each foot, weld and grip, shape (3,) [N].
+        normals: Lift-off direction of each foot, shape (3,) [1].
         force_scale: Smallest force by which an error is divided [N].
 
     Returns:
-        Predicted force of each foot and weld, shape (3,) [N]; largest relative error of the normal
-        forces of the feet and of the forces of the grips [1], None without feet and grips.
+        Predicted force of each foot, weld and grip, shape (3,) [N]. Largest relative error [1] of
+        the forces of feet along the lift-off direction, and of the force vectors of grips; None
+        without feet and grips.
     """
     predicted = robot.per_foot(prediction.contact_forces)
     errors = [
@@ -754,7 +760,7 @@ def _measure_foot_slip(
     Args:
         robot: Robot.
         drops: Displacement of each contact point, shape (3,) [m].
-        normals: Contact normal of each foot, shape (3,) [1].
+        normals: Lift-off direction of each foot, shape (3,) [1].
     """
     return {
         foot: max(
