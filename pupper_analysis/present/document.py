@@ -524,7 +524,7 @@ class Document:
         passed: True if the verdict is good; None without a verdict.
         verdict: Verdict in one or two words; None without a verdict.
         warned: True if the mark of the verdict is a warning instead of good or bad.
-        failures: Reasons against the verdict.
+        failures: Reasons of a bad verdict.
         findings: Requested number, limit or cause, and warnings.
         details: Further statements; a terminal prints these statements with -v only.
         brief: True if verdict and key figures are the answer. A terminal then prints tables and

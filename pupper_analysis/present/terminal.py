@@ -37,8 +37,9 @@ from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 100
 """Maximum width [characters] of the line of joined messages in a short answer. If the first message
-exceeds the width, the message ends at a clause, with "…". If a later message exceeds the width,
-this message and all messages after it are only counted. Chosen, not tuned.
+exceeds the width, the message ends at a clause, with "…"; without a suitable clause, the line is
+wider. If a later message exceeds the width, this message and all messages after it are only
+counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -247,8 +248,9 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 def _join_short_messages(messages: Sequence[Words]) -> Text:
     """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
 
-    The first message is always contained, if necessary only up to the end of a clause. If another
-    message does not fit, this message and all later messages are only counted.
+    The first message is always contained, if necessary only up to the end of a clause. If no clause
+    of the message is suitable (`_end_at_clause`), the line is wider. If another message does not
+    fit, this message and all later messages are only counted.
     """
     line, left = Text(), len(messages)
     for message in messages:

@@ -50,7 +50,7 @@ from pupper_analysis.simulation.verdict import (
 
 MAX_NAMED_JOINTS = 3
 """Largest number of added servos for which a message lists the names of the joints. For more
-servos, the message contains only their number. Chosen, not tuned.
+servos, the message contains the number of servos, but no names. Chosen, not tuned.
 """
 
 
@@ -80,7 +80,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
       no simulation of such a file has a meaning.
     - Statements about the simulation of the published file from a keyframe precede the statements
       about the prepared robot in two cases. In the first, the actuators of the file do not hold the
-      robot. In the second, the prepared robot stands, but not in the predicted equilibrium.
+      robot. In the second, the prepared robot stands, but not as predicted, and the published file
+      fails.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -488,7 +489,7 @@ def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
 
     If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
     is stated. The difference is the cause of the deviations of torques and forces. If the robot is
-    lifted, only the feet without load are stated.
+    lifted, only the feet without load are stated, if there are any.
     """
     failures = join_ground_touches(verdict.failures)
     if verdict.with_feedforward is Ending.LIFTED:

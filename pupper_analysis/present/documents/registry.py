@@ -55,9 +55,10 @@ of `shorten`, for example the size of a list or the shape of an array. Chosen, n
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    The cell contains the size or shape instead of a list, mapping or array in two cases:
+    The cell contains the size or shape instead of a list, mapping or array in three cases:
 
     - The value has more than `MAX_SHOWN_ENTRIES` entries.
+    - The value is an array with more than two dimensions.
     - The text of the value has more than `MAX_CELL_LENGTH` characters.
     """
     if hasattr(value, "phrase"):  # such as the description of a stand task

@@ -146,9 +146,9 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss of the base [mm] in the last second of a simulation.
 
-    The loss is the requested height ``task`` [m] minus the mean height. The property
-    ``run.height_loss`` is the mean over another second: the last second before the velocity
-    disturbance that tests stability.
+    The loss is the requested height ``task`` [m] minus the mean height. The attribute
+    ``run.height_loss`` is the mean over another second: the last second before the nudge, the
+    velocity disturbance that tests stability.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))

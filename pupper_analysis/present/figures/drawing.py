@@ -78,7 +78,7 @@ _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
 _DOT_ZORDER = 3.0
-"""Order in which Matplotlib draws a point: after lines, which have 2, such as those of the grid."""
+"""Order in which Matplotlib draws a point: after all lines (`_LINE_ZORDER`)."""
 _GRID_ZORDER = 0.5
 """Order in which Matplotlib draws a grid line: before bars, which have 1."""
 _LINE_ZORDER = 2.0
@@ -114,7 +114,7 @@ def write_plots(
 
     Raises:
         ConfigurationError: If there is no plot.
-        OutputError: If the file cannot be written.
+        OutputError: If the file cannot be written, or is an existing file of another kind.
     """
     if not plots:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
@@ -238,7 +238,8 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
     """Return the legend of a drawing as {text: class of the style sheet}.
 
-    If the drawing has a note, the note is the last entry, with an empty class.
+    An only entry that repeats a text of the drawing, such as the name of an axis, is omitted. If
+    the drawing has a note, the note is the last entry, with an empty class.
     """
     entries = {get_english(words): kind for words, kind in drawing.legend}
     words = {get_english(mark["words"]) for mark in drawing.marks if mark["tag"] == "text"}

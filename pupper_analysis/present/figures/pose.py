@@ -45,9 +45,9 @@ from numpy.typing import ArrayLike
 from pupper_analysis.robot.contact import foot_site
 
 _FINEST_CELLS, _COARSEST_CELLS = 64, 16
-"""Number of cells along the longest side of the base, in the first and in the last grid in which
-the vertices of its meshes are merged. Each further grid has 3/4 of the cells per side. Chosen, not
-tuned.
+"""Numbers of cells along the longest side of the base, in grids in which the vertices of the base's
+meshes are merged: number in the first grid, and lower bound in further grids. Each further grid has
+3/4 of the cells per side. Chosen, not tuned.
 """
 _MAX_BASE_FACES = 2500
 """Upper bound of the number of triangles of the base's meshes. With more triangles, the vertices
@@ -121,8 +121,8 @@ class Skeleton:
     The positions are computed by MuJoCo's kinematics of the MJCF.
 
     Attributes:
-        legs: {foot: points of shape (n, 3) [m], in the world frame}. The points are the joints from
-            the base to the foot, then the contact point of the foot. If the foot has a contact
+        legs: {contact point: points of shape (n, 3) [m], in the world frame}. The points are the
+            joints from the base to the foot, then the contact point. If the contact point has a
             sphere, the last point is the centre of the sphere.
         links: Lines of the limbs without feet, such as arms, each of shape (2, 3) [m], in the world
             frame: from a joint to the next joint, or to the frame of the last body.
@@ -292,7 +292,7 @@ def write_pose_figure(
         path: PNG file.
 
     Raises:
-        OutputError: If the file cannot be written.
+        OutputError: If the file cannot be written, or is an existing file of another kind.
     """
     drawing.save_figure(make_pose_figure(robot, stand, statics), path)
 
