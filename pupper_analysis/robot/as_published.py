@@ -82,9 +82,9 @@ with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v
 Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Displacement [rad, m] of a joint above which the joint has left the posture: of a robot with a
-fixed base (`OwnRun.has_left_posture`), or of a leg whose foot is lifted (`OwnRun.lifted_leg`).
-Chosen, not tuned."""
+"""Displacement [rad, m] above which the posture is lost. For a robot with a fixed base, it is the
+displacement of a joint (`OwnRun.has_left_posture`, `PublishedRun.collapses`). For a lifted leg, it
+is the norm over the joints of the leg (`OwnRun.lifted_leg`). Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):
@@ -256,10 +256,11 @@ class OwnRun(BodyMotion):
 
     @property
     def has_left_stance(self) -> bool:
-        """True if a standing robot does not fall, but ends in another stance than the initial one.
+        """True if a standing robot ends in another stance than the initial one; also after a fall.
 
         Either CoM and base have both travelled horizontally by more than half of the initial CoM
         height (``MAX_OWN_TRAVEL_RATIO``), or a leg has moved away from the ground (``lifted_leg``).
+        False if the simulation diverged.
         """
         if not self.standing or self.diverged:
             return False
@@ -381,7 +382,7 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """Worst simulation that deviates from the computed equilibrium; None if all agree.
+        """Worst simulation that deviates from the computed equilibrium; None if none does.
 
         A simulation with a collapse is worse than a simulation without a collapse. Otherwise, a
         simulation with feed-forward is worse than a simulation without feed-forward.

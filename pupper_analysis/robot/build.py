@@ -71,8 +71,8 @@ def build_robot(
 
     Args:
         description: Contents of the URDF and the MJCF, contact points and other data.
-        fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If True,
-            contacts with planes and height fields are disabled.
+        fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If a free base
+            is fixed, contacts with fixed planes and height fields are disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand (the stand of the
             default `StandTask`). The distance determines the height of the base in this stand. By
             default, the lowest foot touches the ground with the joint positions of ``Robot.home``.
@@ -83,7 +83,7 @@ def build_robot(
             - MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not valid.
             - The MJCF has a flexible body, a ball joint or no joint.
             - A joint of the URDF has no axis, is planar, or is floating within the tree.
-            - Both files have different joints.
+            - The joints of both files differ.
             - ``description.foot_geoms`` has no entry for a contact point, and the contact point is
               not the centre of a collision sphere.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
@@ -301,6 +301,7 @@ def _copy_armature(
 ) -> list[Diagnostic]:
     """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
+    The armature of a joint includes the armature of actuators at this joint (`joint_armature`).
     Returns notes about armature, and about effort limits (`report_efforts`). ``null`` is {joint:
     force range in the MJCF that permits no force}, for example ``forcerange="0 0"``. MuJoCo ignores
     such a range.
@@ -326,10 +327,10 @@ def _hash_properties(
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Return a hash (16 hex digits) that changes with each URDF property that affects stances.
+    """Return a hash (16 hex digits) of the kinematic and inertial properties of a robot.
 
-    The properties are kinematics and feet (rounded to 1 nm), inertias, position limits, names and
-    contact radii.
+    The properties are kinematics and feet (rounded to 1 nm), inertias and position limits of the
+    URDF, names of joints and contact frames, and contact radii.
     """
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
@@ -353,9 +354,10 @@ def _hash_properties(
 def _compile_mujoco_model(
     description: Description, fixed_base: bool
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
-    """Compile the MJCF; return model, qpos of the start pose, and notes of additions.
+    """Compile the MJCF; return model, qpos of the start pose, and notes on changes.
 
-    The start pose is the keyframe ``home``, otherwise the first keyframe, otherwise qpos0.
+    The start pose is the keyframe ``home``, otherwise the first keyframe. It is qpos0 if the MJCF
+    states no keyframe, or this keyframe no qpos.
     """
     spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
@@ -573,7 +575,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
     Raises:
         UnknownNameError: If the robot lacks a joint of ``efforts``, or a pattern matches no joint.
-        ConfigurationError: If an argument has another type, or a limit is below 1e-9 N m or N
+        ConfigurationError: If an argument has another type, or a limit is below 1e-6 N m or N
             (`MIN_EFFORT`) or not finite.
     """
     old_limits = {limit.joint: limit for limit in robot.efforts}

@@ -44,7 +44,8 @@ _RANK_RTOL = 1e-7
 """Singular value of the constraint Jacobian, relative to the largest singular value, above which an
 equation counts as independent. The redundant equation of a planar loop has a ratio of up to 1e-9 in
 files with rounded numbers. The value is also used as an absolute bound, below which entries of a
-constraint Jacobian and determinants (`Closure.has_reference_assembly`) count as zero."""
+constraint Jacobian and determinants (`Closure.has_reference_assembly`) count as zero. A
+configuration is singular if an eigenvalue of the scaled matrix A^T A is below the square."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -70,9 +71,9 @@ of the constraint. The factor is larger than 1, because the force is computed fo
 not for the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
-"""Step weight [1] of joints between base and feet, when Newton's method closes loops. Other joints
-have the weight 1. With a low weight, the feet stay near their initial positions. Chosen, not
-tuned."""
+"""Step weight [1] of joints that should stay in place when Newton's method closes loops. These are
+joints between base and feet, or joints with requested positions. Other joints have the weight 1.
+Chosen, not tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
@@ -369,13 +370,13 @@ class Closure:
             )
 
     def step_weights(self, placing: IntArray) -> Array:
-        """Return joint weights with which `close_loops` moves the feet only a little, shape (nu,).
+        """Return joint weights with which `close_loops` moves given joints only a little, (nu,).
 
-        The weights are in actuator order. Joints between base and feet have the low weight 0.01
+        The weights are in actuator order. The given joints have the low weight 0.01
         (``_FOOT_JOINT_MOBILITY``), other joints the weight 1.
 
         Args:
-            placing: Indices of the joints between base and feet.
+            placing: Indices of the given joints, for example of the joints between base and feet.
         """
         mobility = np.ones(len(self._joint_names))
         mobility[placing] = _FOOT_JOINT_MOBILITY

@@ -58,7 +58,7 @@ class GroundLaw:
     Attributes:
         stiffness: k [1/s^2].
         damping: b [1/s].
-        solimp: dmin, dmax, width [m], midpoint, power; within MuJoCo's bounds.
+        solimp: dmin, dmax, width [m], midpoint, power; from `clip_solimp`.
         normal: A [1/kg].
         tangential: A_t [1/kg]; infinite without friction.
         margin: Height [m] above the ground at which the contact begins. The penetration at this

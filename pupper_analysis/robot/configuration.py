@@ -100,7 +100,7 @@ class Configuration(Pictured):
         return f"<Configuration of {self.robot.name!r}: {base}, {self.robot.nu} joints, {moving}>"
 
     def _repr_html_(self) -> str:
-        """Return a table of base, joints and centre of mass, for notebooks."""
+        """Return an HTML table of base, joints, centre of mass and velocity, for notebooks."""
         from pupper_analysis.base.notebook import format_value, render_table
 
         robot = self.robot
@@ -788,7 +788,7 @@ class Configuration(Pictured):
         return (1 - self._structure.fixed) * moving
 
     def _compute_accelerations(self, qacc: ArrayLike) -> Workspace:
-        """Compute link velocities and accelerations for a qacc (nv,), in new Pinocchio data."""
+        """Compute link velocities and accelerations for a qacc (nv,), in separate data."""
         acceleration = self._structure.to_model_order(check_vector("qacc", qacc, self.robot.nv))
         workspace = self._structure.acquire_workspace()
         pin.forwardKinematics(self._model, workspace.data, self._q, self._v, acceleration)
@@ -898,7 +898,7 @@ class AtRest:
         return np.array(columns).T
 
     def _passive_forces(self) -> Array:
-        """Compute MuJoCo's passive joint forces at the present state, shape (nv,) [N, N m]."""
+        """Compute MuJoCo's passive generalised forces at the present state, (nv,) [N, N m]."""
         mujoco.mj_fwdPosition(self._model, self._data)
         mujoco.mj_fwdVelocity(self._model, self._data)
         forces: Array = self._data.qfrc_passive[self._convention.qvel_index]

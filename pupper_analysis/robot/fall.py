@@ -368,8 +368,9 @@ def initial_height(
     below 1 um (``_CONTACT_DISTANCE``). MuJoCo finds the contacts with fixed geoms within 5 cm
     (``_SEARCH_MARGIN``). A contact counts as ground if the vertical component ``normal_z`` of its
     unit normal exceeds 0.1 (``_MIN_UPWARD_NORMAL``). The step is ``min(distance / normal_z)`` over
-    these contacts, and at most 5 cm. Convex geoms do not penetrate in such a step. The clearance is
-    0 if no ground is found within 5 m (``MAX_CLEARANCE``).
+    these contacts (``distance * normal_z`` for a penetration), and at most 5 cm. Convex geoms do
+    not penetrate in such a step. The clearance is 0 if no ground is found within 5 m
+    (``MAX_CLEARANCE``).
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during

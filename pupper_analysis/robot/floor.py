@@ -1,6 +1,6 @@
 """Ground plane of an MJCF: search, levelling, and disabling of its contacts.
 
-The functions modify a spec in place. Prepared robots have a level floor at z = 0: a tilted or
+Changes of a spec are made in place. Prepared robots have a level floor at z = 0: a tilted or
 raised floor is replaced, and a missing floor is added. For exceptions see `level_ground`.
 """
 
@@ -40,7 +40,8 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
     """Make a level floor the only level plane of the world body that collides, in place.
 
-    The contact bits of the other planes are added to the bits of the floor, and are then cleared.
+    The contact bits of the other level planes, at any height, are added to the bits of the floor.
+    The bits of these planes are then cleared.
 
     Args:
         spec: MJCF to modify.
@@ -88,8 +89,8 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    - A floor at z = 0 is kept. A tilted, higher or lower floor, or a floor on another fixed body,
-      is replaced by a level floor at z = 0. A missing floor is added.
+    - A level floor at z = 0 is kept. A tilted, higher or lower floor, or a floor on another fixed
+      body, is replaced by a level floor at z = 0. A missing floor is added.
     - If no plane can collide, the first plane of the world body is the floor, and is not changed.
     - Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps
       are part of the task. Level planes of the world body at z = 0 are excepted.

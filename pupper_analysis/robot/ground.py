@@ -1,7 +1,7 @@
 """Ground of a stand: a sloped plane, steps on it, and planes or bars under individual feet.
 
 Input: slope, uphill direction and step heights of a task, and the planes of individual feet.
-Output: height, normal and nearest ground point for each foot, and the boxes and cylinders that
+Output: height, normal and ground point for each foot, and the boxes and cylinders that
 represent the steps in MuJoCo's model.
 """
 
@@ -50,7 +50,7 @@ class Step(NamedTuple):
             face, or the axis of a bar.
         round: Whether the step is a bar: a cylinder in the box with the half sizes ``half``.
         height: Height [m] of the top above the plane of the ground, negative for a pit. 0 for a
-            separate plane or bar under a foot that is not on a step.
+            bar, and for a separate plane under a foot without a step.
     """
 
     centre: Array
@@ -179,6 +179,7 @@ class Ground:
         - Step with height h > 0: the box stands on the ground.
         - Step with height h < 0 (pit): the top of the box is the bottom of the pit, at height h.
         - Separate plane: the top of the box is in the plane. The box is half as thick as wide.
+        - Bar: a cylinder with the radius and direction of the bar.
 
         A box extends 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot. The
         thickness of the box of a step is abs(h) times the cosine of the slope.
@@ -269,7 +270,7 @@ def _check_slope(name: str, value: float) -> float:
     """Check a slope angle [rad] in [0, pi/2), and return it as a float.
 
     Raises:
-        ConfigurationError: If the angle is out of range.
+        ConfigurationError: If the angle is out of range, or no finite number.
     """
     angle = check_finite(name, value)
     if not 0 <= angle < math.pi / 2:

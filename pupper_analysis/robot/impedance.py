@@ -77,8 +77,8 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
     """Return the impedance d of a soft constraint, and the derivative of d by abs(violation).
 
-    d changes from dmin at zero violation to dmax at the violation ``width``. If ``width`` is zero
-    or less, d is the mean of dmin and dmax.
+    d changes from dmin at zero violation to dmax at the violation ``width``. If ``width`` is at
+    most 1e-15 (``mjMINVAL``), d is the mean of dmin and dmax.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 

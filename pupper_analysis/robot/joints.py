@@ -286,12 +286,12 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
 
     1. The keyframe ``keyframe``, if given.
     2. The keyframe ``home``, or the first keyframe if there is no ``home``, if the positions are
-       within the joint ranges.
+       within the joint ranges, up to rounding.
     3. The middle of each joint range. If a limit is infinite, the position in the range nearest to
        zero.
 
-    Positions that exceed a limit by less than 1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped.
-    Loops are not closed.
+    A keyframe without qpos is ignored. Positions of a keyframe that exceed a limit by less than
+    1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.

@@ -593,7 +593,7 @@ class Robot(EngineModels):
         None in three cases (`find_closure`):
 
         - no active equality constrains the robot's joints,
-        - the MJCF disables constraints,
+        - the MJCF disables constraints or equalities,
         - an equality couples a free base to the world.
         """
         robot = self.before_servos

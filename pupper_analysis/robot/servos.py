@@ -194,7 +194,8 @@ def model_with_servos(
     """Create a copy of the robot's MuJoCo model in which position servos drive the joints.
 
     The force ranges of the servos are narrowed to the robot's effort limits. If kp or kd is given,
-    all joint motors become position servos with the resulting gains.
+    all joint motors become position servos with the resulting gains. A motor that was no servo then
+    loses its ``ctrlrange``.
 
     Args:
         robot: Robot.

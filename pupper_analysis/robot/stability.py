@@ -42,8 +42,8 @@ steps. Chosen, not tuned."""
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
 differences. With the default of 1e-8, the solver sometimes ends an iteration earlier on one side of
-a difference; an element of the matrix then deviates by 0.03 (measured). The tolerance of the model
-is changed temporarily, because copying a humanoid with meshes would be slow."""
+a difference; an element of the matrix then deviates by 0.03 (measured). `step_derivative` changes
+the model temporarily, because copying a humanoid with meshes would be slow."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value

@@ -35,8 +35,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
     The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
     the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
-    own, the parameters come from `Robot.contacts`. Other planes of the world no longer collide
-    (`merge_planes`).
+    own, the parameters come from `Robot.contacts`. Other level planes of the world body no
+    longer collide (`merge_planes`).
 
     These collisions are disabled:
 

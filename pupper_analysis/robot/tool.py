@@ -3,7 +3,7 @@
 Input: the name of a frame of either file, or a position in such a frame. `find_tool` and
 `find_place` return a `Tool` with link, offset and the joints that move the point. `with_payload`
 returns a robot with a point mass at the point in both models. By default, the tool is the link at
-the end of the longest chain of joints.
+the end of the longest chain of joints, or the link that carries the fingers at this end.
 """
 
 from __future__ import annotations
@@ -180,15 +180,17 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
 MAX_DISTANCE_RATIO = 10.0
 """Largest distance of a point from the origin of its frame, relative to the robot's size
 (`measure_size`) [1]. A point that is farther away is rejected as a length in mm: from 1 % of the
-size, a coordinate in mm exceeds the bound. Chosen, not tuned: no payload is carried at a distance
-of ten sizes."""
+size, a coordinate in mm exceeds the bound. The error about an unreachable posture also compares the
+residual of a task with this bound. Chosen, not tuned: no payload is carried at a distance of ten
+sizes."""
 
 
 def measure_size(robot: Robot) -> float:
     """Return the largest distance [m] of a point of the robot from the origin of its base.
 
-    The joints are in the neutral configuration. The points are origins and CoMs of the bodies, and
-    the bounding spheres of the geoms. The result is computed once for each robot.
+    The joints are in the neutral configuration. The points are origins and CoMs of the moving
+    bodies, and the bounding spheres of the geoms of these bodies. The result is computed once for
+    each robot.
     """
     return robot.compute_once(_compute_size)
 

@@ -56,7 +56,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
       it.
 
-    The result is ``robot`` itself if no change is required, for example without contacts.
+    The contacts replace the contacts of an earlier task. The result is ``robot`` itself if no
+    change is required, for example if neither ``robot`` nor the task has contacts.
 
     Args:
         robot: Robot, which may already be the result of this function.
@@ -309,7 +310,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 _PROBE_RADIUS = 1e-4
 """Radius [m] of a small sphere at the contact point of a hand. It is used to compute the depth of
 the point inside the collision shapes, because the collision library (coal) requires a body with a
-volume. Chosen, not tuned."""
+volume. A point counts as inside a shape if its depth is larger. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
 """Default radius [m] of the contact sphere of a hand (a touching part other than a foot). It is

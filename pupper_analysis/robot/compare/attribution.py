@@ -67,10 +67,10 @@ def explain_differences(
     conventions: Conventions | None = None,
     unstated: Mapping[str, Collection[str]] | None = None,
 ) -> Explanation:
-    """Find all differences between URDF and MJCF of a robot, and their effects on the dynamics.
+    """Find the differences between URDF and MJCF of a robot, and their effects on the dynamics.
 
-    1. Values of both trees are compared body by body. The effect of a different value is evaluated
-       by applying this difference alone to the URDF's model.
+    1. Values of both trees are compared body by body, with the tolerances. The effect of a
+       different value is evaluated by applying this difference alone to the URDF's model.
     2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated by
        enabling it in a MuJoCo model without the other listed elements.
     3. All differences of values are applied to the URDF's model. It must behave as the MJCF without

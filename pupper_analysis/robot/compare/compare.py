@@ -74,7 +74,7 @@ from pupper_analysis.robot.shapes import may_touch
 CONTACT_HEIGHT_ATOL = 2e-4
 """Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m].
 Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
-Chosen, not tuned."""
+Also the distance up to which two geoms of a foot count as at the same place. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
@@ -177,7 +177,8 @@ def _collect_limb_shapes(
 
     Returns:
         Shapes of the URDF, and shapes of the MJCF, each with its place in the file. None if the
-        shapes cannot be compared: a link or the extent of a shape is unknown, or an extent is 0.
+        shapes cannot be compared: a link or the extent of a shape is unknown, or a shape of
+        the URDF has no extent.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
@@ -717,7 +718,8 @@ def _explained_fraction(explanation: Explanation) -> float:
     """Compute how much of the largest dynamic deviation the differences explain, from 0 to 1.
 
     The fraction is 1 - residual / deviation. The residual is the deviation after all differences
-    are removed. Both numbers are the largest of all quantities.
+    are removed. Both numbers are the largest of all quantities. If the deviation is at most 1e-9
+    (``MAX_RESIDUAL``), the result is 1, or 0 if the residual is larger.
     """
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)

@@ -51,7 +51,7 @@ GEOMETRY_KINDS = (*INERTIAL_KINDS, "position", "rotation", "axis", "frame")
 """Kinds of differences in bodies, joint placements and frames."""
 
 LIMIT_KINDS = ("lower limit", "upper limit", "effort")
-"""Kinds of differences in limits of joints and motors."""
+"""Kinds of differences in position limits of joints and effort limits of motors."""
 
 SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
 """Kinds of differences in servo gains: kp, kd."""

@@ -39,9 +39,9 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
 """Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] by an
-assumed displacement of the base frame. A displacement that explains the whole deviation is accepted
-if the decrease is larger. A displacement that leaves less than 60 % of the deviation is accepted in
-any case. Chosen, not tuned."""
+assumed displacement of the base frame. The size of the displacement [bits] counts as deviation. A
+displacement that explains the whole deviation is accepted if the decrease is larger. A displacement
+that leaves a total below 60 % of the deviation is accepted in any case. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the
@@ -83,8 +83,9 @@ def find_conventions(
         first: Tree of the URDF, expressed in its base frame.
         second: Tree of the MJCF, expressed in its base frame.
         tolerances: Tolerances of the comparison.
-        fixed: Whether the base is fixed. The frame of a fixed base is no property of the robot: a
-            rotation by quarter turns is then accepted even if it explains little of the deviation.
+        fixed: Whether the base is fixed. The frame of a fixed base is no property of the robot. A
+            rotation by quarter turns that explains the whole deviation is then accepted, even if
+            this deviation is small.
     """
     base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
@@ -206,7 +207,7 @@ def _find_base_pose(
         Pose. None in each of these cases:
 
         - No joint is on the base, or the joints on the base do not correspond.
-        - A joint has the same placement in both trees: the base frames are equal.
+        - A joint and its body agree in both trees: the base frames are equal.
         - Exchanged names of limbs explain the deviation: the joints on the base coincide under
           other names, and the base bodies are equal only without the pose. (A half turn about x
           exchanges left and right, too.)
@@ -380,6 +381,8 @@ def apply_conventions(
     root: etree._Element, link: str, conventions: Conventions, first: MultibodyTree
 ) -> None:
     """Convert a URDF to the base frame and the joint zeros of the MJCF, in place.
+
+    Shapes of the root link keep their placement in the link.
 
     Args:
         root: Root element of the URDF; modified.

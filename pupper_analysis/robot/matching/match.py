@@ -313,10 +313,10 @@ def match_models(
 ) -> Match:
     """Match a URDF and an MJCF of the same robot, and build a robot with equal names from both.
 
-    Joints and frames are matched by ``names``, by equal names, and by structure. Massless root
-    links, and a floating joint at the base, are removed from the URDF. Joints that only one file
-    contains are fixed at zero. If the base of the MJCF is fixed, the base of the URDF is fixed as
-    well.
+    Joints are matched by ``names``, by equal names, by names without affixes, and by structure.
+    Frames are matched by ``names`` and by equal names. Massless root links, and a floating joint at
+    the base, are removed from the URDF. Joints that only one file contains are fixed at zero. If
+    the base of the MJCF is fixed, the base of the URDF is fixed as well.
 
     Args:
         urdf: The URDF.
@@ -401,7 +401,7 @@ class _PreparedTrees(NamedTuple):
     """Trees of both files with only the robot's links and joints, before the joints are matched.
 
     Attributes:
-        root: Root element of the URDF (a copy), without joints other than hinges and slides.
+        root: Root element of the URDF (a copy), in which all joints are fixed, hinges or slides.
         spec: Spec of the MJCF (a copy), without other objects and ball joints.
         mjcf_tree: Joints and links of ``spec``.
         scene_model: Compiled MJCF, with the objects and joints that ``spec`` lacks.
@@ -477,9 +477,10 @@ def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _Pre
 
 
 def _choose_values_model(mjcf: MjcfFile, trees: _PreparedTrees) -> mujoco.MjModel:
-    """Return the model with the MJCF's values: of the scene if the base was joined, else a copy.
+    """Select the compiled model with the MJCF's values: scene if the base was joined, else file.
 
-    `copy_unknown_values` changes the model, so the model of the file itself is copied.
+    `copy_unknown_values` changes the model. If the file states unknown values, the model of the
+    file is therefore copied.
     """
     if trees.is_base_joined:
         return trees.scene_model

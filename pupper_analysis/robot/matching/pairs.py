@@ -133,7 +133,7 @@ def match_without_affixes(
 
     Words with which most names of a file begin or end are removed, and so are words such as
     ``joint``. Upper and lower case, and separators, are ignored. Names match if the remaining words
-    are equal, and unique in each file.
+    are equal, and unique among the unmatched names of each file.
 
     Args:
         mine: Names in the URDF.
@@ -210,7 +210,7 @@ Only joints with parallel axes are matched by position. Chosen, not tuned."""
 
 _MAX_RELATIVE_DISTANCE = 0.25
 """Maximum distance between two joints that may be matched by position, relative to the largest
-distance of a joint from the base [1]. Chosen, not tuned."""
+distance of a joint of the URDF from its base [1]. Chosen, not tuned."""
 
 
 def common_frames(
