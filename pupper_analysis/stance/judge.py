@@ -44,8 +44,8 @@ _ERROR_BY_CONSTRAINT = {
     "com-place": "com_error",
     "base-place": "com_error",
 }
-"""{name of a constraint: attribute of `Stand` that contains its violation}. The violations of all
-other constraints are in ``foot_error``."""
+"""{name of a constraint: attribute of `Stand` that contains its violation}. The violations of other
+constraints, except clearances and the CoM margin, are in ``foot_error``."""
 
 
 _UNPICKLED = ("_statics", "_robot")

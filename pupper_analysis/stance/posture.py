@@ -84,8 +84,8 @@ def find_posture(
 
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
     their ranges. If a limit is infinite, the position is zero, or the limit that is nearest to
-    zero. Joints of loops and couplings that are not given move to close loops.
-    If a joint then leaves its range, only the dependent joints move.
+    zero. Joints of loops and couplings that are not given move to close loops. If a joint then
+    leaves its range, only dependent joints that are not given move, if this keeps all ranges.
 
     Args:
         robot: Robot with a fixed base.

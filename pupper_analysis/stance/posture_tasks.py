@@ -362,7 +362,7 @@ class JointsTask(PostureTask):
         return max(gaps, default=0.0)
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the required joint positions [rad, m] to a solver."""
+        """Add PlaCo's soft task for the target joint positions [rad, m] to a solver."""
         task = solver.add_joints_task()
         task.set_joints(dict(self.positions))
         task.configure("joints", "soft", weight)

@@ -199,7 +199,7 @@ class StandTargets:
         """Targets of the contact points without penetration, to locate the ground below the feet.
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. Without
-        separate planes of feet, these are the ``targets``. If a foot has a separate plane, the
+        separate planes of feet, these are the ``foot_targets``. If a foot has a separate plane, the
         penetration of all stance feet is removed from the targets (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)

@@ -274,7 +274,7 @@ class _RelaxationSearch:
 
         If the rounded task has no stand, the relaxation is increased (`_EXTRA_RELAXATIONS`). None
         if ``relaxation`` is None, if no requirement is relaxed by more than `_MIN_RELAXATION`, or
-        or if no rounded task has a stand. Values close to zero are rejected, too
+        if no rounded task has a stand. Values close to zero are rejected, too
         (`_is_degenerate`).
         """
         if relaxation is None:

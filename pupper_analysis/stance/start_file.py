@@ -143,7 +143,7 @@ def _find_positions(content: Any) -> tuple[_Positions, str]:
 
 
 def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield all mappings in the content of a JSON file, with nested mappings, top level first."""
+    """Yield the mapping in a JSON file and its nested mappings, top level first, without lists."""
     level = [content]
     while level:
         tables = [one for one in level if isinstance(one, Mapping)]

@@ -268,7 +268,7 @@ def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
 
 
 _CONVERTED_KINDS = ("contact", "position")
-"""Kinds of fields whose values `Field.check_value` converts to other types."""
+"""Kinds of fields whose values `Field.check_value` converts to `Contact`, `Weld` or `Position`."""
 
 _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 """Fields of ``fields.toml`` that are attributes of `StandTask`. All other fields are attributes of

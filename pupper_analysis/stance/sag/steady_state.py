@@ -57,7 +57,7 @@ this is 3 mm. Measured: soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the feet that slide in an equilibrium: friction is saturated at all loaded points.
+    """Find the stance feet that slide in an equilibrium: friction is saturated at loaded points.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
     leg is no longer twisted. A sole with several points whose slip is at most `MAX_PIVOT_RATIO`
@@ -728,7 +728,7 @@ def find_sag_failure(
 
     - the path of equilibria has no start, or ends while feed-forward is removed
       (`NoEquilibriumError`),
-    - a free base sinks to half of the stand's base height or less,
+    - a free base without weld or grip sinks to half of the stand's base height or less,
     - the result of `steady_state` has failures.
 
     Args:

@@ -36,10 +36,10 @@ from pupper_analysis.stance.sag.steady_state import (
 from pupper_analysis.stance.stand import Stand
 
 HIGHEST_KP = 2500.0
-"""Upper bound of the servo stiffness kp that `minimum_stiffness` tests, in units of
-`EquilibriumScales.stiffness` (robot weight x height). If the robot does not stand with any tested
-kp up to this bound, NoStiffnessError is raised. For Pupper v3 the bound is 1,600 times the kp of
-its servos (5 N m/rad). Chosen, not tuned."""
+"""Upper bound of the servo stiffness kp up to which `minimum_stiffness` searches a bracket, in
+units of `EquilibriumScales.stiffness` (robot weight x height). If the robot does not stand with any
+tested kp up to this bound, NoStiffnessError is raised. For Pupper v3 the bound is 1,600 times the
+kp of its servos (5 N m/rad). Chosen, not tuned."""
 
 _FIRST_KP = 4.0
 """First servo stiffness kp that `minimum_stiffness` tests, in units of
@@ -47,9 +47,9 @@ _FIRST_KP = 4.0
 units. Smaller values take longer, since the feed-forward is then removed in many steps."""
 
 _LEAST_KP = 1 / 4096
-"""Lower bound of the servo stiffness kp that `minimum_stiffness` tests, in units of
-`EquilibriumScales.stiffness` (robot weight x height). A robot that stands with this kp, for example
-on straight legs, needs no servos. Chosen, not tuned."""
+"""Lower bound of the servo stiffness kp down to which `minimum_stiffness` searches a bracket, in
+units of `EquilibriumScales.stiffness` (robot weight x height). A robot that stands with this kp,
+for example on straight legs, needs no servos. Chosen, not tuned."""
 
 _LEAST_STEP = 0.1
 """Smallest step of ln(kp) with which an equilibrium is continued to another kp. A failed step is
