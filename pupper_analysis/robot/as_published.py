@@ -192,8 +192,10 @@ class OwnRun(BodyMotion):
         commands: Commands of the actuators.
         limp: Whether most joints have no servo and no command: a torque motor, or no actuator.
         worst: Joint with the largest displacement; None if the simulation diverged.
-        unheld: Joint without servo with the largest displacement, in a robot with servos. None if
-            no such displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
+        unheld: Joint with the largest displacement among the joints that neither a servo nor a
+            coupling holds. None if no such displacement exceeds 0.05 rad or m
+            (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have a servo, or if the
+            simulation diverged.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions.
         standing: Whether the robot stands on the ground. If False, the base is fixed.
@@ -314,8 +316,8 @@ class PublishedRun:
             diverged. For a fixed base, whether a joint has left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
-        worst_joint: Joint with the largest displacement if the robot collapses; otherwise the joint
-            with the largest torque deviation.
+        worst_joint: Joint with the largest displacement if the robot collapses or has no actuators;
+            otherwise the joint with the largest torque deviation.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
     """
 

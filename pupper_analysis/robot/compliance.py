@@ -186,7 +186,7 @@ class GroundLaw:
                 if abs(x - previous) <= _STEP_RTOL * previous:
                     return start + x
         high = 2 * linear
-        while self.force(start + high) < force:  # the stiffness falls with the penetration
+        while self.force(start + high) < force:  # the stiffness may fall with the penetration
             high *= 2
         # x is the penetration plus the margin.
         low, x, previous = 0.0, linear, math.inf
