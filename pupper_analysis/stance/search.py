@@ -293,7 +293,7 @@ class _StandSearch:
 
     @cached_property
     def _is_underactuated(self) -> bool:
-        """Whether a sole is on a leg with fewer than six joints, which cannot lay the sole flat."""
+        """Whether a sole is on a leg with fewer than six joints, which may tilt the sole."""
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
