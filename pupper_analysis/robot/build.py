@@ -257,6 +257,9 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
         built: Rebuilt robot; its files contain the contact geometry of the task.
         robot: Original robot, whose fingerprint (key for caches) is kept.
         touching: {foot or other part: contact settings of this part}.
+
+    Returns:
+        Copy of ``built``, in which hands are the last entries of ``feet``.
     """
     hands = {name for name, properties in touching.items() if properties.offset is not None}
     feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # hands last

@@ -418,6 +418,9 @@ def find_bodies_near_world(
 ) -> set[int]:
     """Return the ids of moving bodies whose distance from a fixed geom is below a margin.
 
+    Only geoms that can collide are compared. A body that is fixed to a moving body counts as this
+    moving body.
+
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
             the call.

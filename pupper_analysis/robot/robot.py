@@ -706,6 +706,8 @@ class Robot(EngineModels):
     def _select_positions(self, values: Array, unbounded: float) -> Array:
         """Select the joints' position limits (nu,) from a vector in the order of Pinocchio's q.
 
+        Values from 1e9 up (``UNSTATED``) count as unlimited and become infinite.
+
         Args:
             values: Limits, shape (pin_model.nq,) [rad, m].
             unbounded: Value for continuous joints, for which Pinocchio's model has no limit.
