@@ -134,7 +134,7 @@ def _is_real_number(value: object) -> bool:
 
 
 def _contains_boolean(values: object) -> bool:
-    """Return True if a list or tuple, also nested, contains a Boolean or an array of Booleans."""
+    """Return True for a Boolean or an array of Booleans, also inside nested lists and tuples."""
     if isinstance(values, list | tuple):
         return any(map(_contains_boolean, values))
     if isinstance(values, np.ndarray):
@@ -258,7 +258,7 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     Only types are checked; the function itself must check the values, and the parts listed below.
     Elements of sequences and arrays and keys of mappings are checked. Not checked are values of
-    mappings, elements of sets and iterators, defaults, and the arguments of ``*args``.
+    mappings, elements of sets and iterators, defaults, and arguments of ``*args`` and ``**kwargs``.
     `_make_type_test` accepts any value for some type hints, for example arrays, tuples, literals,
     and unions with an enum.
 
@@ -362,7 +362,7 @@ _REMEDIES = {
     "Stand": "pa.solve_stand (or posture.stand of a solved posture)",
     "StandTask": "pa.StandTask(height=0.12)",
 }
-"""{name of a required class: text that names functions which return an object of this class}."""
+"""{name of a required class: text that describes how to obtain an object of this class}."""
 
 _UNION_CODES = {"UrdfObject": "no-robot", "Tool": "no-frame-point"}
 """{name of a class in a union: code of the message that lists all types of the union}, for unions

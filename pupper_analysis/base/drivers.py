@@ -41,7 +41,9 @@ class _MuJoCoFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find ``mujoco``, and let `_MuJoCoLoader` import it; None for other modules.
+        """Find ``mujoco``, and let `_MuJoCoLoader` import it.
+
+        None for other modules, and if MuJoCo is not installed.
 
         The signature is that of ``importlib.abc.MetaPathFinder.find_spec``.
         """

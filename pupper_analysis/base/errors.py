@@ -87,7 +87,7 @@ class VariantError(PupperAnalysisError):
 
     Attributes:
         field: Argument (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``), or both
-            scales if only their combination is invalid.
+            scales if each scale is accepted, but no valid model can be derived.
         value: Invalid value.
     """
 
@@ -144,8 +144,8 @@ number of joints of a quadruped with four joints per leg."""
 
 NUM_CLOSE_NAMES = 5
 """Number of valid names that the message of `UnknownNameError` lists if there are more than
-`MAX_LISTED_NAMES`. These are the names that are most similar to the unknown name. Chosen, not
-tuned.
+`MAX_LISTED_NAMES`. `UnknownNameError` describes the order, of which these names are the first.
+Chosen, not tuned.
 """
 
 
@@ -162,9 +162,9 @@ class UnknownNameError(ModelError):
     """Name that a model, or another list of valid names, does not contain.
 
     The message lists first the valid names that contain the unknown name, then the valid names
-    whose words are all in the unknown name. If the list is too long, the names that are most
-    similar by edit distance follow, and the number of the omitted names; otherwise all other names
-    follow.
+    whose words are all in the unknown name, then other names. Of more than `MAX_LISTED_NAMES` valid
+    names, the other names are the most similar by `difflib`. The message then lists the first
+    `NUM_CLOSE_NAMES` of this order, and the number of the omitted names.
 
     Args:
         source: File or model.
@@ -213,8 +213,8 @@ def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
 
     1. Names that contain the unknown name, such as ``FR_foot_collision`` for ``FR_foot``.
     2. Names whose words are all in the unknown name, such as ``FR`` for ``FR_foot``.
-    3. Other names. Of more than `MAX_LISTED_NAMES` valid names, the most similar name by edit
-       distance (`difflib`) is first.
+    3. Other names. Of more than `MAX_LISTED_NAMES` valid names, only the `NUM_CLOSE_NAMES` most
+       similar names (`difflib`) are returned, the most similar first.
     """
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))
@@ -255,7 +255,8 @@ class StanceUnreachableError(PupperAnalysisError):
     Attributes:
         shortfall: {foot or contact point: remaining distance [m] to the target}, for each target
             that is not reached.
-        at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
+        at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found,
+            without joints whose positions the task prescribes.
         possible: {requirement: diagnostic of its feasible value}. A requirement is a value that the
             task prescribes, such as the height. An entry alone makes the task feasible. If no
             single requirement suffices, the keys are small sets of requirements that must be
@@ -266,7 +267,8 @@ class StanceUnreachableError(PupperAnalysisError):
             is empty, or if the stand was not requested.
         blocked: Diagnostics of obstacles other than foot errors: for example a part in the ground,
             parts too close to each other, a CoM too close to the edge of the support, loops that
-            stay open, or motors at a dead point.
+            stay open, or motors at a dead point. If a foot misses its target, only a dead point is
+            included.
         lacks: Diagnostic of a property that the robot lacks; None if unknown.
     """
 

@@ -22,7 +22,7 @@ def make_lazy_exports(
 
     The stub contains ``from .module import name as name``, or ``from . import module as module``.
     For a module with another name, the stub contains ``from . import module as _module`` and
-    ``name = _module``. Names of missing modules, and of tools without a folder, are left out.
+    ``name = _module``. Names from missing modules, and tools without a folder, are left out.
 
     Args:
         package: ``__name__`` of the package.
@@ -64,7 +64,7 @@ def make_lazy_exports(
     def list_names() -> list[str]:
         """Return the names that the stub (``.pyi`` file) exports, and the special names, sorted.
 
-        Names of missing modules, and of tools without a folder, are left out. Special names are the
+        Names from missing modules, and tools without a folder, are left out. Special names are the
         attributes of the package that begin with two underscores.
         """
         special = [name for name in vars(sys.modules[package]) if name.startswith("__")]

@@ -236,7 +236,8 @@ def _check_replaceable(
 
     Raises:
         OutputError: If a non-empty file has a content that the kind does not permit to replace.
-            Also if the run has read the file, except for a kind that is edited in place.
+            Also if the run has read the file. Exception: the kind is edited in place, and the file
+            is of this kind or empty.
         OSError: If a non-empty file cannot be read.
     """
     run = current_run()
@@ -349,6 +350,7 @@ def _write_output(writing: Writing) -> None:
 
     Raises:
         OutputError: If an existing file must not be replaced, or a regular file cannot be written.
+            Also if the parent process has closed standard output.
         OSError: If standard output, a pipe or a device cannot be written, or the path cannot be
             accessed.
     """
@@ -425,9 +427,9 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
     """Write several files completely, or change none of the files.
 
     Before the first file is replaced, all new contents are on disk, and the old files have second
-    names (hard links). Each file is then replaced by a rename. The earlier replacements are undone
-    if a replacement fails or the process is interrupted. If the process is killed, each file has
-    either the old or the new content.
+    names (hard links, otherwise copies). Each file is then replaced by a rename. The earlier
+    replacements are undone if a replacement fails or the process is interrupted. If the process is
+    killed, each file has either the old or the new content.
 
     Args:
         writings: Files to write. Existing files keep the mode, and the owner if permitted. New
@@ -530,7 +532,10 @@ class _StagedFile:
         )
 
     def _check_unchanged(self) -> None:
-        """Raise OutputError if the file's content is not the expected `Writing.before`."""
+        """Raise OutputError if the file's content is not the expected `Writing.before`.
+
+        If the file is missing or cannot be read, an OSError is raised.
+        """
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))

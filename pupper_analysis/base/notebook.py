@@ -20,16 +20,17 @@ from pupper_analysis.base.diagnostics import Diagnostic, format_number
 from pupper_analysis.base.units import units_of
 
 MAX_SHOWN_NUMBERS = 12
-"""Largest number of elements of an array that a table cell shows. Chosen: number of joints of a
-quadruped with three joints per leg."""
+"""Largest number of elements of an array, or of a sequence of numbers and names, that a table cell
+shows on one line. Chosen: number of joints of a quadruped with three joints per leg."""
 
 MAX_SHOWN_ROWS = 12
 """Largest number of entries of a mapping or a sequence that a table cell shows. Each entry is a
-line. Chosen: number of joints of a quadruped with three joints per leg."""
+line. Also the largest number of fields of a result whose nested tables are unfolded. Chosen: number
+of joints of a quadruped with three joints per leg."""
 
 MAX_TEXT_LENGTH = 200
-"""Largest number of characters of the text of a nested object; a longer text is cut off. Chosen,
-not tuned."""
+"""Largest number of characters of the text of a nested object. A longer text is cut off; a field
+that is a result with a longer text is shown as a table. Chosen, not tuned."""
 
 NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""

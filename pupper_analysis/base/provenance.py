@@ -56,7 +56,7 @@ class Provenance:
     def lines(self) -> tuple[str, ...]:
         """Return the provenance as lines of text for a page, with shortened hashes.
 
-        At most `_MAX_LISTED_FILES` input files are listed.
+        The lines do not contain ``request``. At most `_MAX_LISTED_FILES` input files are listed.
         """
         versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         files = [f"{name} sha256:{digest[:12]}" for name, digest in self.files.items()]

@@ -142,7 +142,8 @@ class Result:
             Axes of the panels.
 
         Raises:
-            ConfigurationError: If the result has no plot, or the robot is missing.
+            ConfigurationError: If the result has no plot, or the robot is missing or not the robot
+                of the result.
             StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
         """
         # By name, because ``present`` is a higher layer, which imports this module.

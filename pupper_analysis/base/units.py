@@ -37,8 +37,8 @@ UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     # Kitchen scales show kilograms: 1 kg is the weight of 1 kg on Earth.
     "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
 }  # fmt: skip
-"""{quantity: {accepted unit: factor to SI}}. If a value has no unit, the first unit of the quantity
-applies."""
+"""{quantity: {accepted unit: factor to SI}}. A value without unit is in SI units: a position in rad
+or m by the type of joint."""
 
 READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (math.degrees(1.0), "deg"),

@@ -59,8 +59,9 @@ SI unit."""
 def format_number(value: float, spec: str) -> str:
     """Format a number by a Python format specification such as ``".3g"``, mostly without exponent.
 
-    - Absolute values from 1e-6 to below 1e9 are written without exponent; a width in the
-      specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``.
+    - Absolute values from 1e-6 to below 1e9 are written without exponent. If Python would write an
+      exponent, a width in the specification is ignored. Exceptions are the formats ``e``, ``E``
+      and ``G``.
     - A negative number that is rounded to zero is written without minus sign.
     - With ``%``, the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
       Percentages from 1e-6 % to below 1e11 % are written without exponent.
@@ -163,6 +164,9 @@ class Quantity:
         - ``"mm:.1f"`` converts to mm.
         - ``".3g"`` uses deg for angles, and the SI unit otherwise.
         - ``":.3g"`` omits the unit of ``".3g"``; an angle is still in deg.
+        - ``"read:.3g"`` uses deg for rad, and mm for m; ``"stated:.3g"`` uses the SI unit.
+
+        Without a number format, the format is ``.4g``.
 
         Raises:
             KeyError: If the unit is not in `_UNIT_FACTORS`.
