@@ -90,9 +90,9 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Effort [N m, N] and velocity [rad/s, m/s] in a URDF from which a limit counts as unspecified.
-Reason: the ``<limit>`` of a URDF must state both as finite numbers. Chosen, not tuned: the
-strongest motors have 1e4 N m."""
+"""Absolute value from which a limit in a URDF counts as unspecified: effort [N m, N], velocity
+[rad/s, m/s] or position [rad, m]. Reason: the ``<limit>`` of a URDF must state finite numbers.
+Chosen, not tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
@@ -107,7 +107,7 @@ def known_limit(stated: float) -> float:
 
 
 def known_positions(stated: Array) -> Array:
-    """Return position limits [rad, m] with the values from ``UNSTATED`` up replaced by infinity.
+    """Return position limits [rad, m] with absolute values from ``UNSTATED`` up made infinite.
 
     The sign of each limit is kept.
     """
@@ -206,7 +206,8 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""Joint parameters in which a URDF and an MJCF are compared, in the order of the comparison."""
+"""Joint parameters that a URDF or an MJCF can specify. Comparisons list differences in this
+order."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}

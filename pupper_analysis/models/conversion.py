@@ -78,10 +78,11 @@ class MujocoTree:
         return self._structure == _structure_key(parameters)
 
     def copy_parameters(self, parameters: MultibodyTree) -> None:
-        """Copy all parameters of a tree, such as masses and axes, into the model, in place.
+        """Copy the parameters of a tree, such as masses and axes, into the model, in place.
 
-        A body or joint is not copied again if it is the same object as in the last call. Therefore
-        bodies and joints must not be modified between calls.
+        Velocity limits are not copied, because MuJoCo's joints have none. A body or joint is not
+        copied again if it is the same object as in the last call. Therefore bodies and joints must
+        not be modified between calls.
 
         Args:
             parameters: Tree with the same structure (``has_structure_of``).
@@ -248,8 +249,8 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
 
     - Bodies and sites with a name become frames of type BODY. If several have the same name, only
       the first becomes a frame.
-    - Copied are gravity, joint limits, force limits of the actuators, friction loss, armature and
-      damping (see `acting_gravity`, `joint_armature`, `joint_damping`).
+    - Copied are gravity, joint limits, force limits of joints and their actuators, friction loss,
+      armature and damping (see `acting_gravity`, `joint_armature`, `joint_damping`).
     - Other forces (springs, tendons ...) are not copied.
 
     Args:

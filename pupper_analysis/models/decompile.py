@@ -137,8 +137,9 @@ reproduced. Reason: MuJoCo normalises quaternions and axes again, which changes 
 Chosen, not tuned."""
 
 _VERTEX_ATOL: Final = 1e-5
-"""Absolute tolerance [m] of the vertices of meshes, which MuJoCo stores with seven digits; numpy's
-relative tolerance, 1e-5, is added. Chosen, not tuned."""
+"""Absolute tolerance [m] of the points of a geom (`_outline`), such as the vertices of its mesh,
+which MuJoCo stores with seven digits. Numpy's relative tolerance, 1e-5, is added. Chosen, not
+tuned."""
 
 
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
@@ -153,8 +154,8 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If no body and no joint has a name, if the model has an unsupported element, or
-            if the compiled spec differs from the model.
+        ModelError: If no body and no joint has a name, if the model has an unsupported element, if
+            MuJoCo does not compile the spec, or if the compiled spec differs from the model.
     """
     joints = [model.joint(joint).name for joint in range(model.njnt)]
     bodies = [model.body(body).name for body in range(1, model.nbody)]

@@ -50,7 +50,8 @@ class Description:
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of
             ``passive_joints``.
         passive_joints: Joints that no motor drives: the torque limit is zero, and the MJCF has
-            actuators at other joints only. Their servos in ``mjcf`` exert no torque.
+            actuators at other joints only. Dependent joints of closed loops and couplings are not
+            included. Servos of passive joints in ``mjcf`` exert no torque.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
         null_efforts: {joint: force range of the MJCF that permits no force}, because its ends are

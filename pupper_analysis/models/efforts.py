@@ -317,9 +317,9 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the force limits of an actuator at a tendon, before the gear [N or N m].
 
-    The limits are the force range of the actuator, and the ``actuatorfrcrange`` of the tendon. The
-    latter limits the sum of the forces of all actuators at the tendon, and is omitted if the tendon
-    has several actuators.
+    The limits are the force range of the actuator, the control range of a torque motor times its
+    gain, and the ``actuatorfrcrange`` of the tendon. The last range limits the sum of the forces of
+    all actuators at the tendon, and is omitted if the tendon has several actuators.
     """
     found = _read_actuator_forces(model, actuator)
     tendon = int(model.actuator_trnid[actuator, 0])
@@ -525,7 +525,8 @@ def placeholder_efforts(
     1. It is round (1, 2 or 5 times 10^n, at least 100), and above 250 N m/kg
        (`MAX_TORQUE_PER_LINK_MASS`) times the mass of the joint's two links. This mass must be more
        than 0.001 of the robot's mass.
-    2. It is above 1e5 rad/s^2 (`MAX_ROTOR_ACCELERATION`) times the armature.
+    2. The file states an armature, and the effort is above 1e5 rad/s^2 (`MAX_ROTOR_ACCELERATION`)
+       times the armature.
     3. The sum of the efforts without case 1 or 2 is above 90 N m/kg (`MAX_TORQUE_PER_ROBOT_MASS`)
        times the robot's mass. All these efforts are then placeholders.
 

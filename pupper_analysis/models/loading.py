@@ -138,8 +138,8 @@ def read_model(
 ) -> UrdfFile | MjcfFile:
     """Read a URDF or an MJCF from a file or from memory; the root element determines the format.
 
-    A xacro file is read as a URDF if its xacro elements are unused declarations. Otherwise it is
-    expanded if ``xacro`` is given; the elements then have no line numbers. An MJCF that MuJoCo
+    If ``xacro`` is given, a xacro file is expanded; its elements then have no line numbers.
+    Otherwise its xacro elements must be unused declarations, which are removed. An MJCF that MuJoCo
     parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
@@ -197,7 +197,8 @@ def read_as_urdf(
         ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
             ``pin.GeometryModel``, which contains shapes only.
         ModelError: If the file or object cannot be read, or is not a URDF.
-        UnknownNameError: If MuJoCo Menagerie has no such robot.
+        UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
+            argument.
         MissingPackageError: If a package that the reader of the format needs is not installed.
         OutputError: If this run of the command line also writes the file.
     """

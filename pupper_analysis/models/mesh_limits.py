@@ -24,8 +24,8 @@ MAX_MESH_VERTICES: Final = 1_000_000
 published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles a million in 5 s, with 2 GB."""
 
 MAX_MESH_PARTS: Final = 10_000
-"""Maximum number of nodes and shapes of a COLLADA scene, each instance counted. Chosen: a link of a
-robot has dozens."""
+"""Maximum number of nodes and shapes of all scenes of a COLLADA file, each instance counted.
+Chosen: a link of a robot has dozens."""
 
 _MAX_INDICES: Final = 6 * MAX_MESH_VERTICES
 """Maximum number of vertex indices of a glTF file; files with more indices are rejected. Derived

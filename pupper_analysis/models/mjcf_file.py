@@ -274,8 +274,8 @@ class XmlNode:
         attributes: Attributes as in the file.
         place: Location: file and line.
         children: Child elements.
-        childclass: Default class for the element, from the nearest body above with the attribute
-            ``childclass``; None without.
+        childclass: Default class for the element, from the nearest element above with the attribute
+            ``childclass``, for example a body; None without.
     """
 
     tag: str
@@ -717,7 +717,7 @@ class MjcfFile:
         Args:
             body: Name of the body; ``"world"`` for the worldbody.
             tag: Tag of the element.
-            number: Number of the element among the direct children of the body.
+            number: Number of the element among the direct children of the body with this tag.
             attributes: If given, the result is the location at which one of these attributes is
                 set, in the element or in a default class.
 

@@ -78,7 +78,7 @@ class TreeJoint:
         lower: Lower limit [rad, m].
         upper: Upper limit [rad, m].
         effort: Effort limit [N m, N]; infinite if not stated.
-        velocity: Velocity limit [rad/s, m/s]; infinite if the format cannot specify a limit.
+        velocity: Velocity limit [rad/s, m/s]; infinite if not stated.
         armature: Armature [kg m^2, kg].
         damping: Damping [N m s/rad, N s/m].
         friction: Friction loss [N m, N].
@@ -167,7 +167,7 @@ class MultibodyTree:
         return found
 
     def parents_first(self) -> list[str]:
-        """Return the names of all joints in depth-first order, as Pinocchio requires."""
+        """Return the names of all joints below the base in depth-first order, as in Pinocchio."""
         return self.list_descendants(self.base)
 
     def list_descendants(self, body: str) -> list[str]:

@@ -51,7 +51,7 @@ def write_urdf_of_model(
     Raises:
         ModelError: In these cases:
 
-            - A joint has another type, or a slide has no limits.
+            - A joint has another type, or a slide lacks a lower or upper limit.
             - There are several free flyers, a free flyer is not at the root, or the root has a free
               flyer and another joint.
             - A URDF cannot state a shape.

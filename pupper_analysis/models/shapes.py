@@ -209,8 +209,8 @@ class Shape:
     def compute_solid_inertia(self) -> pin.Inertia | None:
         """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
 
-        The result is expressed in the frame of the body. If the surface of a mesh is not closed, or
-        ``read_solid`` is None, the convex hull is used.
+        The result is expressed in the frame of the body. For a mesh without ``read_solid``, or
+        whose ``read_solid`` returns None (surface not closed), the convex hull is used.
 
         Returns:
             Spatial inertia. None for ellipsoids, for other kinds such as planes, and for meshes

@@ -336,7 +336,7 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Make all joint couplings (equality constraints of two joints) stiff, in place.
+        """Make all joint couplings (equality constraints of type ``joint``) stiff, in place.
 
         The stiffness is the stiffness of `add_coupling`. Reason: MuJoCo's couplings are soft,
         whereas a mimic joint of a URDF follows exactly.
@@ -440,15 +440,15 @@ class SpecTree:
         place: ArrayLike,
         like: str | None = None,
     ) -> mujoco.MjsGeom:
-        """Add a sphere of zero mass with the contact parameters and colour of another geom.
+        """Add a sphere of zero mass with contact parameters, group and colour of another geom.
 
         Args:
             name: Name of the sphere.
             body: Body of the sphere.
             radius: Radius [m].
             place: Centre, shape (3,) [m], in the frame of the body.
-            like: Geom whose contact parameters and colour are copied; None for the defaults of the
-                MJCF.
+            like: Geom whose contact parameters, group and colour are copied; None for the defaults
+                of the MJCF.
         """
         model_geom = None if like is None else self.spec.geom(like)
         ball = self.spec.body(body).add_geom(

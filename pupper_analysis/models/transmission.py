@@ -287,12 +287,12 @@ class Drive(StrEnum):
 
     @property
     def has_invalid_stiffness(self) -> bool:
-        """Whether the actuator is a servo whose stiffness is zero or has the wrong sign."""
+        """Whether the actuator is a servo of zero stiffness, or with a wrong sign of its gains."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
     @property
     def has_other_law(self) -> bool:
-        """Whether the actuator is neither a servo nor a torque motor: ``FORCE`` or ``OTHER``.
+        """Whether the type of the actuator is ``FORCE`` or ``OTHER``.
 
         The force of a ``FORCE`` actuator does not depend on the joint position (for example a DC
         motor without a position gain). ``OTHER`` is any other control law, such as ``pid``.

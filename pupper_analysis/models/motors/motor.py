@@ -19,9 +19,10 @@ from pupper_analysis.models.motors.units import UNIT_KINDS
 
 MAX_STALL_RATIO = 1.1
 """Largest accepted ratio between a stated stall torque and K I of the same motor, and between a
-stated stall current and V / R. A motor with a larger ratio is refused. (K torque at the output per
-current, I stall current or V / R, V supply voltage, R resistance.) Losses in a gear only reduce the
-torque; 10 % permit rounded numbers. Chosen, not tuned."""
+stated stall current and V / R. A motor with a larger ratio, or with a ratio of currents below the
+reciprocal, is refused. (K torque at the output per current, I stall current or V / R, V supply
+voltage, R resistance.) Losses in a gear only reduce the torque; 10 % permit rounded numbers.
+Chosen, not tuned."""
 
 MIN_STALL_RATIO = 0.3
 """Smallest accepted ratio between a stated stall torque and K I of the same motor (see

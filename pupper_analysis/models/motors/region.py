@@ -1,8 +1,8 @@
 """Torque-speed region of a motor: utilisation of a motion.
 
 At a speed w in the direction of the torque, the motor exerts at most
-tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most its peak and stall torque
-(`Motor.compute_available_torques`).
+tau = min(I_max, (V - Ke w) / R) K, and at most its peak and stall torque. K is the torque at the
+output per current (`Motor.compute_available_torques`).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Utilisation, shape (n,). It is 0 for a torque up to 1e-9 N m (`_MIN_TORQUE`), at any speed.
-        For larger torques, it is infinite if the motor has no torque at the speed. It is NaN if
-        torque or speed is NaN.
+        Utilisation, shape (n,): 0 for a torque up to 1e-9 N m (`_MIN_TORQUE`), at any speed. For
+        larger torques, infinite if the motor has no torque at the speed, and NaN if the speed is
+        NaN. NaN if the torque is NaN.
 
     Raises:
         ModelError: If a number of the motor is unknown.

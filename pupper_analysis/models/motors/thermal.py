@@ -118,8 +118,8 @@ class ThermalNetwork:
     def steady_temperature(self) -> float:
         """Final temperature of the winding [degC]; infinite in a thermal runaway.
 
-        In a runaway, the loss grows faster with the temperature than the heat flow to the ambient
-        air.
+        In a runaway, the loss grows at least as fast with the temperature as the heat flow to the
+        ambient air.
         """
         total = float(self.resistances.sum())
         slope = 1 / total - self.current**2 * self.ohms * self.rise

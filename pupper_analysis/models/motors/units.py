@@ -75,7 +75,7 @@ UNIT_KINDS = {
     "mass": UnitKind("kg", {"kg": 1.0, "g": 1e-3}),
     "price": UnitKind("USD", {"USD": 1.0}),
 }
-"""{kind of quantity: accepted units, with their factors to the SI unit, and range}."""
+"""{kind of quantity: unit of the result, accepted units with their factors, and range}."""
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*\Z")
 """Pattern of a number and its unit, as in ``1.2 N m``; the unit may be missing."""
