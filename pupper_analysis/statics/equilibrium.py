@@ -392,7 +392,7 @@ def distribute_loads(
         carrying: Contacts that carry load.
 
     Returns:
-        Contact forces, shape (k, n, 3) [N], in world axes; torques, shape (k, nu) [N m].
+        Contact forces, shape (k, n, 3) [N], in world axes; torques, shape (k, nu) [N m or N].
 
     Raises:
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.

@@ -1,8 +1,8 @@
 """Support polygon and support region: horizontal CoM positions that allow equilibrium.
 
-If all contacts are on a single plane, the region is the convex hull of the contact points, seen
-from above. With contacts on several planes, grips or prescribed contact forces, the region depends
-on friction. It is then the projection of all CoM positions for which contact forces in the friction
+If all contact normals are equal, the region is the convex hull of the contact points, seen from
+above. With different normals, grips or prescribed contact forces, the region depends on friction.
+The region is then the projection of all CoM positions for which contact forces in the friction
 cones exist (`support_corners`).
 """
 
