@@ -242,7 +242,8 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         variant: Scale factors and name of the variant.
 
     Raises:
-        ModelError: If a mesh cannot be stretched along its own axes.
+        ModelError: If a mesh cannot be stretched along its own axes, or MuJoCo does not compile the
+            spec without shapes.
     """
     base = BASE_MODELS[variant.base]
     before = _measure_foot_depths(spec, base.feet.values())

@@ -209,7 +209,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
 
     Args:
         variant: Name from ``VARIANTS``, or a ``VariantSpec``.
-        fixed_base: Whether to fix the base in the world, at the height in the MJCF.
+        fixed_base: Whether to fix the base in the world, at the pose in the MJCF.
 
     Returns:
         Robot.
@@ -329,7 +329,11 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
 
 
 def _names_file(word: str) -> bool:
-    """Return True if a command-line word has the form of a file name, or if such a file exists."""
+    """Return True if a command-line word names model files, as far as its text shows.
+
+    These words are an existing file, a path with folders or with a suffix of `_MODEL_SUFFIXES`, an
+    address, a published robot, and standard input.
+    """
     path = Path(word)
     return (
         is_published_name(word)
