@@ -177,8 +177,8 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
     """Run a command-line command, print its error if it fails, and return the exit status.
 
-    The exit status is one of the constants ``EXIT_...``. ``debug`` prints the traceback of an
-    unexpected error.
+    The exit status is one of the constants ``EXIT_...``, or the number in a ``SystemExit`` of a
+    library. ``debug`` prints the traceback of an unexpected error, or of a lack of resources.
     """
     try:
         with ensure_run() as run:  # includes parsing, because options read files

@@ -51,7 +51,7 @@ def complete_command(step: NextStep | None) -> str:
 
         - There is no step, or no running command.
         - The next command is not installed, or needs more files than were typed.
-        - A typed file is standard input.
+        - A typed word is ``-``, standard input or output.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -160,7 +160,8 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
     """Create the command line that requests the nearest reachable stance, after a refusal.
 
     The command is that of the running command line. Options of the relaxed requirements have the
-    values of the reachable stance (`error.nearest`). The other typed words are unchanged.
+    values of the reachable stance (`error.nearest`). The other typed words are those that
+    `complete_command` keeps.
 
     Args:
         error: Error that the requested stance is out of reach.

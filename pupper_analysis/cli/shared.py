@@ -1205,7 +1205,7 @@ def show_report(
     everything: bool = False,
     next_step: NextStep | None = None,
 ) -> None:
-    """Print a report as text for a terminal, or as Markdown with the version of this package.
+    """Print a report as text for a terminal, or as Markdown with the provenance of the results.
 
     Args:
         report: Report.
@@ -1258,6 +1258,7 @@ def write_json(path: Path | None, content: object) -> None:
 
     Raises:
         ProcessEnded: If a signal, such as Ctrl-C, has arrived.
+        ConfigurationError: If a value has no JSON equivalent.
         OutputError: If the file cannot be written, or must not be replaced.
     """
     from pupper_analysis.base.files import write_atomically
@@ -1305,6 +1306,7 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
     Raises:
         click.exceptions.Exit: If ``passed`` is False.
         ProcessEnded: If a signal, such as Ctrl-C, has arrived.
+        ConfigurationError: If a value has no JSON equivalent.
         OutputError: If the file cannot be written, or must not be replaced.
     """
     write_json(json_path, content)
