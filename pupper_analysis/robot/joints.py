@@ -290,8 +290,9 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
     3. The middle of each joint range. If a limit is infinite, the position in the range nearest to
        zero.
 
-    A keyframe without qpos is ignored. Positions of a keyframe that exceed a limit by less than
-    1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped. Loops are not closed.
+    A keyframe without qpos has the positions of the model (``qpos0``), as in MuJoCo, if it is given
+    as ``keyframe``; otherwise it is ignored. Positions of a keyframe that exceed a limit by less
+    than 1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.
@@ -310,6 +311,8 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
         raise UnknownNameError(robot.description.mjcf_source, "keyframe", keyframe, tuple(keys))
     name = keyframe if keyframe is not None else next((k for k in ("home", *keys) if k in keys), "")
     qpos = keys.get(name, np.zeros(0))
+    if keyframe is not None and not len(qpos):
+        qpos = robot.mj_model.qpos0
     if len(qpos) >= robot.mj_model.nq:
         # The keyframe may belong to the model with a free base, and then has more elements.
         positions = qpos[len(qpos) - robot.mj_model.nq + robot.mj_convention.qpos_index]

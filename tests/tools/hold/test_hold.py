@@ -76,11 +76,14 @@ def test_omitted_joints_are_at_mid_range_or_in_the_keyframe(tmp_path: Path) -> N
     assert set(found.requested_joints) == {"elbow", "b_slide", "shoulder"}
 
     keys = '<keyframe><key name="home" qpos="0.1 -0.2 0.3 0.04"/><key name="out" qpos="9 0 1 0"/>'
+    keys += '<key name="zero" ctrl="0 0 0 0"/>'
     text = by_hand.MJCF.replace("</mujoco>", f"{keys}</keyframe></mujoco>")
     keyed = load_arm(tmp_path, mjcf=text)
     found = find_posture(keyed)  # in the tree's order in the file, in actuator order here
     assert found.keyframe == "home"
     assert found.qpos == pytest.approx([0.3, 0.04, -0.2, 0.1])
+    with pytest.raises(pa.ConfigurationError, match=r"^keyframe: elbow at 0 deg, outside"):
+        find_posture(keyed, keyframe="zero")  # without qpos: qpos0, as in MuJoCo
     with pytest.raises(
         pa.ConfigurationError, match=r"^keyframe: a_turn at 515.7 deg, outside .* deg$"
     ):
