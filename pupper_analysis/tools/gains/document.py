@@ -298,7 +298,8 @@ def gain_plot(study: GainStudy) -> doc.LinePlot:
     Recommended gains are also marked, if there are any. Points without a finite bound are left out.
     Axes are absolute if all joints have equal gains, otherwise factors on the reference gains.
     """
-    kp, kd = (study.classes[0].kp, study.classes[0].kd) if study.uniform else (1.0, 1.0)
+    first = study.classes[0]
+    kp, kd = (first.reference_kp, first.reference_kd) if study.uniform else (1.0, 1.0)
     known = np.isfinite(study.curve_dampings)
     series = [
         doc.Series(

@@ -733,7 +733,7 @@ class _Gains:
             return None, None
         least = max(low or 0.0, least_alone)
         least, most = least * GAIN_MARGIN, (math.inf if high is None else high / GAIN_MARGIN)
-        if least > most:
+        if least > most or math.isinf(least):
             return None, None
         factor = float(np.clip(1.0, least, most))
         end = self.find_largest_damping(factor) / GAIN_MARGIN

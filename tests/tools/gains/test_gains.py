@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.document import Number, Table, get_english
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.tools.gains.document import _format_range, gains_document
+from pupper_analysis.tools.gains.document import _format_range, gain_plot, gains_document
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
     GainStudy,
@@ -166,6 +167,9 @@ def test_gains_in_proportion_to_inertia_are_found_if_no_multiples_are_stable() -
     column = [get_english(column.name) for column in table.columns].index("reference")
     shown = [row[column].value for row in table.rows if isinstance(row[column], Number)]
     assert shown == [bounds.reference_kp for bounds in study.classes]
+    equal = [replace(bounds, reference_kp=2.0, reference_kd=0.1) for bounds in study.classes]
+    marked = gain_plot(replace(study, classes=tuple(equal))).series[1]
+    assert (list(marked.x), list(marked.y)) == ([2.0], [0.1])  # not the present gains
 
 
 def test_joints_of_similar_limbs_form_a_class() -> None:
