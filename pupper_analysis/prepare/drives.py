@@ -568,7 +568,7 @@ def _are_different_robots(robot: Robot, verification: StandVerification) -> bool
     exceeds ``MAX_BALANCE_RESIDUAL_RATIO`` times the weight. Then no servo gains let the simulation
     agree with the predicted equilibrium.
     """
-    weight = robot.weight
+    weight = robot.usual_weight
     return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight
 
 

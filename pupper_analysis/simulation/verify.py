@@ -1003,7 +1003,7 @@ def _find_deviations(
     case.
     """
     errors = np.abs(result.joint_torques - result.predicted_torques)
-    worst = int(np.argmax(np.nan_to_num(errors)))
+    worst = int(np.argmax(np.nan_to_num(errors, nan=np.inf)))
     name = robot.joint_names[worst]
     unit = force_unit(robot, name)
     details = {
