@@ -235,7 +235,7 @@ def solve_stands(
         ConfigurationError: If no stand can satisfy a task: for example, the base is fixed, the
             robot has no feet, or the margins are too large. Raised before the first solve, with the
             index of the task. Two errors have no index: the robot cannot make the first task's
-            contacts, or has no parts for a required clearance. The last error is raised when the
+            contacts, or has no parts for a required clearance. The latter is raised when the
             task is solved.
         UnknownNameError: If a task contains an unknown foot, joint or contact; raised before the
             first solve.

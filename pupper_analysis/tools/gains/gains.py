@@ -784,7 +784,10 @@ class _Gains:
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return stable kp and kd of all joints, (nu,) each, with the class's kd scaled."""
+            """Return kp and kd of ``stable_pair``, (nu,) each, with the kd of this class scaled.
+
+            The result may be unstable: ``factor`` is varied to find the bound of stability.
+            """
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

@@ -836,9 +836,10 @@ class _PayloadSearch:
         return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
 
     def find_spectrum_failure(self, mass: float) -> FailureCause:
-        """Return the failure of the servos with a payload [kg], judged by eigenvalues alone.
+        """Return the failure of the servos with a payload [kg], without simulation.
 
-        The method is ``find_servo_failure`` without simulation. Two kinds of growing modes are
+        The method is ``find_servo_failure``: the servo commands must be within their ranges, and
+        growing modes are found by eigenvalues alone. Two kinds of growing modes are
         omitted, since only a simulation can decide whether the robot leaves the stand: modes that
         grow only without dry friction, and modes that depend on the finite-difference step.
         """

@@ -327,8 +327,8 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
 def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
     """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
-    If the gains of the joints differ, the bounds are factors on all gains. Nothing is yielded if
-    `Stance.servos` is None or has no joint classes.
+    If the gains of the joints differ, the bounds are factors on all gains, and the gains themselves
+    are not yielded. Nothing is yielded if `Stance.servos` is None or has no joint classes.
     """
     servos = stance.servos
     if servos is None or not servos.classes:

@@ -519,7 +519,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
 def _read_placements(
     file: UsdFile, prims: Mapping[str, Any], units: StageUnits, cache: Any
 ) -> dict[str, PrimPlacement]:
-    """Return {body: pose and scale of the body in the world} for the prims of a stage.
+    """Return {body: pose [m] and scale of the body in the axes of the stage} for prims of a stage.
 
     Args:
         file: USD file.

@@ -106,7 +106,7 @@ class RosBridge(WallClock):
         """Return the last received joint positions and the oldest time of reception.
 
         Returns:
-            1. Time on the clock of ``now`` [s]; -inf if no position of a joint was received.
+            1. Time on the clock of ``now`` [s]; -inf if the position of a joint is missing.
             2. Joint positions in actuator order, shape (nu,) [rad, m]; NaN if not received.
         """
         self._ros.spin_once(self._node, timeout_sec=0.0)
