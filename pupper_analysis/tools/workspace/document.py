@@ -35,7 +35,7 @@ If the limit has such a code, `_join_limits` lists the names of all directions t
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the reasons why the base cannot move farther as one text, with the directions of each.
+    """Return the reasons why the base cannot move farther, with their directions, as a text.
 
     Joint limits and the ground clearance are a reason each, with the joints or links of all
     directions. Each pair of links without clearance is a separate reason. The reason that limits
@@ -71,7 +71,8 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with its directions, for the short answer, most directions first.
 
     Names of joints and links are omitted. With at least four directions, the directions of a limit
-    that applies to all, or to all but one, are abbreviated: ``joint limits (all but x)``.
+    that applies to all, or to all but a single direction, are abbreviated, for example
+    ``joint limits (all but x)``.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -92,7 +93,7 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
 
 _MIN_ABBREVIATED_DIRECTIONS = 4
 """Smallest number of searched directions for which the short answer may state that a limit applies
-to all directions, or to ``all but`` one direction. Chosen, not tuned.
+to all directions, or to ``all but`` a single direction. Chosen, not tuned.
 """
 
 
@@ -105,8 +106,8 @@ def _list_names(limit: Diagnostic) -> tuple[str, ...]:
 def _format_rounded_range(low: float, high: float) -> str:
     """Return a range of whole mm or degrees for the short answer: ``-40 to 43``, or ``±40``.
 
-    The ends are rounded inwards from one decimal, so that both ends are within reach. A range
-    without a whole number is rounded to the nearest.
+    The ends are rounded inwards from the first decimal, so that both ends are within reach. A range
+    without a whole number is rounded to the nearest whole numbers.
     """
     ends = math.ceil(round(low, 1)), math.floor(round(high, 1))
     first, last = map(str, ends if ends[0] <= ends[1] else (round(low), round(high)))
