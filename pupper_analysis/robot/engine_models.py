@@ -68,9 +68,9 @@ class EngineModels:
         """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
         The caller may change the spec, or attach it to another spec. ``mj_spec().compile()``
-        returns a model with the same values as ``mj_model``. The spec contains the paths of the
-        meshes. Exception: if the robot was loaded from a spec in memory or converted from a URDF,
-        the spec contains the meshes themselves.
+        returns a model with the same values as ``mj_model``. The spec contains the paths of mesh
+        files. Exceptions: if meshes are in memory (assets of a given spec, or meshes converted from
+        files such as COLLADA), the spec contains all meshes; an ``MjModel`` has them as vertices.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)

@@ -163,11 +163,11 @@ class MeshFiles:
 
         Args:
             mesh: Element ``<mesh>``.
-            assets: Receives {name: content} of converted meshes.
+            assets: Receives {name: content} of converted and copied meshes.
 
         Returns:
-            File name: a key of ``assets`` for a converted mesh, otherwise a path. None if the mesh
-                is left out.
+            File name: a key of ``assets`` for a converted or copied mesh, otherwise a path. None if
+                the mesh is left out.
         """
         if self.register_mesh(mesh, touches=True) is None:
             return None

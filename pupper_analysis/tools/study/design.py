@@ -266,7 +266,8 @@ def make_robot_source(robot: Any) -> RobotSource:
 def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
-    The hash does not depend on the folders of the files.
+    The hash does not depend on the folder of an MJCF. For a robot converted from a URDF, the hash
+    depends on the absolute paths of mesh files that MuJoCo reads directly, such as STL files.
     """
     parts = {
         "urdf": description.urdf,

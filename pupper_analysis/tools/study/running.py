@@ -420,7 +420,10 @@ class WorkerPool:
         return self.owns_processes and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
-        """Replace all worker processes; wait until the new processes are ready."""
+        """End all worker processes; wait until a first new process is ready.
+
+        The other processes start on demand.
+        """
         self.end_processes()
         self.check_startup()  # wait for the start, so that it does not count for the next design
 
