@@ -293,6 +293,8 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
             DisabledContacts(reason, (frame,))
         )  # ``terrain`` enables contact with the plane
         frames[name], geoms[name] = (frame, frame), (frame, radius)
+    # The balls collide with no geom of the model, so that MuJoCo would discard the balls as well.
+    mjcf.spec.compiler.discardvisual = False
     given = replace(description, mjcf=mjcf.spec).with_additions(*added)
     built = rebuild_robot(
         robot,

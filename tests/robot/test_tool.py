@@ -159,11 +159,11 @@ size="0.1 0.1 0.1" pos="0.1 0.2 0" euler="-0.8 0.3 0.6"/>
 <actuator><position joint="pan" kp="100" kv="10"/></actuator></mujoco>"""
 
 
-def load_turned_arm(folder: Path) -> pa.Robot:
+def load_turned_arm(folder: Path, *, visuals: bool = True) -> pa.Robot:
     """Write and load an arm with frames that are rotated against its only moving link."""
     (folder / "arm.urdf").write_text(TURNED_URDF)
     (folder / "arm.xml").write_text(TURNED_MJCF)
-    return pa.load_robot(folder / "arm.urdf", folder / "arm.xml")
+    return pa.load_robot(folder / "arm.urdf", folder / "arm.xml", visuals=visuals)
 
 
 @pytest.mark.parametrize("frame", ["palm", "plate", "cover", "flange"])
@@ -208,3 +208,12 @@ def test_a_hand_touches_at_its_offset_along_the_axes_of_the_named_site(tmp_path:
     config = Configuration(held, held.neutral())
     contact = config.foot_positions()["palm"] - config.frame_position("stem")
     np.testing.assert_allclose(contact, expected, atol=1e-9)
+
+
+def test_a_hand_of_a_robot_that_is_not_drawn_has_its_ball(tmp_path: Path) -> None:
+    """The ball collides with no geom of the arm, so that MuJoCo's ``discardvisual`` removed it."""
+    robot = load_turned_arm(tmp_path, visuals=False)
+    table = pa.Contact(pa.Plane((0.0, 0.0, 1.0), (0.0, 0.0, 0.1), 0.5), radius=0.02)
+    held = with_contacts(robot, {"base": pa.Weld(), "palm": table})
+    balls = {foot: geom for geom, foot in held.foot_geoms.items()}
+    assert held.mj_model.geom_size[balls["palm"], 0] == 0.02
