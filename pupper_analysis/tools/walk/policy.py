@@ -652,6 +652,34 @@ _MAX_TORCHSCRIPT_BYTES = 4 * MAX_WEIGHTS
 Larger files are refused."""
 
 
+def _list_tensor_attributes(module: Any) -> list[str]:
+    """List the tensors, except parameters, that a TorchScript module reads or assigns.
+
+    These are buffers and plain attributes. TorchScript lists only buffers by itself, so that the
+    attributes are found in the graph of ``forward``.
+
+    Returns:
+        Path of each tensor in the module, such as ``memory.hidden_state``.
+    """
+
+    def find_path(value: Any) -> str:
+        """Return the path of the submodule that is a value of the graph; empty for the module."""
+        node = value.node()
+        if node.kind() != "prim::GetAttr":
+            return ""
+        return f"{find_path(node.inputsAt(0))}{node.s('name')}."
+
+    parameters = {name for name, _ in module.named_parameters()}
+    names = {name: None for name, _ in module.named_buffers()}  # in order, each once
+    graph = module.inlined_graph  # a node is valid as long as its graph
+    for kind in ("prim::GetAttr", "prim::SetAttr"):
+        for node in graph.findAllNodes(kind, True):
+            tensor = node.output() if kind == "prim::GetAttr" else node.inputsAt(1)
+            if tensor.type().kind() == "TensorType":
+                names[find_path(node.inputsAt(0)) + node.s("name")] = None
+    return [name for name in names if name not in parameters]
+
+
 class _ScriptedModule:
     """TorchScript module whose states (for example of an LSTM) are set before each evaluation.
 
@@ -663,14 +691,38 @@ class _ScriptedModule:
 
     def __init__(self, torch: Any, module: Any, kind: Any) -> None:
         self._torch, self._module, self._kind = torch, module, kind
-        self._buffers = dict(module.named_buffers())
-        self._start = {name: buffer.clone() for name, buffer in self._buffers.items()}
+        owners = dict(module.named_modules())
+        self._tensors = {
+            name: (owners[name.rpartition(".")[0]], name.rpartition(".")[2])
+            for name in _list_tensor_attributes(module)
+        }
+        self._start = {name: self._read_tensor(name).clone() for name in self._tensors}
         self._lock = threading.Lock()  # threads share the states of the module
 
-    def find_states(self, size: int) -> dict[str, int]:
-        """Find the recurrent states of the module: {buffer: number of elements}.
+    def _read_tensor(self, name: str) -> Any:
+        """Return the present value of a tensor of the module."""
+        owner, attribute = self._tensors[name]
+        return getattr(owner, attribute)
 
-        A state is a buffer that starts with zeros and that an evaluation changes.
+    def _write_tensor(self, name: str, value: Any) -> None:
+        """Replace the value of a tensor of the module."""
+        owner, attribute = self._tensors[name]
+        setattr(owner, attribute, value)
+
+    def list_state_sizes(self) -> tuple[int, ...]:
+        """Return the last dimension of each tensor that starts with zeros.
+
+        A network that stores previous observations is evaluated for one observation, whose size is
+        no dimension of the weights.
+        """
+        return tuple(
+            int(start.shape[-1]) for start in self._start.values() if start.ndim and not start.any()
+        )
+
+    def find_states(self, size: int) -> dict[str, int]:
+        """Find the recurrent states of the module: {tensor: number of elements}.
+
+        A state is a tensor that starts with zeros, is no parameter, and changes in an evaluation.
 
         Args:
             size: Number of elements of the observation.
@@ -678,16 +730,13 @@ class _ScriptedModule:
         Raises:
             ValueError: If the module cannot be evaluated for this size.
         """
+        for name, start in self._start.items():  # a previous size may have changed some of them
+            self._write_tensor(name, start.clone())
         self.evaluate({}, np.ones((1, 1, size)))
-        changed = {
-            name: buffer
-            for name, buffer in self._buffers.items()
-            if not self._torch.equal(buffer, self._start[name])
-        }
         return {
-            name: int(buffer.numel())
-            for name, buffer in changed.items()
-            if not self._start[name].any()
+            name: int(start.numel())
+            for name, start in self._start.items()
+            if not start.any() and not self._torch.equal(self._read_tensor(name), start)
         }
 
     def evaluate(self, states: Mapping[str, int], value: Array, *values: Array) -> Any:
@@ -708,15 +757,16 @@ class _ScriptedModule:
         with torch.no_grad(), self._lock:
             for run, row in enumerate(value):
                 for name, state in zip(states, values, strict=True):
-                    buffer = self._buffers[name]
-                    buffer.copy_(torch.tensor(state[run], dtype=buffer.dtype).reshape(buffer.shape))
+                    start = self._start[name]
+                    state_of_run = torch.tensor(state[run], dtype=start.dtype)
+                    self._write_tensor(name, state_of_run.reshape(start.shape))
                 try:
                     action = self._module(torch.tensor(row, dtype=self._kind))
                     actions.append(action.double().numpy())
                 except Exception as error:  # torch's interpreter raises whatever its C++ throws
                     raise ValueError(str(error)) from error
                 for name, rows in zip(states, following, strict=True):
-                    rows.append(self._buffers[name].double().numpy().reshape(1, -1).copy())
+                    rows.append(self._read_tensor(name).double().numpy().reshape(1, -1).copy())
         return (np.stack(actions), *map(np.stack, following)) if states else np.stack(actions)
 
 
@@ -755,11 +805,12 @@ def build_torchscript_network(path: Path) -> Network:
     # The first layer of the file need not be the first that is evaluated. A traced LSTM accepts
     # observations of any size, so that its size is tried first.
     recurrent = [matrix for name, matrix in weights.items() if name.endswith("weight_ih_l0")]
-    sizes = tuple(dict.fromkeys(int(matrix.shape[1]) for matrix in (*recurrent, *matrices)))
-    if not sizes:
+    if not matrices:
         raise ModelError(path, diagnose("no-network"))
     constants = {name: matrix.detach().double().numpy() for name, matrix in weights.items()}
     scripted = _ScriptedModule(torch, module, matrices[0].dtype)
+    widths = [int(matrix.shape[1]) for matrix in (*recurrent, *matrices)]
+    sizes = tuple(dict.fromkeys((*widths, *scripted.list_state_sizes())))
     for size in sizes:
         try:
             states = scripted.find_states(size)

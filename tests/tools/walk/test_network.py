@@ -466,6 +466,46 @@ def test_torchscript_with_an_lstm_equals_torch(torch: Any, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+def test_torchscript_that_stores_observations_in_an_attribute_equals_torch(
+    torch: Any, tmp_path: Path
+) -> None:
+    """The attribute is no buffer, and the size of an observation is no dimension of the weights.
+
+    Reference: the network's own layer, applied to the last three observations of each run.
+    """
+
+    class Memory(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.history = torch.zeros(1, 3, 5)
+
+        def forward(self, x):  # type: ignore[no-untyped-def]
+            self.history = torch.cat([self.history[:, 1:], x.unsqueeze(1)], dim=1)
+            return self.history
+
+    class Encoder(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.memory, self.out = Memory(), torch.nn.Linear(15, 2)
+
+        def forward(self, x):  # type: ignore[no-untyped-def]
+            return self.out(self.memory(x).flatten(1))
+
+    made_of = Encoder()
+    path = _save_onnx(torch, made_of, tmp_path / "history.pt")
+    network = policy.build_torchscript_network(path)
+    assert (network.inputs, network.outputs) == (5, 2)
+    assert [size for _, _, size in network.memory] == [15]
+    runs, memory = np.stack([rows(6, 5, seed=1), rows(6, 5, seed=2)]), network.initial_memory(2)
+    padded = np.concatenate([np.zeros((2, 2, 5)), runs], axis=1)
+    matrix, bias = (made_of.out.weight.detach().numpy(), made_of.out.bias.detach().numpy())
+    for step in range(6):
+        found, memory = network.forward(runs[:, step], memory)
+        expected = padded[:, step : step + 3].reshape(2, 15) @ matrix.T + bias
+        assert found == pytest.approx(expected, abs=ALIKE)
+
+
+@pytest.mark.slow
 def test_torchscript_with_another_state_or_without_a_network_is_refused(
     torch: Any, tmp_path: Path
 ) -> None:
