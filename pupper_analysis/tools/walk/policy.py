@@ -778,9 +778,10 @@ def build_torchscript_network(path: Path) -> Network:
 
     Raises:
         MissingPackageError: If torch is not installed.
-        ModelError: If the file cannot be read, is too large or contains no network. Also if the
-            network keeps a state that is no buffer, or a state that does not start with zeros.
-        ValueError: If the network cannot be evaluated for an observation of any possible size.
+        ModelError: If the file cannot be read, is too large or contains no network, or if the
+            network can be evaluated for none of the observation sizes that weights and states
+            suggest. Also if the network keeps a state that is no tensor, or a state that does not
+            start with zeros.
     """
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)
@@ -811,6 +812,7 @@ def build_torchscript_network(path: Path) -> Network:
     scripted = _ScriptedModule(torch, module, matrices[0].dtype)
     widths = [int(matrix.shape[1]) for matrix in (*recurrent, *matrices)]
     sizes = tuple(dict.fromkeys((*widths, *scripted.list_state_sizes())))
+    problems: list[ModelError] = []
     for size in sizes:
         try:
             states = scripted.find_states(size)
@@ -829,9 +831,14 @@ def build_torchscript_network(path: Path) -> Network:
                 path, [node], constants, ("observation", "action"), memory, size
             )
             break
-        except (ModelError, ValueError):
-            if size == sizes[-1]:
-                raise
+        except ModelError as error:  # e.g. a weight that is not finite
+            problems.insert(0, error)
+        except ValueError as error:
+            cause = (str(error).strip().splitlines() or [""])[-1]
+            problem = diagnose("torchscript-not-evaluated", sizes=sizes, cause=cause)
+            problems.append(ModelError(path, problem))
+    else:
+        raise problems[0]
     zeros, ones = np.zeros((1, size)), np.ones((1, size))
     start = network.initial_memory(1)
     before = network.forward(zeros, start)[0]

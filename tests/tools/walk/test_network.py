@@ -509,7 +509,9 @@ def test_torchscript_that_stores_observations_in_an_attribute_equals_torch(
 def test_torchscript_with_another_state_or_without_a_network_is_refused(
     torch: Any, tmp_path: Path
 ) -> None:
-    """A state that starts with ones; a file of weights alone; a weight that is no number."""
+    """A state that starts with ones; a file of weights alone; a weight that is no number; an
+    observation with another number of dimensions.
+    """
 
     class Counting(torch.nn.Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -532,6 +534,9 @@ def test_torchscript_with_another_state_or_without_a_network_is_refused(
     bad.weight.data[0, 0] = math.nan
     with pytest.raises(ModelError, match="weight"):
         policy.build_torchscript_network(_save_onnx(torch, bad, tmp_path / "nan.pt"))
+    image = torch.nn.Sequential(torch.nn.Conv2d(1, 2, 2), torch.nn.Flatten(), torch.nn.Linear(8, 2))
+    with pytest.raises(ModelError, match=r"of 8 numbers.*input"):
+        policy.build_torchscript_network(_save_onnx(torch, image, tmp_path / "image.pt"))
 
 
 def test_output_of_a_row_does_not_depend_on_other_rows() -> None:
