@@ -22,7 +22,11 @@ from pupper_analysis.tools.contract.facts import (
     Role,
     find_quantity_kind,
 )
-from pupper_analysis.tools.contract.findings import find_disagreements, find_lost_quantities
+from pupper_analysis.tools.contract.findings import (
+    LENGTH_CODES,
+    find_disagreements,
+    find_lost_quantities,
+)
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.reading import (
     check_source,
@@ -88,7 +92,8 @@ def read_deployment(
     Raises:
         ModelError: If a file of ``sources`` cannot be read or states nothing about joints of the
             robot, if a file contains several configurations and no name is passed, or if a source
-            is a folder. Also if a value that `contract` compares, such as a gain, is no number.
+            is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
+            the only list of such a quantity has another length than the joint order of its file.
             These errors of ``policy`` are ignored.
     """
     requests, folders = split_arguments(sources)
@@ -128,6 +133,7 @@ def read_deployment(
     for placed_source in placed:
         for key, fact in placed_source.facts.items():
             facts.setdefault(key, fact)
+    _check_lengths(placed, facts)
     ordered = _find_order_source(placed) or _assume_order(placed, joints)
     stating = (one.source.observations for one in placed if one.source.observations)
     return Deployment(
@@ -186,6 +192,23 @@ def _describe_order_place(placed_source: PlacedSource) -> str:
     return str(placed_source.source.path) if place is None else place.path
 
 
+def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str], Fact]) -> None:
+    """Raise a ModelError, with the line, if the only list of a compared quantity was not read.
+
+    Such a list has another length than the joint order of its file. Without the error, the message
+    would be that no file states the quantity.
+    """
+    known = {quantity for quantity, _ in facts}
+    for placed_source in placed:
+        for quantity, message in placed_source.unread.items():
+            if (
+                message.code in LENGTH_CODES
+                and quantity not in known
+                and find_quantity_kind(quantity).severity is not None
+            ):
+                raise _make_unread_error(placed_source.source.path, message)
+
+
 def _check_numbers(source: JointSource) -> None:
     """Raise a ModelError, with the line, if a value that `contract` compares is no number.
 
@@ -193,5 +216,10 @@ def _check_numbers(source: JointSource) -> None:
     """
     for quantity, message in source.unread.items():
         if find_quantity_kind(quantity).severity is not None:
-            place = Place(source.path, message.sources[0].line)
-            raise make_file_error(place, replace(message, values={**message.values, "file": None}))
+            raise _make_unread_error(source.path, message)
+
+
+def _make_unread_error(path: Path, message: Diagnostic) -> ModelError:
+    """Make an error, with file and line, of a message about values that were not read."""
+    place = Place(path, message.sources[0].line)
+    return make_file_error(place, replace(message, values={**message.values, "file": None}))

@@ -210,11 +210,16 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     ]
 
 
+LENGTH_CODES = ("contract-list-length", "contract-motors-length")
+"""Codes of lists that have another length than the joint order of their own file."""
+
+
 def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
-    """List quantities in sources that cannot be compared with the numbers of other sources.
+    """List quantities in sources that are lost for the comparison with other sources.
 
     The reason is a list that cannot be assigned to joints, or keys that match no joint of the
-    robot.
+    robot. A list that has another length than the joint order of its own file is always reported;
+    all other cases only if another source states the quantity for a joint.
 
     Returns:
         A message per source and quantity.
@@ -232,6 +237,7 @@ def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
             message
             for quantity, message in source.unread.items()
             if any(key[0] == quantity for key in stated)
+            or (message.code in LENGTH_CODES and find_quantity_kind(quantity).severity is not None)
         ]
         for quantity, keys in source.unplaced.items():
             missing = {

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.models.stated.model import BALL_JOINT, HINGE_JOINT, RobotModel
 from pupper_analysis.robot.matching.pairs import match_without_affixes
@@ -288,8 +289,10 @@ def assign_joints(
         key: fact for key, fact in facts.items() if key not in rest_facts or key[1] in controlled
     }
     _add_policy_step(facts)
-    num_joints = len(order) or len(model.order)
-    unread = {**source.unread, **_describe_unread_lists(source, unread_lists, num_joints)}
+    unread = {
+        **source.unread,
+        **_describe_unread_lists(source, unread_lists, order, len(model.order)),
+    }
     unknown = _list_unknown_names(source, model, names, matched)
     motor_notes = [
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
@@ -300,29 +303,47 @@ def assign_joints(
 
 
 def _describe_unread_lists(
-    source: JointSource, lists: Mapping[str, Statement], num_joints: int
+    source: JointSource,
+    lists: Mapping[str, Statement],
+    order: Sequence[str],
+    num_model_joints: int,
 ) -> dict[str, Diagnostic]:
     """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
-    Either the length is not the number of joints, or the joint order is not known.
+    The message states another length than that of the joint order, or that the joint order is not
+    known.
 
     Args:
         source: Source of the lists.
         lists: {quantity: first number of the list}.
-        num_joints: Number of joints in the order of the source, or of the robot if the source has
-            no order.
+        order: Joints in the order of the source; empty if the order is not known.
+        num_model_joints: Number of joints of the robot model.
     """
-    return {
-        quantity: diagnose(
-            "contract-list-unread",
-            file=f"{source.name}:{first.place.line}" if first.place.line else source.name,
-            what=Term(quantity) if quantity in QUANTITIES else quantity,
-            count=first.count,
-            joints=num_joints,
-            sources=first.place.source,
-        )
-        for quantity, first in lists.items()
-    }
+    order_place = source.order_place or Place(source.path)
+    messages = dict[str, Diagnostic]()
+    for quantity, first in lists.items():
+        file = f"{source.name}:{first.place.line}" if first.place.line else source.name
+        what = Term(quantity) if quantity in QUANTITIES else quantity
+        if order:
+            messages[quantity] = diagnose(
+                "contract-list-length",
+                file=file,
+                what=what,
+                count=first.count,
+                joints=len(order),
+                order=str(order_place),
+                sources=(first.place.source, order_place.source),
+            )
+        else:
+            messages[quantity] = diagnose(
+                "contract-list-unread",
+                file=file,
+                what=what,
+                count=first.count,
+                joints=num_model_joints,
+                sources=first.place.source,
+            )
+    return messages
 
 
 def _list_unknown_names(

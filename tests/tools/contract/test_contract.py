@@ -385,8 +385,9 @@ def test_list_of_another_length_is_not_assigned_to_joints(
         assert not [fact for fact in found.facts if fact.quantity == "kp"
                     and fact.source.startswith(name)]  # fmt: skip
         (warning,) = found.unread
-        assert (warning.code, warning.severity) == ("contract-list-unread", "warning")
-        assert warning.values["count"] == len(given)
+        assert (warning.code, warning.severity) == ("contract-list-length", "warning")
+        assert (warning.values["count"], warning.values["joints"]) == (len(given), 12)
+        assert len(warning.sources) == 2  # the list, and the joint order
         lines = sources[name].read_text().splitlines()
         line = next(i for i, text in enumerate(lines, 1) if format_list(given) in text)
         assert f"{name}:{line}: kp has" in str(warning).replace(":walker:", ":")

@@ -531,3 +531,22 @@ def test_unlimited_motor_is_not_at_its_limit(tmp_path: Path) -> None:
     unlimited = replace(walk, limits=np.full(12, np.inf), gaits=(gait,))
     shown = str(walk_document(unlimited, robot).findings)
     assert "N m peak, no limit stated" in shown
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("stiffness", [20.0] * 11, "kp has 11 values, but the joint order in .*:1 has 12 joints"),
+        ("joint_ids_map", list(range(11)), "11 motor numbers, but the joint order in .*:1 has 12"),
+    ],
+)
+def test_list_of_another_length_than_the_joint_order_is_refused(
+    tmp_path: Path, key: str, value: list[float], message: str
+) -> None:
+    """The message named a missing kp; motor numbers were ignored without a message."""
+    deploy = tmp_path / "deploy.yaml"
+    text = make_deploy(**{key: str(value)})
+    deploy.write_text(text)
+    line = 1 + next(i for i, row in enumerate(text.splitlines()) if row.startswith(key))
+    with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: {message}"):
+        read_deployment(load("v3"), [deploy])

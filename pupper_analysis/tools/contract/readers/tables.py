@@ -285,6 +285,17 @@ def _read_view(
     notes = (
         [diagnose("contract-motors-unread", file=name)] if motors.is_present and not indices else []
     )
+    unread = _describe_unread_values(view) | _describe_unread_terms(view)
+    if indices and joint_names.texts and len(indices) != len(joint_names.texts):
+        unread["motors"] = diagnose(
+            "contract-motors-length",
+            file=str(motors.place),
+            count=len(indices),
+            joints=len(joint_names.texts),
+            order=str(joint_names.place),
+            sources=motors.place.source,
+        )
+        indices = []
     if isinstance(joint_names.value, list) and joint_names.value and not joint_names.texts:
         notes.append(diagnose("contract-names-unread", file=str(joint_names.place)))
     is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
@@ -332,7 +343,7 @@ def _read_view(
         observations=(*named_terms, *_list_view_observations(view)),
         notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
-        unread=_describe_unread_values(view) | _describe_unread_terms(view),
+        unread=unread,
     )
 
 
