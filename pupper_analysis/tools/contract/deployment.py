@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
@@ -93,8 +94,9 @@ def read_deployment(
         ModelError: If a file of ``sources`` cannot be read or states nothing about joints of the
             robot, if a file contains several configurations and no name is passed, or if a source
             is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
-            the only list of such a quantity has another length than the joint order of its file.
-            These errors of ``policy`` are ignored.
+            the only list of such a quantity has another length than the joint order of its file,
+            or if two deployments list the joints in different orders. These errors of ``policy``
+            are ignored.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -134,6 +136,7 @@ def read_deployment(
         for key, fact in placed_source.facts.items():
             facts.setdefault(key, fact)
     _check_lengths(placed, facts)
+    _check_order_is_unique(placed)
     ordered = _find_order_source(placed) or _assume_order(placed, joints)
     stating = (one.source.observations for one in placed if one.source.observations)
     return Deployment(
@@ -207,6 +210,24 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
                 and find_quantity_kind(quantity).severity is not None
             ):
                 raise _make_unread_error(placed_source.source.path, message)
+
+
+def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
+    """Raise a ModelError if two deployments list joint names in different orders.
+
+    A policy file with joint names decides the order, so that no error is raised with such a file. A
+    deployment with motor numbers may refer to the order of a deployment without motor numbers, so
+    that these two are not compared. Drivers and trainers may have orders of their own.
+    """
+    named = [one for one in placed if one.how == "named"]
+    if any(one.source.role is Role.POLICY for one in named):
+        return
+    deployments = [one for one in named if one.source.role is Role.DEPLOYMENT]
+    for first, second in pairwise(deployments):
+        has_same_kind = bool(first.source.motors) == bool(second.source.motors)
+        if has_same_kind and first.order != second.order:
+            message = diagnose("deployments-differ-in-order", other=_describe_order_place(first))
+            raise make_file_error(second.source.order_place or Place(second.source.path), message)
 
 
 def _check_numbers(source: JointSource) -> None:

@@ -550,3 +550,16 @@ def test_list_of_another_length_than_the_joint_order_is_refused(
     line = 1 + next(i for i, row in enumerate(text.splitlines()) if row.startswith(key))
     with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: {message}"):
         read_deployment(load("v3"), [deploy])
+
+
+def test_two_deployments_with_different_joint_orders_are_refused(tmp_path: Path) -> None:
+    """The walk used the order of the first file on the command line."""
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    first.write_text(make_deploy())
+    order = [*JOINTS[3:6], *JOINTS[:3], *JOINTS[6:]]
+    second.write_text(make_deploy().replace(format_list(JOINTS), format_list(order)))
+    for files in ((first, second), (second, first)):
+        with pytest.raises(ModelError, match=rf"{files[1].name}:1: .*{files[0].name}:1"):
+            read_deployment(load("v3"), files)
+    second.write_text(make_deploy())
+    assert read_deployment(load("v3"), [first, second]).joints == tuple(JOINTS)
