@@ -768,9 +768,14 @@ class GravityRegressor:
         return forces[0], by_mass, by_com, np.column_stack(forces[1:])
 
 
-_UNKNOWN_STEPS = 2
-"""Default number of Newton steps for a stand's own unknowns (base tilt and height, contact forces)
-in each evaluation. Chosen, not tuned."""
+_MAX_UNKNOWN_STEPS = 20
+"""Upper bound of the Newton steps for a stand's own unknowns (base tilt and height, contact forces)
+in an evaluation. Chosen, not tuned: two steps are usually sufficient."""
+
+_UNKNOWN_CHI2_TOLERANCE = 1e-4
+"""Upper bound of the change of chi2 between two Newton steps for the own unknowns of a stand, at
+which the unknowns are solved. The value is a twentieth of the predicted decrease of the cost at
+which a fit has converged (2e-3)."""
 
 
 class StandEquations:
@@ -829,9 +834,7 @@ class StandEquations:
         self._readings = list(make_readings(robot, stands))
         self._unknowns = [self._make_initial_unknowns(reading) for reading in self._readings]
 
-    def linearise(
-        self, x: Array, noise_point: Array, evaluations: int = _UNKNOWN_STEPS
-    ) -> LinearisedResiduals:
+    def linearise(self, x: Array, noise_point: Array) -> LinearisedResiduals:
         """Linearise the whitened residuals of all stands, for ``estimate_parameters``.
 
         The own unknowns of each stand (base tilt, base height, contact forces) are solved for and
@@ -841,7 +844,6 @@ class StandEquations:
             x: Parameters, shape (n,), each in its unit.
             noise_point: The same array object as ``x``, to store the solved unknowns as the next
                 initial guess. With any other array, the previous unknowns are restored at the end.
-            evaluations: Newton steps of the own unknowns.
 
         Returns:
             Sums over the residuals. ``chi2`` is infinite if the equations of a stand cannot be
@@ -851,7 +853,7 @@ class StandEquations:
         try:
             values = self._make_values(x)
             for stand in range(len(self._readings)):
-                total += self.linearise_stand(stand, values, evaluations)
+                total += self.linearise_stand(stand, values)
         except (np.linalg.LinAlgError, ArithmeticError):  # no stand exists near these parameters
             total = replace(total, chi2=math.inf)
         if x is not noise_point:
@@ -873,22 +875,26 @@ class StandEquations:
         self._noise_mass = self._sum_masses(x)
         self.noise_deadband = abs(self.table.get_value(x, "deadband", "servos", "", 0.0))
 
-    def linearise_stand(
-        self, stand: int, values: StandValues, evaluations: int = _UNKNOWN_STEPS
-    ) -> LinearisedResiduals:
+    def linearise_stand(self, stand: int, values: StandValues) -> LinearisedResiduals:
         """Linearise the whitened residuals of a stand with respect to the parameters.
 
         Base tilt, base height and contact forces of the stand are computed by Newton steps, stored,
-        and eliminated. The returned sums are evaluated at the start of the last step.
+        and eliminated. The steps end if chi2 changes by at most `_UNKNOWN_CHI2_TOLERANCE`, or after
+        `_MAX_UNKNOWN_STEPS`. With fewer steps, chi2 would depend on the previous unknowns, and a
+        fit would compare costs that are not comparable. The returned sums are evaluated at the
+        start of the last step.
 
         Args:
             stand: Index of the stand.
             values: Values of the robot for a parameter vector.
-            evaluations: Number of Newton steps, at least 1.
         """
-        for _ in range(evaluations):
+        previous_chi2 = math.inf
+        for _ in range(_MAX_UNKNOWN_STEPS):
             linearised, step = self._evaluate_stand(stand, values).eliminate_own_unknowns()
             self._apply_step(stand, step)
+            if abs(linearised.chi2 - previous_chi2) <= _UNKNOWN_CHI2_TOLERANCE:
+                break
+            previous_chi2 = linearised.chi2
         return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:

@@ -1349,10 +1349,6 @@ attributes friction that is equal in all stands to parameters, which makes the e
 Measured on MEVIUS without the bound: the ratio was a fifth, and only 88 % of the intervals
 contained the truth."""
 
-_UNKNOWN_STEPS = 4
-"""Number of iterations by which the own unknowns of each stand (base tilt, base height, contact
-forces) are solved before the noise is estimated. Chosen, not tuned."""
-
 _MAX_EVALUATIONS = 40
 """Upper bound of the evaluations of the log evidence in the search for the three noise levels (foot
 moments, flatness of the ground, friction). An accuracy of about 10 % is sufficient. Chosen, not
@@ -1402,7 +1398,7 @@ def estimate_noise(
     from scipy import optimize  # slow to import
 
     expected, mean, table = equations.noise, posterior.mean, ParameterTable(posterior.parameters)
-    equations.linearise(mean, mean, _UNKNOWN_STEPS)  # updates the stands' own unknowns
+    equations.linearise(mean, mean)  # updates the stands' own unknowns
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:
