@@ -587,7 +587,7 @@ class Configuration(Pictured):
 
         A dependent joint has no motor. Constraint forces transfer its load to the motors of other
         joints (`Closure.load_transfer`). The rows of dependent joints become zero. The first nv -
-        nu rows (the base) are unchanged. Without loops and couplings, the result is ``forces``.
+        nu rows (the base) are unchanged. Without loops and couplings, the result equals ``forces``.
 
         Args:
             forces: Generalised forces that motors and constraints must exert together, shape (nv,)

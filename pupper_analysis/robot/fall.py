@@ -349,7 +349,8 @@ class InitialHeight:
         clearance: Vertical distance by which the robot can move downward to the ground (m);
             negative if the robot penetrates the ground; 0 if no ground is found within
             ``MAX_CLEARANCE``.
-        ground: Height of the ground (m) at the point that the robot would touch first.
+        ground: Height of the ground (m) at the point that the robot would touch first; the height
+            that the caller assumes if no ground is found.
     """
 
     com: float

@@ -157,8 +157,9 @@ def _level_floor(
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Select the floor from planes; if none is level at z = 0, replace one by a level plane.
 
-    The replaced plane is the first level plane at another height. If no plane is level, the first
-    plane is replaced. The list ``floors`` is reordered, so that the result is its first element.
+    The first level plane is replaced, for example a plane at another height. If no plane is level,
+    the first plane is replaced. The list ``floors`` is reordered, so that the result is its first
+    element.
 
     Returns:
         The floor; a diagnostic with the tilt and height of the replaced plane, if tilt or height

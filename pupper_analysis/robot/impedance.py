@@ -60,7 +60,7 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 
     Two positive values are time constant and damping ratio. Two values that are not positive are
     the negative stiffness and the negative damping. If exactly one value is positive, MuJoCo warns,
-    and applies its default.
+    and applies its default. MuJoCo's lower bound of the time constant (``refsafe``) is not applied.
 
     Source: getsolparam in MuJoCo's ``engine_core_constraint.c``.
 

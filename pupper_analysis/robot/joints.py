@@ -1,6 +1,6 @@
 """Joints of a robot: motion types, legs, and postures.
 
-A posture contains the positions of joints that move no foot, for example of the arms of a humanoid.
+A posture contains the positions of joints that move no foot or hand, for example of a head.
 The user specifies a posture as {joint name or pattern: position}. This module resolves the names,
 and checks units, loops and joint ranges. It also returns the default posture of a robot with a
 fixed base.
@@ -99,7 +99,7 @@ because users enter rounded positions. Chosen, not tuned."""
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
     """Check a requested posture, and expand its patterns to {joint: position [rad, m]}.
 
-    A posture may only contain joints that move no foot.
+    A posture may only contain joints that move no foot or hand.
 
     Args:
         robot: The robot.
@@ -111,7 +111,7 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
         ConfigurationError: In one of three cases:
 
             - A position is not valid.
-            - A joint moves a foot.
+            - A joint moves a foot or hand.
             - A joint belongs to a loop or coupling, and the posture lacks another joint of the
               robot's loops and couplings, or does not close the loops.
     """
@@ -134,7 +134,7 @@ decimals."""
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
     """Return the joints of closed loops and couplings that a requested posture may determine.
 
-    Joints that move a foot are omitted, because the stance determines their positions. The posture
+    Joints that move a foot or hand are omitted: the stance determines their positions. The posture
     must contain all joints of loops and couplings, and violate no constraint by more than
     `_MAX_POSTURE_VIOLATION`. Otherwise the result is empty.
 

@@ -291,7 +291,7 @@ class Robot(EngineModels):
         contact_frames: {contact point: frame in the URDF}.
         contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
             the frame of the body)}.
-        foot_geoms: {geom id of ``mj_model``: foot}.
+        foot_geoms: {geom id of ``mj_model``: foot or hand}.
         contact_radius: {contact point: radius [m] of the contact sphere}; 0 for the corner of a
             sole.
         contacts: {contact point: effective parameters of the contact with the ground}. If
@@ -706,7 +706,7 @@ class Robot(EngineModels):
     def _select_positions(self, values: Array, unbounded: float) -> Array:
         """Select the joints' position limits (nu,) from a vector in the order of Pinocchio's q.
 
-        Values from 1e9 up (``UNSTATED``) count as unlimited and become infinite.
+        Absolute values from 1e9 up (``UNSTATED``) count as unlimited and become infinite.
 
         Args:
             values: Limits, shape (pin_model.nq,) [rad, m].

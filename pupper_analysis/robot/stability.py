@@ -137,9 +137,9 @@ def _difference_steps(
 
 
 HOLD_DURATION = 12.0
-"""Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted, because
-MuJoCo's regularised friction always slips a little. At the payload limit of Pupper v3, for example,
-a deviation doubles in 30 s."""
+"""Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted unless
+it oscillates, because MuJoCo's regularised friction always slips a little. At the payload limit of
+Pupper v3, for example, a deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
 """Default simulated time before a state is evaluated [s]. The time is long enough for contacts,
@@ -199,8 +199,8 @@ class Mode(Result):
         damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
             growth.
         time_constant: Time in which the mode grows or decays by a factor of e (s); inf if neither.
-        doubling_time: Time in which the mode doubles (s); None if the mode decays, or is sustained
-            (``is_sustained``).
+        doubling_time: Time in which the mode doubles (s); None if the mode does not grow, or is
+            sustained (``is_sustained``).
         joints: Joints with the largest motion in the mode, largest first.
         without_dry_friction: Whether the mode belongs to the spectrum without dry friction of
             joints and tendons.
@@ -281,8 +281,8 @@ class Stability(Result):
         unstable: Modes that grow, fastest first. A mode that grows only without dry friction is
             included if it grows within 12 s (``HOLD_DURATION``). In a result of ``confirm_growth``,
             a simulation has confirmed the modes that leave the state within 12 s.
-        least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
-            friction; None if no oscillation decays.
+        least_damped: Oscillation with the smallest damping ratio among the oscillations that do not
+            grow, with or without dry friction; None if there is none.
         speed: Largest absolute element of qvel at the evaluated state (m/s or rad/s). If the state
             is not at rest, the spectrum does not describe the stability.
         uses_noslip_solver: Whether MuJoCo's no-slip solver is active. Friction then stops buckling
@@ -376,8 +376,8 @@ def step_stability(
         settle: Simulated time before the evaluation [s], from 0 to 600 s.
 
     Returns:
-        The growing modes with and without dry friction, and the decaying oscillation with the
-        smallest damping ratio.
+        The growing modes with and without dry friction, and the oscillation with the smallest
+        damping ratio among those that do not grow.
 
     Raises:
         ConfigurationError: If an argument has another type, or ``settle`` is not from 0 to 600 s.
@@ -397,7 +397,7 @@ def judge_settled(
     The evaluated state is normally the state after settling. It is the initial state in three
     cases:
 
-    - ``settle`` is below half a time step.
+    - ``settle`` is at most half a time step.
     - The simulation diverges.
     - The robot still moves after settling, the initial state is at rest, and a growing mode
       explains the motion: it doubles more than six times (``_MIN_THROWING_DOUBLINGS``) during

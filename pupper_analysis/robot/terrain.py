@@ -51,7 +51,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     the result is ``robot`` itself.
 
     Args:
-        robot: Robot whose MJCF has a floor; a missing floor is added.
+        robot: Robot. If the ground is not level, a missing floor is added.
         ground: Slope and steps.
         places: {contact point: sphere centre (3,) [m] in the world frame}, computed for rigid
             ground, also for lifted feet. The steps are placed below these points.
@@ -165,7 +165,7 @@ def find_touched_surface(
 
     Returns:
         Kind of the surface, with its foot or hand, such as "wall of left_palm". None if the body
-        touches the floor, or touches no step, plane or bar.
+        touches another geom of the world body, such as the floor, or no step, plane or bar.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -230,8 +230,8 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violati
         data: Data with kinematics.
         number: Id of the equality constraint: a weld, or a ``connect`` for a grip.
         violation: Constraint violation (6,): translation [m], then half of the rotation vector
-            [rad], as in the vector part of a quaternion; both in world axes. For a grip, only the
-            translation is used.
+            [rad], as in the vector part of a quaternion; both in world axes. For a grip, the
+            translation (3,) is sufficient.
     """
     body, relative_quaternion, inverse_quaternion = (
         int(model.eq_obj1id[number]),

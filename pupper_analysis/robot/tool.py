@@ -477,7 +477,7 @@ def _build_loaded_robot(
 
     For the first two masses at a point, the models are compiled. The second model is compared byte
     by byte with a copy of the first model whose payload mass is changed. If both are equal, the
-    models of all further masses are such copies. If they differ, for example because MuJoCo
+    models of further masses are such copies. If they differ, for example because MuJoCo
     computes the damping of a servo from ``dampratio``, all models are compiled.
 
     Args:

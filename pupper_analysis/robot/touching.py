@@ -52,7 +52,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 
     - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
       with its plane. The spheres of welded or gripping hands do not collide.
-    - The friction of each contact is the friction of its plane.
+    - If the plane of a contact has a friction coefficient, the contact has this coefficient.
     - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
       it.
 
@@ -72,7 +72,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
               of a foot, ``place`` or ``offset`` in the weld of a foot or of the base;
             * a foot with several contact points touches a bar, or grips;
             * a contact other than a weld is on the base;
-            * a hand is welded or grips, and moves with the same joint as another hand;
+            * two named parts other than feet move with the same joint, or both with the base, and
+              one of them is welded or grips;
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
         ModelError: If the model with the contacts cannot be built.
@@ -148,7 +149,8 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
         UnknownNameError: If the robot has no frame of a name.
         ConfigurationError: In one of these cases:
 
-            - Two hands move with the same joint, and one of them is welded or grips.
+            - Two named parts other than feet move with the same joint, or both with the base, and
+              one of them is welded or grips.
             - A part that is fixed to the base has a contact other than a weld, or a weld with an
               offset.
             - A hand moves with a foot.
@@ -212,8 +214,8 @@ def _make_base_free(robot: Robot) -> Robot:
     collisions is added.
 
     Raises:
-        ConfigurationError: If the file has no base body to make free, or a base without mass or
-            moment of inertia.
+        ConfigurationError: If the file has no base body to make free, the bodies above the base
+            have geoms, or the base has no mass or moment of inertia.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id

@@ -482,7 +482,8 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 MIN_FACTOR = 10.0
 """Ratio of two numbers (MJCF / URDF) [1], above which a message states a factor ("20 times")
-instead of a percentage. The same bound applies to relative effects. Chosen, not tuned."""
+instead of a percentage. Relative effects are stated as factors from this value on. Chosen, not
+tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:

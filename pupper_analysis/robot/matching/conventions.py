@@ -315,7 +315,8 @@ _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
 """Requirements of `_find_pose_of_joints`. `_MIN_JOINTS_OF_POSE` is the minimum number of joints on
 the base: two joints with axes determine ten numbers, a pose has six. `_MIN_SPREAD` is a lower bound
 of the spread of the joint positions [m], the largest range of their coordinates along an axis of
-the base. Otherwise no pose is determined. Chosen, not tuned."""
+the base. It also bounds the spread (RMS) of the fitted points along their second principal axis
+[m]. Otherwise no pose is determined. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
