@@ -345,8 +345,8 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     Args:
         figure: Figure.
         path: PNG file.
-        force: True to replace an existing file of any kind, except files that this run of the
-            command line reads. If False, only an empty file or a picture of this package is
+        force: True to replace an existing file of any kind, except files that this run reads, and
+            files with measurements. If False, only an empty file or a picture of this package is
             replaced.
 
     Raises:

@@ -128,7 +128,8 @@ class Skeleton:
             frame: from a joint to the next joint, or to the frame of the last body.
         base: Geoms of the base, and of the bodies without joints on the base.
         has_visuals: True if ``base`` contains the geoms that MuJoCo's viewer shows by default.
-            False: the base has no such geoms, and ``base`` contains the collision geoms.
+            False: the base has no such geoms, and ``base`` contains its other geoms, usually
+            collision geoms.
     """
 
     legs: dict[str, Array]
@@ -200,7 +201,7 @@ def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
 
 
 def _sample_surface(shape: Shape) -> Array | None:
-    """Return points on the surface of a convex shape, shape (n, 3) [m]; None for a plane."""
+    """Return points on the surface of a convex shape, (n, 3) [m]; None without a finite surface."""
     centres = shape.outline(_CIRCLE_POINTS, _GLOBE_POINTS)
     if centres is None or shape.minkowski_terms is None:
         return None
@@ -377,8 +378,8 @@ def make_skeleton_figure(
 ) -> Figure:
     """Draw the joints and links of a robot in a configuration, without forces, in two panels.
 
-    Each line connects a joint, or the frame of a body at the end of a chain, with the next joint
-    towards the base. The views are oblique and from above.
+    Each line connects a joint, a contact point, or the frame of a body at the end of a chain, with
+    the next joint towards the base, or with the base frame. The views are oblique and from above.
 
     Args:
         robot: Robot.

@@ -100,8 +100,8 @@ def format_axis_value(axis: Axis, value: float) -> str:
 
 
 _MIN_SPAN_OF_ANGLES = 60.0
-"""Smallest range of an axis [deg] with ticks at multiples of 15, 30, 45 or 90 deg. Chosen, not
-tuned."""
+"""Range of an axis [deg] above which its ticks are at multiples of 15, 30, 45 or 90 deg. Chosen,
+not tuned."""
 
 
 def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = False) -> list[float]:
