@@ -30,7 +30,8 @@ from pupper_analysis.tools.audit.fix import list_unique_repairs, locate_repair
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 MAX_SHOWN_GROUPS = 40
-"""Largest number of groups of findings in the short view. Chosen, not tuned."""
+"""Largest number of groups of findings that are not marked as details. Markdown folds details, and
+a terminal omits details without -v. Chosen, not tuned."""
 
 
 @build_document.register(Audit)

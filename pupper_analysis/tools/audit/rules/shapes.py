@@ -35,10 +35,11 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""Tolerance of positions [m], in four rules. Ends of rods at joints and feet: 2 % of the half
+"""Tolerance of positions [m], in five tests. Ends of rods at joints and feet: 2 % of the half
 length or of the distance, if larger. Ends of a rod on the axis: half a radius, if larger. Foot
 frames: at the centre or on the surface of a sphere. Gaps between visual and collision shapes: a
-fraction of the extent, if larger (`MIN_GAP_FRACTION`). Chosen, not tuned.
+fraction of the extent, if larger (`MIN_GAP_FRACTION`). Equal gaps of several limbs
+(`_list_intended_gaps`). Chosen, not tuned.
 """
 
 
