@@ -164,8 +164,8 @@ class MjcfSide(Side):
     Attributes:
         file: MJCF.
         elements: Elements of the MJCF.
-        gains: {("kp" or "kd", joint): gain of the position servo, at the joint [N m/rad or N m
-            s/rad]}.
+        gains: {("kp" or "kd", joint): gain of the position servo, at the joint [N m/rad, N/m; N m
+            s/rad, N s/m]}.
         robot: Matched robot.
         model: MuJoCo model of the robot.
     """
@@ -412,8 +412,8 @@ def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
 
     The present limit is the smallest of three bounds: ``actuatorfrcrange`` of the joint,
     ``forcerange`` of the actuator, and ``ctrlrange`` of a <motor> actuator. A stated bound is
-    changed if the bound is the smallest, is below the target, or has a range from 0 to 0. If no
-    bound is stated, ``actuatorfrcrange`` is added.
+    changed if the bound is the smallest, is below the target, or has a range with equal or inverted
+    ends, which MuJoCo ignores. If no bound is stated, ``actuatorfrcrange`` is added.
 
     Nothing is planned if several actuators drive the joint, or if the joint or an actuator is a
     copy of another element. The reason is then recorded in ``side.unwritten``.
@@ -452,7 +452,7 @@ def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
             symmetric = abs(bounds.sum()) <= NUMBER_RTOL
             side.elements.write(owner, limit.attribute, [-value, value] if symmetric else pair)
     null = side.robot.description.null_efforts.get(name)
-    if null is not None:  # a range from 0 to 0, which the compiled model lacks
+    if null is not None:  # a range with equal or inverted ends, which the compiled model lacks
         owner, factor = element, 1.0
         if null.element == "actuator":
             owner, factor = motors[0], float(actuator_gear(model, actuators[0])[0])
