@@ -550,7 +550,7 @@ def _make_link_joints(
     poses: Mapping[str, Pose],
     to_base: Pose,
 ) -> tuple[Joint, ...]:
-    """Create the joint that moves a link; no joint if the link is fixed in the world.
+    """Create the joint of a link to its parent or to the world; none if fixed to the world.
 
     Args:
         name: Link.

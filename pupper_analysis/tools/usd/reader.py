@@ -408,10 +408,11 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
 
 
 def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
-    """Yield a note on the bodies whose mass a USD file does not state.
+    """Yield a note on the bodies of a USD file that have neither a mass nor collision shapes.
 
     Raises:
-        ModelError: If a mass that is not stated would have to be computed from shapes.
+        ModelError: If another body lacks a stated mass, CoM or inertia: engines would derive the
+            missing property from shapes.
     """
     by_shapes = [
         name
