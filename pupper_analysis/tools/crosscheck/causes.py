@@ -278,7 +278,7 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
     Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. The setting with which most
     differences disappear is a finding if at least 60 % of the differences in rotations and axes
     disappear. If no rotation or axis differs, at least 60 % of the differences in joint limits must
-    disappear. ``eulerseq`` is tested only if the MJCF contains Euler angles.
+    disappear. ``eulerseq`` is tested only if a body of the MJCF has Euler angles.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -841,7 +841,7 @@ tested."""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
-undone.
+undone. 1.5 times this fraction is the mass tolerance of tested sets of links (`_list_subsets`).
 
 Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's mass. A
 wrong subset of links leaves about as much as the subset removes."""

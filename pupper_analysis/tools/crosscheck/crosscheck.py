@@ -759,7 +759,7 @@ def cross_check(
 ) -> CrossCheck:
     """Compare the dynamics of a robot's URDF and MJCF, each evaluated in Pinocchio and in MuJoCo.
 
-    States are random (`random_states`). Joint positions and torques are within the joint limits. A
+    States are random (`random_states`). Joint positions and torques are within the limits. A
     floating base has any orientation, and a position within 1 m of the origin along each axis.
 
     Args:

@@ -162,8 +162,8 @@ def _make_annotation(
 
 
 MAX_SHORT_GROUPS, MAX_SHOWN_GROUPS = 20, 40
-"""Largest number of groups of differences with lines side by side, in the short and in the full
-view. The table lists all differences. Chosen, not tuned."""
+"""Largest numbers of groups of differences with lines side by side: groups that are not marked as
+details, and all groups. The table lists all differences. Chosen, not tuned."""
 
 _ONE_FILE_EDGES = {
     EDGE_NAMES[URDF_PINOCCHIO, URDF_MUJOCO],
