@@ -181,7 +181,8 @@ class OwnRun(BodyMotion):
 
     An MJCF is simulated without changes; for a URDF see ``imported``. The tilt ``lean`` is relative
     to the upright start pose if it is smaller than that relative to reset, or if the robot ends
-    fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on its trunk, or upside down.
+    fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on its trunk, or tilted by more
+    than 90 deg.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
