@@ -478,7 +478,8 @@ def _build_pinocchio_model(
     """Build Pinocchio's model of the URDF; a fixed base has the pose that the MJCF states.
 
     Raises:
-        ModelError: If the joints differ from the joints of the MJCF, or are not supported.
+        ModelError: If Pinocchio cannot read the URDF, or if the joints differ from the joints of
+            the MJCF, or are not supported.
     """
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)

@@ -289,7 +289,7 @@ class Configuration(Pictured):
     def _foot_frames(self, feet: Iterable[str]) -> list[int]:
         """Return the Pinocchio frames of contact points; UnknownNameError for an unknown point.
 
-        ConfigurationError if ``feet`` is a text or no iterable.
+        ConfigurationError if ``feet`` is a text, bytes or no iterable.
         """
         frames, names = self._structure.feet, check_names("feet", feet)
         try:
@@ -350,7 +350,7 @@ class Configuration(Pictured):
             feet: Names of the contact points.
 
         Raises:
-            ConfigurationError: If ``feet`` is a text or no iterable.
+            ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         placements = self._data.oMf
@@ -371,7 +371,7 @@ class Configuration(Pictured):
             feet: Names of the contact points.
 
         Raises:
-            ConfigurationError: If ``feet`` is a text or no iterable.
+            ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         placements = self._data.oMf
@@ -387,7 +387,7 @@ class Configuration(Pictured):
             feet: Names of the contact points.
 
         Raises:
-            ConfigurationError: If ``feet`` is a text or no iterable.
+            ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         return self._jacobians(feet)
@@ -402,7 +402,7 @@ class Configuration(Pictured):
             {contact point: sphere centre minus radius times the world's z axis, shape (3,) [m]}.
 
         Raises:
-            ConfigurationError: If ``feet`` is a text or no iterable.
+            ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         names = self.robot.contact_points if feet is None else check_names("feet", feet)
@@ -422,7 +422,7 @@ class Configuration(Pictured):
                 axes, shape (n, 3) [m].
 
         Raises:
-            ConfigurationError: If ``feet`` is a text or no iterable.
+            ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         jacobians = self._jacobians(feet)

@@ -813,7 +813,7 @@ class Robot(EngineModels):
             points: Names of contact points. Other names, such as names of welds, are ignored.
 
         Raises:
-            ConfigurationError: If ``points`` is a text or no iterable.
+            ConfigurationError: If ``points`` is a text, bytes or no iterable.
         """
         requested = check_names("points", points)  # an element may have no hash
         return tuple(

@@ -121,11 +121,8 @@ def compare_collisions(
 
     Returns:
         Differences of feet; notes. If the files have different base frames or joint zeros, no feet
-        are compared, and a note reports this. Differences and notes are empty in three cases:
-
-        - The URDF has no collision shape.
-        - The MJCF has no compiled model.
-        - The MJCF has no geom outside of the world body.
+        are compared, and a note reports this. There is no such note if the URDF has no collision
+        shape, or the MJCF has no compiled model, or no geom outside of the world body.
     """
     conventions = matched.conventions
     urdf_model = read_urdf_model(urdf)

@@ -22,9 +22,10 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
-"""Minimum decrease of the deviation between two trees [bits, see `measure_deviation_bits`] by a
-candidate frame of a body. A candidate with a smaller decrease does not replace the best previous
-frame. The bound excludes rounding errors. Chosen, not tuned."""
+"""Lower bound of the decrease of the deviation between two trees [bits, see
+`measure_deviation_bits`] by a candidate frame of a body. A candidate with a smaller or equal
+decrease does not replace the best previous frame. The same bound applies to the rotation of all
+frames (`align_frames`). It excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

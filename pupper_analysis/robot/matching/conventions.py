@@ -41,7 +41,7 @@ _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
 """Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] by an
 assumed displacement of the base frame. The size of the displacement [bits] counts as deviation. A
 displacement that explains the whole deviation is accepted if the decrease is larger. A displacement
-that leaves a total below 60 % of the deviation is accepted in any case. Chosen, not tuned."""
+that leaves a total below 60 % of the deviation is accepted, too. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the

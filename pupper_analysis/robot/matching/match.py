@@ -405,7 +405,8 @@ class _PreparedTrees(NamedTuple):
         spec: Spec of the MJCF (a copy), without other objects and ball joints.
         mjcf_tree: Joints and links of ``spec``.
         scene_model: Compiled MJCF, with the objects and joints that ``spec`` lacks.
-        is_base_joined: Whether free joints and slides of the base were joined in ``spec``.
+        is_base_joined: Whether a free joint replaced other joints of a free base in ``spec``, for
+            example three slides and three hinges.
         urdf_joints: Hinges and slides of the URDF.
         mjcf_joints: Hinges and slides of the MJCF.
         fixed_urdf_joints: Joints of the URDF that were fixed.
@@ -771,8 +772,7 @@ def drop_other_objects(
         spec: Spec to modify.
         source: File, for messages.
         urdf: Root element of the URDF; None if two versions of an MJCF are compared. Without a
-            URDF, no limbs and link names are known: only the robot is kept, and with a free base
-            also static bodies with a plane.
+            URDF, no limbs and link names are known.
 
     Returns:
         Diagnostics of the deleted bodies.
@@ -836,7 +836,7 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 
     MuJoCo's import of a URDF merges a fixed base with the world: the limbs of the robot are then
     children of the world. A limb has a joint with the name of a URDF joint, with or without
-    prefixes and suffixes.
+    prefixes and suffixes, and no free joint.
 
     Args:
         spec: The MJCF.

@@ -60,8 +60,9 @@ def match_joints(
             names, for example of frames, are ignored.
 
     Raises:
-        ModelError: If no joint is matched. Also if fewer than half of the joints of the smaller
-            file are matched, unless ``wanted`` contains all matched pairs.
+        ModelError: If Pinocchio cannot read the URDF, or no joint is matched. Also if fewer than
+            half of the joints of the smaller file are matched, unless ``wanted`` contains all
+            matched pairs.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}

@@ -84,7 +84,7 @@ def base_pose(robot: Robot) -> pin.SE3:
 
 
 def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
-    """Return the poses of all bodies of a tree at zero joint positions, in the base frame.
+    """Return the poses of all bodies of a tree at zero joint positions, in the frame of the tree.
 
     Returns:
         {base or joint: pose of the moved body}.
