@@ -157,13 +157,14 @@ knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
-[1/s]. Such a mode needs 1.9 hours or more to double. The bound is at least the numerical error of
-the eigenvalue. Chosen, not tuned."""
+[1/s]. Such a mode needs 1.9 hours or more to double. (|eigenvalue| - 1) / (time step) of a growing
+mode also exceeds this value. The bound is at least the numerical error of the eigenvalue. Chosen,
+not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
-``DIFFERENCE_STEP``. The value has a second use: a decaying mode is an oscillation only if absolute
-value and angle [rad] of its eigenvalue are both larger."""
+``DIFFERENCE_STEP``. The value has a second use: a mode that does not grow is an oscillation only if
+absolute value and angle [rad] of its eigenvalue are both larger."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that

@@ -45,7 +45,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     - between a sole and its box, because MuJoCo would place the contacts at other points; the sole
       collides with a plane on top of the box, which no other foot touches;
     - between the shapes of a hand and its plane; only the contact sphere of the hand collides;
-    - between a welded part and all of these geoms.
+    - between a welded part and all of these geoms;
+    - between the geom of a grip and all parts.
 
     Welds to the world are inactive until ``close_welds``. On level ground without welds and grips,
     the result is ``robot`` itself.

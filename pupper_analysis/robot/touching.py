@@ -154,7 +154,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
             - A part that is fixed to the base has a contact other than a weld, or a weld with an
               offset.
             - A hand moves with a foot.
-            - A part is welded to a fixed base, and this base cannot be made free.
+            - A part of a fixed base is welded, and this base cannot be made free.
         ModelError: If the model with the contacts cannot be built.
     """
     tools = {
