@@ -89,8 +89,8 @@ class Branch:
 
     Attributes:
         positions: Joint positions, shape (n,) [rad, m].
-        foot_error: Largest distance of a contact point from the target [m]. Only rounding remains
-            for reachable targets.
+        foot_error: Largest distance of a contact point from the target [m]. For reachable targets
+            mostly small, but not zero, since the iterations end early (`_CONVERGED_STEP`).
     """
 
     positions: Array
@@ -126,7 +126,7 @@ def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
 def find_branches(
     robot: Robot, qpos: Array, foot_targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[IndependentLimb, tuple[Branch, ...]]:
-    """Find all limb postures (IK branches) with the feet at targets, for a given base pose.
+    """Find the postures (IK branches) of each limb with the feet at targets, for a base pose.
 
     Bounded Levenberg-Marquardt iterations run from `_NUM_STARTS` random initial guesses, for all
     limbs at once.
@@ -144,8 +144,8 @@ def find_branches(
         {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
         the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. Joint positions that
         differ by whole turns count as equal: if within the limits, the position nearest to the home
-        configuration is returned. For an unreachable target, the branches are local minima of the
-        foot error.
+        configuration is returned; for a continuous joint, the position in [-pi, pi). For an
+        unreachable target, the branches are mostly near local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.

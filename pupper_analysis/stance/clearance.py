@@ -387,7 +387,7 @@ class ClearanceShapes:
     ) -> Iterator[SurfaceDistance]:
         """Yield the smallest distance [m] of each shape in ``parts`` from the slope and all steps.
 
-        ``parts`` are the shapes that must be above the ground. For shapes on the link of a hand,
+        ``parts`` are the shapes that must be above the ground. For shapes on the joint of a hand,
         the surface that this hand touches is ignored.
 
         Args:
@@ -442,7 +442,7 @@ class ClearanceShapes:
             yield OffGround(index, shape, sunk)
 
     def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
-        """Return True if a collision shape on the link of a foot intersects the foot's sphere."""
+        """Return True if a collision shape on the joint of a foot intersects the foot's sphere."""
         self.kinematics.update(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)

@@ -368,9 +368,9 @@ class SelfClearance(Constraint):
 
 
 def _has_fixed_com_on_planes(targets: StandTargets) -> bool:
-    """Return True if the support margin need not be a constraint: CoM target on separate planes.
+    """Return True if the task has a CoM target, and a foot or hand has a separate plane.
 
-    The CoM margin is then not a constraint, since the support region is slow to compute. For a
+    A CoM margin of 0 is then not a constraint, since the support region is slow to compute. For a
     target other than the centre of the feet, `compute_targets` has already checked the margin.
     """
     return bool(targets.task.ground.planes) and targets.task.com != "inside"

@@ -85,7 +85,7 @@ class Stand(Pictured, Tabular):
             arm and ``com`` is no point, the horizontal error of the base frame (m). Otherwise zero
             if the CoM is free.
         com_margin: Distance of the projected CoM from the edge of the support polygon (m), negative
-            outside. Infinite for a welded robot and for a posture.
+            outside. Infinite for a welded robot, and for a posture of a robot with a fixed base.
         ground_clearance: Height of the lowest part except the feet above the ground, for MuJoCo's
             collision shapes with convex hulls of meshes. None without such parts or without ground.
         self_clearance: Smallest distance between links that are not neighbours; None if the task
@@ -360,8 +360,9 @@ class Stand(Pictured, Tabular):
         (`Servos.command`). MuJoCo clips commands to ``ctrlrange``.
 
         Raises:
-            ConfigurationError: If the stand references no robot (see `with_robot`), or the robot
-                cannot make the contacts of the task.
+            ConfigurationError: If the stand references no robot (see `with_robot`), the robot
+                cannot make the contacts of the task, the friction of the ground is unknown, or a
+                closed loop is open or singular.
             UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
             ModelError: If a joint has no position servo, except dependent joints of loops, or if
                 the model with the contacts cannot be built.

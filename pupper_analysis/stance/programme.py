@@ -5,7 +5,7 @@ relaxable requirement: a decrease and an increase. The sum of the slacks is mini
 sum of absolute values leaves most slacks at zero. The solver is SciPy's SLSQP.
 
 Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
-optimization", 2005, section 1.2 (elastic mode).
+optimization", 2005 (elastic mode).
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ _MIN_PROGRESS_RATIO = 0.9
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Upper bounds of the number of successive SLSQP iterations without progress, after which a solve
-ends: first value without relaxable requirements, second value with relaxable requirements. Measured
+"""Largest numbers of successive SLSQP iterations without progress; a further one ends the solve.
+First value: without relaxable requirements, second value: with relaxable requirements. Measured
 without relaxation: 1 of 138 solves that led to a stand exceeded the bound, and two thirds of 206
 solves without a stand. Measured with relaxation: 1 of 350, and one eighth of 633."""
 
@@ -72,13 +72,13 @@ with dependent equalities. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Task with changed (relaxed) values, and the configuration that satisfies the task best.
+    """Task with changed (relaxed) values, and the configuration at the end of a solve.
 
     Attributes:
         task: Task with relaxed numbers.
         qpos: Configuration, shape (nq,).
-        relaxations: {requirement: sum of the changes of its numbers}, lengths in stand heights,
-            angles in rad.
+        relaxations: {requirement: sum of the absolute changes of its numbers}, lengths in stand
+            heights, angles in rad.
         violation: Largest violation of the program's constraints with the relaxed values [m, rad].
     """
 
@@ -94,7 +94,7 @@ class Relaxation:
 
     @property
     def slack(self) -> float:
-        """Sum of the changes of all numbers in the task: lengths / stand height, angles [rad]."""
+        """Sum of the absolute changes of all numbers: lengths / stand height, angles [rad]."""
         return sum(self.relaxations.values())
 
 

@@ -129,9 +129,7 @@ def explain_refusal(
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     """Return True if closed loops are at a dead point: joints cannot move a foot in some direction.
 
-    Without the loops, the joints could move the foot.
-
-    At such a dead point a motor rotates while the coupled joints stay at rest, to first order.
+    Without the loops, the joints could move the foot. Only stance feet are tested.
     """
     if robot.closure is None:
         return False
@@ -344,7 +342,10 @@ class _RelaxationSearch:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, requirement: str) -> bool:
-    """Return True if a value of a requirement in `_POSITIVE_REQUIREMENTS` is nearly zero."""
+    """Return True if a requirement in `_POSITIVE_REQUIREMENTS` has a too small value.
+
+    The smallest permitted value is `_NEGLIGIBLE_VALUE` times the robot's stand height.
+    """
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return requirement in _POSITIVE_REQUIREMENTS and bool(
         (RequirementVector(robot, task, [requirement]).values < least).any()

@@ -55,12 +55,13 @@ _MAX_DISPLACED_GUESSES = 32
 
 _MISS_TOLERANCE = 0.1
 """Largest relative excess of a foot error over the smallest foot error, with which both count as
-equal. The search ends after `_MIN_AGREEING_GUESSES` equal errors. Chosen, not tuned."""
+equal (see `_MIN_AGREEING_GUESSES`). Chosen, not tuned."""
 
 _MIN_AGREEING_GUESSES = 8
 """Number of initial guesses of the nonlinear program that lead to nearly the smallest foot error
-(`_MISS_TOLERANCE`), with which the search ends. Measured on 400 stands, most at the limit of reach:
-all but one were found before two guesses agreed, the last one after four."""
+(`_MISS_TOLERANCE`), with which the search ends. Exception: with a sole on a leg of fewer than six
+joints, all guesses are tried. Measured on 400 stands, most at the limit of reach: all but one were
+found before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
 """Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
@@ -154,9 +155,10 @@ def solve_constraints(
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand, or None if the program fails; and smallest foot error [m]. The foot error is
-        minimised only if the program fails and the CoM is free; otherwise it is 0. An error above
-        ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only local.
+        Solved stand, or None; and smallest foot error [m]. The foot error is minimised only if the
+        program does not bring the feet to their targets and the CoM is free; otherwise it is 0. An
+        error above ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only
+        local.
     """
     there, programme = _StandSearch(context, targets), StanceProgram(context.shapes, targets)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -297,7 +299,7 @@ class _StandSearch:
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
-        """Return True if enough guesses ended near the smallest foot error so far: the search ends.
+        """Return True if enough guesses ended near the smallest foot error so far.
 
         At least `_MIN_AGREEING_GUESSES` foot errors must exceed the smallest by at most the
         fraction `_MISS_TOLERANCE`.
@@ -600,8 +602,8 @@ tuned."""
 def random_postures(targets: StandTargets, count: int) -> Iterator[Array]:
     """Yield random joint positions, shape (nu,) [rad, m], within joint limits and +-pi.
 
-    The seed of the generator is fixed, so that searches with equal limits use equal positions. A
-    joint whose limits do not overlap with +-pi is at a limit.
+    The seed of the generator is fixed, so that searches with equal limits use equal positions. If
+    the limits of a joint do not overlap with +-pi, its position is max(lower limit, -pi).
     """
     low, high = np.maximum(targets.lower, -np.pi), np.minimum(targets.upper, np.pi)
     random = np.random.default_rng(0)
@@ -665,8 +667,8 @@ def bound_com_shift(
 def support_radius(targets: StandTargets) -> float:
     """Return the largest horizontal distance [m] from the centre of the feet to a support corner.
 
-    If the support region has no corners (all feet are welded), the largest horizontal distance of a
-    foot target from the feet centre; 0 without foot targets.
+    If the support region has no corners (for example, all feet are welded), the largest horizontal
+    distance of a foot target from the feet centre; 0 without foot targets.
     """
     corners = targets.corners or [target[:2] for target in targets.foot_targets.values()]
     distances = [np.linalg.norm(corner - targets.centre[:2]) for corner in np.array(corners)]

@@ -94,7 +94,8 @@ def solve_stand_on_soft_ground(
         ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
             the margins are too large; or if the stand belongs to another robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
         StanceUnreachableError: If the stance is unreachable on rigid ground, or with the feet in
             the soft ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -195,9 +196,10 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
             the margins are too large; or if the stand belongs to another robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
         StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
-            contain the reason (``explain=False``).
+            contain the requirements to relax (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths of a robot without loops do not converge.
     """
@@ -253,11 +255,12 @@ def solve_loaded_stand(
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
-        UnknownNameError: If the robot lacks the frame of the payload, or a foot of the task.
+        UnknownNameError: If the robot lacks the frame of the payload, or a foot, joint or contact
+            of the task.
         ModelError: If the loaded model cannot be built, or the mass or inertia of a body is
             invalid.
         StanceUnreachableError: If the stance is unreachable with that load. The error does not
-            contain the reason (``explain=False``).
+            contain the requirements to relax (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths of a robot without loops do not converge.
     """

@@ -81,7 +81,8 @@ def solve_stand(
             robot has no feet, or the margins are too large. Also if ``start`` is not a valid
             configuration of the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
             and the requirements to relax.
     """
@@ -239,7 +240,8 @@ def solve_stands(
             task is solved.
         UnknownNameError: If a task contains an unknown foot, joint or contact; raised before the
             first solve.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
         StanceUnreachableError: For the first unreachable task, with the task index.
     """
     all_targets: list[StandTargets] = []

@@ -46,8 +46,8 @@ class StandTask:
         pitch: Rotation about y, left (rad); positive tilts the front down.
         yaw: Rotation about z, up (rad), relative to the feet.
         offset: (x, y) of the base from the centre of the feet, in world axes (m). If an offset is
-            given, the position of the CoM is a result, which must keep a positive ``com_margin``.
-            Otherwise ``com`` determines the position of the base.
+            given, the position of the CoM is a result. It must keep ``com_margin`` only if this
+            margin is positive. Without an offset, ``com`` determines the position of the base.
         feet: {foot: (x, y) in the world (m)}, instead of the nominal position.
         foot_offsets: {foot: (x, y) from the nominal position (m)}.
         swing: {foot without load: height of the sphere above the ground (m)}.
@@ -275,8 +275,8 @@ _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 the ``ground`` of a task."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute of `StandTask`: default value}. An attribute whose value is the default object itself
-(``is``) is not checked."""
+"""{attribute of `StandTask`: default value, or ``dataclasses.MISSING`` for an attribute with a
+default factory}. An attribute whose value is the default object itself (``is``) is not checked."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""

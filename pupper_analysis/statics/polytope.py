@@ -22,9 +22,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, find_tool
 
 MIN_LEVER_ARM = 1e-9
-"""Smallest lever arm of a force about a hinge [m], or component of a unit force along a slide [1],
-with which the motor bears the force. Smaller values count as zero. Chosen as the size of rounding
-errors."""
+"""Lever arm of a force about a hinge [m], or component of a unit force along a slide [1], above
+which the motor bears the force. Values up to this bound count as zero. Chosen as the size of
+rounding errors."""
 
 _PARALLEL_TOLERANCE = 1e-9
 """Tolerance [1] of the linear dependence of unit normals of faces. Three faces meet in a vertex if
@@ -52,10 +52,11 @@ class ForcePolytope(Tabular):
         load: Static load of the motors, shape (n,) (N m or N).
         limits: Effort limits of the motors, shape (n,) (N m or N); infinite if no file states the
             limit.
-        vertices: Vertices of the polytope in world axes, shape (k, 3) (N). Empty if no force keeps
-            all motors within their limits. None if a limit is unknown, or if the polytope is
-            unbounded. The polytope is unbounded if no motor bears a force in some direction (fewer
-            than three motors, or a straight limb).
+        vertices: Vertices of the polytope in world axes, shape (k, 3) (N). None if a limit is
+            unknown, or if no motor bears a force in some direction (fewer than three motors, or a
+            straight limb): the polytope is then unbounded or empty. Otherwise k = 0 if no force
+            keeps all motors within their limits. A motor that bears no force, with a static load
+            beyond its limit, also gives k = 0.
     """
 
     point: Array = field(metadata={"unit": "m"})

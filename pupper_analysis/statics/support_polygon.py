@@ -217,7 +217,7 @@ def find_extreme_positions(
 
     If ``tolerance`` is None, the number of directions is `SIDES`. Otherwise the search begins with
     `_FIRST_SIDES` directions. The normal of a side is added as a direction if the region may extend
-    beyond the side by more than ``tolerance`` (Bretl and Lall 2008, section IV).
+    beyond the side by more than ``tolerance`` (Bretl and Lall 2008).
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.

@@ -53,7 +53,7 @@ class Solution:
     Attributes:
         qpos: Configuration, shape (nq,).
         forces: {touching contact: force of the ground, shape (3,) [N]}, in the contact frame.
-        residual: Largest element of the residual (N, N m and m mixed).
+        residual: Largest absolute element of the residual (N, N m and m mixed).
     """
 
     qpos: Array

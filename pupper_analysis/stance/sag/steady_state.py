@@ -197,8 +197,8 @@ path of equilibria ends before all feed-forward is removed. Chosen below 1, sinc
 equilibrium may be before the actual end of the path, by up to `_MIN_SHARE_STEP`."""
 
 CREEP_STEPS = 20
-"""Number of backward Euler steps into which a creep duration is divided. Measured: with 20, a robot
-that falls after 15 s is predicted to fall after 14 s."""
+"""Number of intervals into which a creep duration is divided, with one or more backward Euler steps
+each. Measured: with 20, a robot that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
 """Lower bound of the backward Euler step that integrates the creep (slow slip) of feet, as a
@@ -455,8 +455,8 @@ which the feet are expected to stay in place if the feed-forward is removed in o
 an allowance for contact effects that the first-order estimate of the overshoot neglects."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Upper bound of the predicted height loss by creep within ``HOLD_DURATION``, relative to the base
-height in the stand, up to which creep is not simulated. Measured on a quadruped 2 % above its
+"""Upper bound of the predicted height change by creep within ``HOLD_DURATION``, relative to the
+base height in the stand, up to which creep is not simulated. Measured on a quadruped 2 % above its
 minimum stiffness: creep ends the equilibrium after 5 s, with a ratio of 0.025."""
 
 
@@ -481,7 +481,7 @@ class SteadyState(Result):
             sliding feet.
         height_drift: Rate of the base height by creep (m/s). A simulated height stays within D of
             the predicted height for about D / |height_drift| seconds.
-        residual: Largest element of the residual of the equations (N or m).
+        residual: Largest absolute element of the residual of the equations (N, N m and m mixed).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
             relative to the mass matrix (rad^2/s^2). It is the square of the lowest natural
             frequency without damping.

@@ -237,7 +237,8 @@ class _Grid:
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
     """Find the largest grid value of kp with which the robot does not stand; return its index.
 
-    Creep is ignored. The index is 0 if the robot stands with all inner values of the grid.
+    Creep is ignored. The search is a bisection; the index is 0 if the robot stands with each tested
+    value.
     """
     first, last = 0, grid.count
     while last - first > 1:
@@ -266,9 +267,9 @@ def _bisect_stiffness(
 ) -> tuple[float, float]:
     """Narrow a bracket of the smallest stiffness kp [N m/rad] with which the robot stands.
 
-    The result equals that of a bisection in which each kp is tested with creep. A simulation of
-    creep takes ten times as long as statics. Therefore statics bound kp first, and predictions
-    (`_predict_stiffness`) replace midpoints.
+    If the robot stands with each kp above some kp, the result equals that of a bisection in which
+    each kp is tested with creep. A simulation of creep takes ten times as long as statics.
+    Therefore statics bound kp first, and predictions (`_predict_stiffness`) replace midpoints.
 
     Args:
         search: Test of stiffnesses.
