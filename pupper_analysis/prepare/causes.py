@@ -150,12 +150,11 @@ def _name_bodies(names: Iterable[str]) -> str:
 
 
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """List elements of a published MJCF that the predicted equilibrium of a stand ignores.
+    """List elements of a published MJCF that may make it deviate from the predicted equilibrium.
 
     Each entry is a candidate cause: it may explain why a simulation of the published model deviates
     from the predicted equilibrium. Examples are solver settings, contact exclusions, equalities,
-    limits, servo biases and obstacles. The prepared robot does not have these elements, or its
-    behaviour is independent of the elements.
+    limits, servo biases and obstacles.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -236,7 +235,7 @@ def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], N
 
     Args:
         changes: Triples (names of the fields, joined by spaces; index of the elements; new value).
-            The index is None for fields of ``model.opt``.
+            The index is None for scalar fields of ``model.opt``.
     """
 
     def switch_off(model: mujoco.MjModel) -> None:
@@ -310,9 +309,10 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield servos with a bias, a gain unequal to the stiffness, or a delay as candidate causes.
+    """Yield servos with a bias or a gain unequal to the stiffness, and actuators with a delay.
 
-    A candidate cause may explain why the published model deviates from the predicted equilibrium.
+    Each kind is a candidate cause, which may explain why the published model deviates from the
+    predicted equilibrium.
     """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -390,8 +390,8 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
     """Yield the position servos as a single candidate cause of a fall: servos that are too soft.
 
     The candidate contains all position servos with a constant gain at the joints of the robot.
-    Nothing is yielded without such servos. Switching the candidate off multiplies the stiffness and
-    damping of the servos by `STIFFNESS_FACTOR`.
+    Nothing is yielded without such servos. Switching the candidate off multiplies gain and bias of
+    the servos, and thus stiffness and damping, by `STIFFNESS_FACTOR`.
     """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -429,8 +429,8 @@ def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield slippery and soft contacts as candidate causes of a failed simulation.
 
     Such contacts may explain a fall, or a deviation from the predicted equilibrium. There are at
-    most two candidates. The first contains all slippery geoms and contact pairs, the second all
-    soft geoms and contact pairs (`_select_bad_contacts`).
+    most two candidates. The first contains all slippery contact pairs and collidable geoms, the
+    second all soft contact pairs and collidable geoms (`_select_bad_contacts`).
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -535,8 +535,8 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield limits of servo commands and forces as candidate causes of a failed simulation.
 
-    The predicted equilibrium does not consider these limits. There is a candidate per kind:
-    ``ctrlrange`` and ``forcerange`` of the actuators at the robot's joints, and
+    The equilibrium that is predicted with feed-forward does not consider these limits. There is a
+    candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the robot's joints, and
     ``actuatorfrcrange`` of these joints.
     """
     model, joints, motors = (

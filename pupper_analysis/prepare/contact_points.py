@@ -41,10 +41,10 @@ _NUM_POSES = 3
 the leg may be straight."""
 
 _RANK_RTOL = 1e-2
-"""Tolerance [1] of `can_keep_sole_flat`, used twice. A singular value of the Jacobian counts as
-zero below this fraction of the largest singular value. A unit velocity along the normal counts as
-possible if the error is at most this value. Chosen, not tuned: mesh soles are tilted by rounding of
-their vertices."""
+"""Tolerance [1] of `can_keep_sole_flat`. A singular value of a Jacobian counts as zero below this
+fraction of the largest singular value. A unit velocity along the normal counts as possible if the
+error is at most this value. Chosen, not tuned: mesh soles are tilted by rounding of their
+vertices."""
 
 _MAX_CORNERS = 8
 """Upper bound of the number of contact points at the corners of a sole. The corner
@@ -148,7 +148,7 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     The sphere touches the ellipsoid at this point. The radius is the mean of the two principal
     radii of curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in
     the diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex
-    Bodies", 2014, section 2.5.
+    Bodies", 2014.
 
     Args:
         shape: Ellipsoid, placed in the world.

@@ -133,7 +133,8 @@ class AddedServos(NamedTuple):
         kp: Stiffness of all servos, zero for dependent joints, shape (nu,) [N m/rad, N/m].
         kd: Damping of all servos, zero for dependent joints, shape (nu,) [N m s/rad, N s/m].
         num_rest_modes: Number of command modes in which the robot comes to rest in a simulation. 2:
-            with and without feed-forward torques. 1: only with feed-forward. 0: in none.
+            with and without feed-forward torques. 1: only with feed-forward. 0: no tried gains let
+            the robot come to rest with feed-forward.
     """
 
     robot: Robot

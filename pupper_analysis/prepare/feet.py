@@ -219,10 +219,11 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Choose a name for each foot: the name of its geom, or of its body if it has several geoms.
+    """Choose a name for each foot: the name of its geom, else the name of its body.
 
-    If two feet would have the same name, all feet have the names of the bodies. ``feet`` are pairs:
-    id of the foot's body, and contact points.
+    The name of the body is used if the foot has several geoms, or a geom without a name. If two
+    feet would have the same name, all feet have the names of the bodies. ``feet`` are pairs: id of
+    the foot's body, and contact points.
     """
     names = []
     for body, points in feet:

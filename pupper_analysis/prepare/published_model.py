@@ -143,7 +143,7 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
     added. An attribute that the file states is kept. The model is returned unchanged if the robot
     has no published MJCF (`PublishedFile.file`) or no added servos, or if at most half of the
-    joints of ``published`` lack a position servo.
+    joints of ``published`` lack an actuator that can hold a position (`has_few_servos`).
 
     Args:
         published: Published model: the user's file as compiled.

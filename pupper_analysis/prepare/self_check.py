@@ -319,10 +319,10 @@ def _moves_alike(
 ) -> bool:
     """Return True if published file and prepared robot fail alike without feed-forward.
 
-    Neither comes to rest with position commands alone, and their deviations from the predicted
-    torques are equal within ``TORQUE_RTOL``. The file is then no cause: the verdict reports the
-    failure without feed-forward, with its cause. Measured for the reduced Talos of
-    example-robot-data, whose soles chatter: both deviate by 42.3 % in torque.
+    Neither comes to rest with position commands alone, the file does not collapse, and the
+    deviations from the predicted torques are equal within ``TORQUE_RTOL``. The file is then no
+    cause: the verdict reports the failure without feed-forward, with its cause. Measured for the
+    reduced Talos of example-robot-data, whose soles chatter: both deviate by 42.3 % in torque.
 
     Args:
         prediction: Predicted state of rest.
@@ -364,8 +364,9 @@ def _find_loading_causes(
         prepared: Simulation of the prepared robot; without it, no cause is found.
 
     Returns:
-        Causes. Empty if neither case applies, or if ``compare_files`` finds no difference or fails.
-        Empty in the second case for a robot without an MJCF, or with a converted URDF or MJCF.
+        Causes. Empty if neither case applies, if no change by the preparation is listed, or if
+        ``compare_files`` finds no difference or fails. Empty in the second case for a robot without
+        an MJCF, or with a converted URDF or MJCF.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -1095,8 +1096,8 @@ def _test_causes(
 
     Args:
         published: Published model: the user's file as compiled.
-        candidates: Candidates that the prepared robot does not have.
-        physical: Candidates that the prepared robot has, too.
+        candidates: Candidates from `list_difference_causes`.
+        physical: Candidates from `list_shared_causes`.
         test_model: Returns the remaining deviation of a sound model; None for an unsound model.
 
     Returns:

@@ -195,8 +195,8 @@ _MAX_FOOT_HEIGHT_SPREAD = 0.1
 height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
-"""Upper bound of the number of IK branches that are tried as initial guesses at each base height,
-nearest to the requested pose first. Chosen, not tuned."""
+"""Upper bound of the number of combinations of the legs' IK branches that are tried as initial
+guesses at each base height, nearest to the requested pose first. Chosen, not tuned."""
 
 _NUM_HEIGHTS = 12
 """Number of base heights at which a stand is searched, between folded and straight legs
@@ -212,8 +212,8 @@ same minimum (`_solve_first_guess`). Chosen between measured values, of 238 mini
 bipeds: equal minima differ by up to 3e-5, different minima by 8e-3 or more."""
 
 _MAX_RESET_PASSES = 3
-"""Number of successive solves of a stand. Before each solve after the first, the joints outside the
-legs (arms, waist) are reset to the requested pose. Chosen, not tuned."""
+"""Upper bound of the number of successive solves of a stand. Before each solve after the first, the
+joints outside the legs (arms, waist) are reset to the requested pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Required distances of the joints from their limits [rad, m], tried in this order until a start
@@ -767,7 +767,7 @@ def _solve_first_guess(
 
     Returns:
         Stand. None if all guesses fail. None also if two guesses end at the same minimum of the
-        foot errors, above zero: the stand then counts as out of reach.
+        foot errors, above ``NEAR_MISS``: the stand then counts as out of reach.
     """
     misses: list[float] = []
     for joints in guesses:

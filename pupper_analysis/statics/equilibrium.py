@@ -880,8 +880,8 @@ support region is a polygon inside the true region (`support_corners`). Chosen, 
 
 UNLIMITED_MASS_RATIO = 1e4
 """Ratio of payload mass to robot mass above which a payload counts as unlimited, and the search of
-the function `payload` ends. Lever arms of motors that limit such a payload are rounding errors.
-Chosen, not tuned."""
+`payload_limit` ends. Lever arms of motors that limit such a payload are rounding errors. Chosen,
+not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per mass [N m/kg] up to which a motor or passive joint counts as not loaded, since the
