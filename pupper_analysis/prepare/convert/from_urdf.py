@@ -310,9 +310,10 @@ class UrdfBodies:
             self.efforts[name] = effort
 
     def _is_mimic(self, joint: UrdfJoint) -> bool:
-        """Return True if a joint follows a moving joint; add a note about an invalid leader.
+        """Return True if a joint follows a moving joint; add a note if it does not.
 
-        An invalid leader does not exist, is fixed, or follows the joint itself.
+        The leader of the joint may follow another leader. These leaders are invalid if a leader
+        does not exist, if the last leader is fixed, or if leaders follow each other in a circle.
         """
         if joint.mimic is None:
             return False
@@ -611,8 +612,8 @@ def convert_urdf_in_memory(
         URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
 
     Raises:
-        ModelError: If the URDF cannot be converted, for example because no joint moves; or if no
-            moving link has a mass in the URDF.
+        ModelError: If the URDF cannot be converted, for example because no joint moves; or if
+            neither a moving link nor a link fixed to it has a mass in the URDF.
     """
     options = MjcfOptions(repair_inertia=True, defer_visuals=defer_visuals)
     converted = ConvertedMjcf.from_urdf(urdf, urdf.path, options, free=False)

@@ -42,7 +42,7 @@ class MeshFiles:
         urdf: URDF.
         output: Path of the MJCF.
         copied: True to copy all meshes to a folder beside the MJCF.
-        made: {path in the MJCF: content} of the mesh files to be written: converted or copied.
+        made: {path of the file: content} of the mesh files to be written: converted or copied.
         defers: True to convert meshes that are only visual later (`DeferredMeshes`).
     """
 
@@ -187,14 +187,15 @@ class MeshFiles:
     ) -> None:
         """Add the registered meshes to the ``<asset>`` of an MJCF.
 
-        File names are relative to the folder of the MJCF. If ``assets`` is given, no file is
-        written: then converted meshes are keys of ``assets``, and other file names are absolute. A
-        tetrahedron represents each deferred mesh.
+        File names are relative to the folder of the MJCF. If ``assets`` is given, converted and
+        copied meshes are keys of ``assets``, other file names are absolute, and a tetrahedron
+        represents each deferred mesh.
 
         Args:
             asset: Element ``<asset>``; extended in place.
             used: Names of the meshes that the MJCF needs; None: all registered meshes.
-            assets: Receives {name: content} of the converted meshes; None if files are written.
+            assets: Receives {name: content} of converted and copied meshes. None if the caller
+                writes the files.
         """
         for (path, scale), name in self._names.items():
             if used is not None and name not in used:
@@ -267,7 +268,7 @@ class MeshFiles:
             why: Reason.
             file: File name in the URDF.
             touches: True for a collision mesh.
-            is_visual: True for a visual mesh that cannot be converted.
+            is_visual: True for a visual mesh in a format that must be converted.
         """
         left = self._left_visuals if is_visual else self._left
         for found in (left, self._lost) if touches else (left,):

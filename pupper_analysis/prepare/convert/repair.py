@@ -307,7 +307,8 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
     """Find the nearest ancestor of a body that moves relative to its parent, or is the base.
 
-    The result is the body itself if the body is not fixed to its parent.
+    The result is the body itself if the body is not fixed to its parent, or the parent is the
+    world. The search also ends at a body that is fixed to the world.
 
     Args:
         bodies: Bodies.

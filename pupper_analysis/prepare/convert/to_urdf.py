@@ -45,8 +45,8 @@ from pupper_analysis.models.xml import (
 )
 
 _DEFAULT_VELOCITY_LIMIT = 100.0
-"""Velocity limit that is written for all joints [rad/s, m/s]: a URDF requires a limit, and an MJCF
-has none. Chosen, not tuned."""
+"""Velocity limit that is written for each joint that moves [rad/s, m/s]: a URDF requires a limit,
+and an MJCF has none. Chosen, not tuned."""
 
 
 @dataclass
@@ -284,8 +284,8 @@ class ConvertedUrdf:
         Args:
             file: MJCF.
             output: Path of the URDF; mesh paths are relative to the folder of this path.
-            fix_balls: True to fix ball joints at the reference positions; False to refuse ball
-                joints.
+            fix_balls: True to fix a ball joint at the reference position, if the body has no other
+                joint. False to refuse ball joints.
 
         Raises:
             ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
@@ -422,7 +422,7 @@ class UrdfShapes:
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
         """Convert a geom to URDF shapes, with poses in the body frame; a capsule becomes three.
 
-        Empty, with a note, if a URDF has no such shape.
+        Empty, with a note, if a URDF has no such shape, or if a mesh cannot be used.
         """
         shape = read_shape(self.model, geom)
         placed, size = shape.pose.placement, np.array(shape.size)
@@ -508,8 +508,8 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
        there are other roots.
     2. If exactly one root has a free base, the root is the robot. Other roots may be doors or
        drawers.
-    3. If ``<connect>`` or ``<weld>`` couples all roots, the roots are a single robot whose base is
-       the world (0): for example, a linkage with two fixed pivots.
+    3. If ``<connect>`` or ``<weld>`` couples all remaining roots, the roots are a single robot
+       whose base is the world (0): for example, a linkage with two fixed pivots.
     4. A single remaining root is the robot.
 
     The base is the body of the root that has the free joint; without a free joint, the root.
@@ -547,7 +547,7 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
 
 
 def _are_coupled(model: mujoco.MjModel, roots: Sequence[int]) -> bool:
-    """Return True if active <connect> and <weld> equalities join all root bodies."""
+    """Return True if active <connect> and <weld> equalities between bodies join all ``roots``."""
     groups = {root: {root} for root in roots}
     for equality in range(model.neq):
         is_body = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_BODY.value
