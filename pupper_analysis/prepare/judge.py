@@ -111,7 +111,7 @@ def judge_simulation(
         NotSettlingError: If the stand is nudged here, and the penetration depths do not converge.
         ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), get_loaded_robot(robot)
@@ -583,7 +583,7 @@ def judge_stand(
         NotSettlingError: If the penetration depths of a robot without loops do not converge.
         ConfigurationError: If an argument is not valid for the robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
     """
     held = solve_stand_as_simulated(robot, stand)
     fed, alone = (

@@ -228,9 +228,10 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
 
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
     ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
-    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. A shape
-    along the link becomes longer. The mass of such a shape, or of the body's inertial, is
-    multiplied by the scale. Other primitive shapes, such as the foot, keep size and mass.
+    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Meshes,
+    and capsules and cylinders along the link, become longer. The given mass of such a capsule or
+    cylinder, and of the body's inertial, is multiplied by the scale. Other primitive shapes, such
+    as the foot, keep their mass, and their size unless ``fromto`` determines it.
 
     Mass and inertia of the base body are multiplied by ``torso_mass_scale``. If this scale is above
     1, a dark block without mass is drawn on the base. The base, also in the keyframes, is raised or
@@ -324,7 +325,7 @@ def _stretch_geom(
     Args:
         geom: Geom of the spec.
         axis: Unit vector (3,) of the stretched direction, in the body frame.
-        factor: Factor of lengths along the axis.
+        factor: Factor of lengths along the axis, and of the given mass of a geom along the axis.
         matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
         meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the mesh of
             the geom.

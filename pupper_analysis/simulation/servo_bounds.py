@@ -177,7 +177,7 @@ def bound_servo_gains(
         ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
             the linear model of the stand is not finite.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
@@ -291,7 +291,7 @@ def find_soft_servos(
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     named: list[object] = []

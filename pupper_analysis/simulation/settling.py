@@ -141,7 +141,7 @@ def comes_to_rest(
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
@@ -190,8 +190,8 @@ def calms_after_base_nudges(
     `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. A simulation ends once the
     robot no longer shakes (speeds of at most ``MIN_SHAKING_SPEED``), or after 6 s
     (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no failure. The
-    result is False as soon as a simulation diverges, the robot leaves
-    the stand, or it shakes without decay for ``SHAKING_SECONDS``.
+    result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
+    without decay for ``SHAKING_SECONDS``.
 
     This test finds chatter that `comes_to_rest` may miss. The larger nudge may lift a sole, which
     then chatters without end.
@@ -205,7 +205,7 @@ def calms_after_base_nudges(
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
@@ -392,7 +392,7 @@ def _max_horizontal_norm(displacements: Array) -> float:
 
 
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
-    """Compute target minus mean position of each contact point of a stand, shape (points, 3) [m].
+    """Compute target minus mean position of each loaded contact point, shape (points, 3) [m].
 
     Positions are centres of contact points in the world frame, sampled every ``_SAMPLE_TIME``.
     """

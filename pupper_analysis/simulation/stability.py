@@ -81,7 +81,7 @@ def stand_stability(
         ConfigurationError: If an argument is out of range, the stand has stance feet but the base
             is fixed, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
@@ -118,7 +118,7 @@ def rest_stability(
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
@@ -327,7 +327,7 @@ class Nudge(Result):
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of ``duration``, without creep (m/s, rad/s). For a
             free base, the increase of the mean speed by the nudge counts, too.
-        left: Largest speed in the last third of ``duration``, without creep (m/s, rad/s).
+        left: Largest speed in the last third of ``duration``, defined as ``motion`` (m/s, rad/s).
         moved: Largest displacement of a joint in the last third of ``duration``, from its position
             before the nudge, without the creep (rad, m).
         farthest: Largest displacement of a joint at any time after the nudge, without the creep
@@ -457,8 +457,8 @@ and the 12 s of a verified stand is 40 s."""
 
 _MAX_BOUNCE_RATIO = 1.5
 """Upper bound [1] of the ratio (speed at the end of `BOUNCING_TIME`) / (speed after the nudge),
-with which the motion does not grow. Chosen between 1 and 3: the ratio of irregular bounces varies
-about 1, and growth that doubles in 12 s has a ratio of 3."""
+with which the motion does not grow. Chosen between 1 and 5: the ratio of irregular bounces varies
+about 1, and growth that doubles in 12 s has a ratio of 2^(28/12) = 5."""
 
 
 def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:

@@ -129,7 +129,7 @@ time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
 """Upper bound [1] of the product (growth rate of a mode) * (remaining time) with which the
-remaining motion can be bounded. A larger product, growth by a factor of more than 5e8, counts as
+remaining motion can be bounded. A larger product, growth by a factor of more than 4.8e8, counts as
 unbounded motion. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
@@ -237,7 +237,7 @@ def simulate_nudges(
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has
             stance feet, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)
@@ -313,7 +313,7 @@ def simulate_large_nudges(
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has
             stance feet, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)

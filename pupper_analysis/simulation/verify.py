@@ -318,7 +318,7 @@ def verify_stand(
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has
             stance feet, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     given, robot = robot, with_stand_contacts(robot, stand)

@@ -109,7 +109,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
         StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand, or the task is invalid.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
     """
     start = solve_stand(robot, task)
     return find_interval(start.check(robot), start, "height")
@@ -138,7 +139,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand, or the task is invalid.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)

@@ -564,7 +564,7 @@ def steady_state(
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the ground cannot be added (``build_on_ground``).
+            the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If the stand has no equilibrium on soft ground, if the equilibrium is
             lost while feed-forward is removed, or if it ends by creep within ``seconds``.
@@ -597,7 +597,7 @@ def make_homotopy_path(
 
     Raises:
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the ground cannot be added (``build_on_ground``).
+            the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If the stand has no equilibrium on soft ground.
     """
@@ -742,7 +742,7 @@ def find_sag_failure(
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the ground cannot be added (``build_on_ground``).
+            the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     try:

@@ -107,7 +107,8 @@ def minimum_stiffness(
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
+            (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
@@ -150,7 +151,8 @@ def estimate_minimum_stiffness(
     Raises:
         ConfigurationError: If ``ratios`` is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
+            (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
@@ -181,7 +183,8 @@ def _bracket_stiffness(
     Raises:
         ConfigurationError: If ``feet`` or ``ratios`` is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
+            (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
