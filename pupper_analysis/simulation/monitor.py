@@ -533,8 +533,8 @@ def record_contacts(
         loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
             a predicted load below `LIGHT_FOOT_LOAD`.
         is_released: Whether the servos start without the static torques, so that the robot drops
-            by its sag and bounces. These feet may then leave the ground until the last second
-            before the nudge.
+            by its sag and bounces. The feet ``loaded`` may then leave the ground until the last
+            second before the nudge.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))

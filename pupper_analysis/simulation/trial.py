@@ -640,8 +640,9 @@ class _NudgedEvaluation:
         state: Last simulated state (mjSTATE_FULLPHYSICS), shape (size,).
         failure: First failure; None without a failure so far.
         saturated: First saturation of a motor; None if no motor has saturated. A saturation becomes
-            the failure if a motor is saturated at the end, or if another failure follows that is
-            neither shaking nor divergence.
+            the failure if a motor is saturated at the end, or if another failure follows. Shaking,
+            divergence, and a contact point with little load that is lifted at the end, have their
+            own failure.
         is_decided: Whether the simulation needs no more steps.
         shaking: Speeds since the nudge.
     """

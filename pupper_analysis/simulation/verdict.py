@@ -103,7 +103,8 @@ class Outcome:
         failures: Reasons of the failure.
         duration: Simulated time (s).
         collapses: Whether the robot collapsed.
-        torque_error: Largest torque deviation / largest predicted torque; NaN without a prediction.
+        torque_error: Largest torque deviation / largest predicted torque (``verify.torque_scale``);
+            NaN without a prediction.
         force_error: Largest relative deviation of a foot force; None if no foot carries load, or
             without a prediction.
         stability: Stability of the settled or the initial state; None if not evaluated.
@@ -169,8 +170,8 @@ class Verdict(Result):
         with_feedforward: End of the simulation with gravity feed-forward, ctrl = q* + tau / kp.
         commands_alone: End of the simulation with position commands only, ctrl = q*; None if not
             simulated.
-        torque_error: With feed-forward, largest deviation / largest predicted torque; NaN without a
-            prediction.
+        torque_error: With feed-forward, largest deviation / largest predicted torque
+            (``verify.torque_scale``); NaN without a prediction.
         force_error: With feed-forward, largest relative deviation of a foot force, vertical or
             along the normal of the foot's plane; NaN if not simulated; None if no foot carries
             load.
@@ -355,7 +356,8 @@ def _find_worst_code(
     Codes of `UNKNOWN_CODES` are not considered. The published file is the MJCF as its author wrote
     it. If the robot stands, but not as predicted, the code is ``DISAGREES``. In three cases the
     code is ``FAILS`` instead: a motor is overloaded, the published file fails from a keyframe on
-    its servos, or the published file collapses in the computed stance.
+    its servos, or the published file collapses in the computed stance. The second case is ignored
+    if the user has given the gains.
 
     Args:
         fed: Simulation with feed-forward.

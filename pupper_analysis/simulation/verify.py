@@ -174,7 +174,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         passed: Whether the stand is verified.
         failures: Reasons of the failure.
         stays: Whether the robot stands still on its feet, also after the nudge, as predicted or
-            not. A foot may be idle if URDF and MJCF describe different robots.
+            not. With feed-forward, a foot may be idle before it settles, or if URDF and MJCF
+            describe different robots.
         collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown
             up or left its place at the end; for a fixed base, whether a joint ends far from the
             stand.
@@ -282,8 +283,10 @@ def verify_stand(
        prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
        feed-forward, the robot does not collapse (`StandVerification.collapses`).
     3. The robot comes to rest again after a nudge: a velocity of all coordinates (``NUDGE_SPEED``
-       of ``robot.fall``). No joint moves by ``MAX_JOINT_DISPLACEMENT`` (0.01 rad or m) or more.
-    4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s).
+       of ``robot.fall``). No joint moves by ``MAX_JOINT_DISPLACEMENT`` (0.01 rad or m) or more. A
+       foot with almost no load may bounce (`remains_small`).
+    4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless a simulation
+       refutes the mode.
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
     feed-forward, such a posture is compared with ``settled``, if given.
@@ -804,8 +807,9 @@ def _find_standing_failures(
 ) -> list[Diagnostic]:
     """Create messages about the reasons why a simulated robot does not stand still on its feet.
 
-    The response to the nudge is not evaluated. The result is empty without a reason. ``states`` are
-    the simulated states after each step, shape (n, size).
+    The contacts and the final state include the time after the nudge, but the decay of the motion
+    is not evaluated. The result is empty without a reason. ``states`` are the simulated states
+    after each step, shape (n, size).
     """
     failures = list(record.failures)
     if monitor.has_diverged(states, result.timestep):
