@@ -823,7 +823,7 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
 
 def with_foot_contacts_only(robot: Robot) -> Robot:
-    """Return a robot in whose MuJoCo model only the foot geoms of the foot bodies can collide.
+    """Return a robot whose foot bodies collide with their foot geoms only, in the MuJoCo model.
 
     Other geoms of the foot bodies have contype and conaffinity 0. Contacts of a ``<pair>`` remain.
     Only the compiled model is changed, not the description (URDF and MJCF): a robot that is built

@@ -239,8 +239,8 @@ class SupportMargin(Constraint):
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the CoM's distances from the sides of the support polygon minus the margin.
 
-        Shape (m,) [m], horizontal, one value per side, positive inside. All values are >= 0 if the
-        required margin is kept.
+        Shape (m,) [m], horizontal, one value per side, positive inside; the value of the last side
+        may be repeated. All values are >= 0 if the required margin is kept.
         """
         sides, com = self._polygon_sides(targets), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]

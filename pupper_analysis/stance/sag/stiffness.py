@@ -278,7 +278,7 @@ def _bisect_stiffness(
         search: Test of stiffnesses.
         low: kp with which the robot does not stand [N m/rad].
         high: kp with which the robot stands [N m/rad].
-        tolerance: Largest width, relative to ``high``.
+        tolerance: Largest width of the result, relative to its upper end.
     """
     grid = _Grid(low, high, tolerance)
     static = first = _find_static_end(search, grid)
