@@ -247,8 +247,8 @@ For bodies that are fixed to each other, these parameters are added.
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    - Bodies and sites with a name become frames of type BODY. If several have the same name, only
-      the first becomes a frame.
+    - Bodies (except the world) and sites with a name become frames of type BODY. If several have
+      the same name, only the first becomes a frame.
     - Copied are gravity, joint limits, force limits of joints and their actuators, friction loss,
       armature and damping (see `acting_gravity`, `joint_armature`, `joint_damping`).
     - Other forces (springs, tendons ...) are not copied.
@@ -323,7 +323,7 @@ def joint_damping(model: mujoco.MjModel) -> Array:
 def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
     """Sum an actuator value, such as armature, at each degree of freedom: gear^2 x value, (nv,).
 
-    ``values`` has an entry per actuator. Only actuators at a single joint are included.
+    ``values`` has an entry per actuator. Only actuators at a single hinge or slide are included.
     """
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):

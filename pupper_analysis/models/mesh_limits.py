@@ -16,8 +16,9 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESH_BYTES: Final = 50_000_000
-"""Maximum size of a mesh file [bytes]; larger files are rejected. Chosen as twice the largest file
-of a published robot. For a text file of this size MuJoCo computes the hull within a minute."""
+"""Maximum size of a mesh file [bytes]; larger files are rejected. Chosen above the files of
+published robots, for example 29 MB (trunk of Go1). For a text file of this size MuJoCo computes the
+hull within a minute."""
 
 MAX_MESH_VERTICES: Final = 1_000_000
 """Maximum number of vertices of a mesh; larger meshes are rejected. Chosen above the largest

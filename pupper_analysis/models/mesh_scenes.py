@@ -50,7 +50,7 @@ def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
         ending: Suffix of the file: .dae, .glb, .off or .ply.
 
     Raises:
-        UnreadableError: If the mesh is broken, or has too many vertices or parts.
+        UnreadableError: If the mesh is broken, or has too many vertices or parts, or too much text.
     """
     import trimesh  # comes with yourdfpy, and is slow to import
 

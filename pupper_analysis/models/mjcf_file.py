@@ -63,6 +63,7 @@ def leave_out_missing(
 
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
+        OutputError: If this run of the command line also writes a mesh or texture.
     """
     meshes, textures = _find_missing_files(spec, tree, index)
     if not (meshes or textures):
@@ -146,7 +147,7 @@ def _describe_missing_files(
         meshes: {mesh: missing file}.
         textures: {texture: missing file}.
         geoms: Geoms with these meshes. The note names their bodies. It also names the meshes of
-            geoms that can collide and do not belong to the world body.
+            geoms that can collide and do not belong to the world body, by their missing files.
     """
     collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
@@ -327,7 +328,8 @@ class IncludeTree:
         attached: Root elements of directly and indirectly attached models.
         folders: Folders of the file and of the attached models.
         root: Root element.
-        copies: Number of elements after expansion of replicates and attached models.
+        copies: Estimated number of elements after expansion of replicates and attached models. Each
+            ``<attach>`` counts as all elements of the attached model.
 
     Raises:
         ModelError: For example if an included or attached file is missing or not valid, if files
@@ -375,7 +377,7 @@ class IncludeTree:
             path: File that contains the element.
             within: Resolved paths of the files whose inclusion leads to the element.
             depth: Nesting depth below the root.
-            childclass: Default class from the ``childclass`` of the bodies above.
+            childclass: Default class from the ``childclass`` of the elements above.
         """
         attributes = {str(name): str(value) for name, value in element.attrib.items()}
         place = Place(path, line_of(element))
@@ -465,7 +467,11 @@ class IncludeTree:
         raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
-        """Count the elements in a node's subtree, including replicas and attached models."""
+        """Estimate the number of elements in a node's subtree, with replicas and attached models.
+
+        An ``<attach>`` counts as all elements of the attached model. A ``<replicate>`` counts once
+        per replica.
+        """
         total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
             total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
@@ -495,7 +501,8 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
 """Pattern of the printf directives that access memory (``%n``, ``%s``, ``%S``). A file with such a
-text is refused, because MuJoCo's reader uses some texts as format strings and would crash.
+directive in an attribute outside of `_TEXT_ATTRIBUTES` is refused, because MuJoCo's reader uses
+some texts as format strings and would crash.
 """
 
 _TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
@@ -542,8 +549,8 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
       is the file name without suffix.
     - A ``freejoint`` also has a key with the tag ``joint``.
     - If several elements have the same key, the first in the file is listed.
-    - If no other element has the key, an actuator is also listed by the name of its joint, and a
-      joint without name by the name of its body.
+    - If no other element has the key, an actuator is also listed by its attribute ``joint``, and a
+      joint without name by the name of its parent element, usually a body.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -573,10 +580,10 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
     """Find where an attribute of an element is set: in the element, or in a default class.
 
     The default class is the class of the element; else the ``childclass`` of a body above the
-    element; else the first top-level class. A class inherits from the enclosing classes. In a
-    class, only elements with the same tag are searched. Exception: for an attribute that all
-    actuators have, such as ``forcerange`` (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of
-    any actuator are searched.
+    element; else, or if the class is unknown, the first top-level class. A class inherits from the
+    enclosing classes. In a class, only elements with the same tag are searched. Exception: for an
+    attribute in `_COMMON_ACTUATOR_ATTRIBUTES`, such as ``forcerange``, elements with the tag of any
+    actuator are searched.
 
     Args:
         root: Root element.
@@ -681,7 +688,8 @@ class MjcfFile:
 
         Args:
             kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
-                ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``.
+                ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``,
+                ``"deformable"``.
             name: Name of the element. Alternatives: joint of an actuator, class of a default, body
                 of a joint without a name.
             child: Path below the element (``"inertial"``); the innermost existing element counts.
@@ -902,8 +910,9 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
         notes: Diagnostics to keep in the file.
 
     Raises:
-        ModelError: If MuJoCo cannot write the spec, a limit of size, number or depth is exceeded,
-            or a mass depends on a missing mesh.
+        ModelError: For example if MuJoCo cannot write the spec, a limit of size, number or depth is
+            exceeded, or a mass depends on a missing mesh.
+        OutputError: If this run of the command line also writes a mesh or a texture.
     """
     try:
         with silence_mujoco():

@@ -136,10 +136,11 @@ def is_uri(word: str) -> bool:
 
 
 def is_published_name(word: str) -> bool:
-    """Return True if a word names a published robot, and is no existing path.
+    """Return True if a word has the form of a published robot's name, and is no existing path.
 
-    The robot is a description of ``robot_descriptions``, or a robot of MuJoCo Menagerie. A word
-    with the prefix ``robot_descriptions:`` counts in any case.
+    The name is that of a description of ``robot_descriptions`` (not looked up), or of a robot of
+    MuJoCo Menagerie (`is_menagerie_name`). A word with the prefix ``robot_descriptions:`` counts in
+    any case.
     """
     return _is_description(word) or is_menagerie_name(word)
 
@@ -239,7 +240,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
             - The name is a web address.
             - ``robot_descriptions`` is not installed or cannot be imported, has no such
               description, or has not cached its files.
-            - The description contains no model file.
+            - The description cannot be imported, or contains no model file.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)

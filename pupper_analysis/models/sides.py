@@ -150,8 +150,8 @@ names to find the corresponding links or joints of several limbs."""
 def strip_sides(name: str) -> str:
     """Return a name without the words that distinguish limbs: ``calf`` for ``FL_calf``.
 
-    The result is in lower case. Underscores, hyphens, points, spaces and capitals separate words.
-    The remaining words are joined by underscores.
+    The result is in lower case. Underscores, hyphens, points and spaces separate words; a new word
+    also begins at a capital after a small letter. The remaining words are joined by underscores.
     """
     words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
     return "_".join(word for word in words if word not in _SIDE_TOKENS)

@@ -49,7 +49,7 @@ def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     """Return the gear of an actuator: the transmission ratio of its first output.
 
     Returns:
-        Shape (1,) for an actuator at a single joint, otherwise (6,).
+        Shape (1,) for an actuator at a single hinge or slide, otherwise (6,).
     """
     gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
     return gear[:1] if is_at_one_joint(model, actuator) else gear

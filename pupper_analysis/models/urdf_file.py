@@ -197,7 +197,8 @@ def urdf_from(
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
-        OutputError: If this run of the command line also writes a mesh or an included file.
+        OutputError: If this run of the command line also writes a mesh, a texture or an included
+            file.
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"
@@ -522,7 +523,7 @@ def check_tree(
 
 MAX_SLIDE_POSITION = 1e3
 """Limit of a slide without limits [m]. A URDF requires two limits, whose defaults are 0. Chosen: no
-robot moves as far, and with 12 digits the resolution is a nanometre."""
+robot moves as far, and with 12 digits smaller positions have a resolution of a nanometre."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:

@@ -25,11 +25,11 @@ expression that uses their names has an effect."""
 
 _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 """Children of an included file's root that change neither links nor joints. An included file with
-only these and declarations is accepted, and ignored."""
+only these, declarations and further harmless includes is accepted, and ignored."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Pattern of the names of included files without links and joints. A file that does not exist on
-this computer is assumed to be harmless if its name matches."""
+"""Pattern in the names of included files without links and joints. A file that does not exist on
+this computer is assumed to be harmless if its name, in lower case, contains a match."""
 
 _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 """Pattern of ``$(find NAME)/`` at the start of a path."""

@@ -21,7 +21,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
     The gear has no losses. The supply voltage is the larger absolute end of the control range.
-    Unknown numbers (None) are:
+    Numbers that a ``dcmotor`` does not state are unknown (None). Also unknown are:
 
     - an armature of zero, and limits that are not set,
     - thermal numbers, if the actuator has no thermal model,

@@ -71,8 +71,8 @@ def read_motor(path: Path) -> Motor:
         path: File.
 
     Raises:
-        ModelError: If the file cannot be read, a number is not valid, or numbers contradict each
-            other.
+        ModelError: If the file cannot be read, states no source, contains a value that is not
+            valid, or contains numbers that contradict each other.
         UnknownNameError: If a key is unknown.
     """
     try:
@@ -103,7 +103,7 @@ def read_bam_parameters(path: Path) -> Motor:
         path: JSON file.
 
     Raises:
-        ModelError: If the file is not valid.
+        ModelError: If the file cannot be read, or is not valid.
     """
     try:
         stated = json.loads(read_input(path, MAX_TEXT_BYTES))

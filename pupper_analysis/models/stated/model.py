@@ -201,7 +201,10 @@ class RobotModel:
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """All joints of the file as ``{name: joint}``."""
+        """Joints of the file as ``{name: joint}``; of several with one name, only the last.
+
+        Several joints of an MJCF body without names have the same name, "(BODY)".
+        """
         return {joint.name: joint for body in self.links.values() for joint in body.joints}
 
     @cached_property
@@ -276,7 +279,7 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Return a link and all links that are fixed to it, directly or indirectly.
+        """Return a link and all descendants that are fixed to it, directly or indirectly.
 
         Empty for the world.
         """
@@ -331,8 +334,9 @@ class MjcfModel(RobotModel):
     Attributes:
         file: The file.
         mj_model: Compiled model; None if MuJoCo does not compile the file.
-        refusal: Message of MuJoCo and the location, if the unmodified file does not compile; None
-            otherwise.
+        refusal: Message of MuJoCo and the location, if the file does not compile, or compiles only
+            because the reader turned flat meshes into shells; None otherwise, for example if only
+            mesh files are missing.
         body_names: Names of all bodies as in ``links``, indexed by MuJoCo's body id.
     """
 
