@@ -237,7 +237,7 @@ def _check_replaceable(
     Raises:
         OutputError: If a non-empty file has a content that the kind does not permit to replace.
             Also if the run has read the file. Exception: the kind is edited in place, and the file
-            is of this kind or empty.
+            is of this kind, is empty, or is no regular file.
         OSError: If a non-empty file cannot be read.
     """
     run = current_run()
