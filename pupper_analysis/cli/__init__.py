@@ -132,7 +132,7 @@ collections in 0.17 s (measured once). Chosen, not tuned."""
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command-line command, and end the process with the exit status of the command.
 
-    Errors are printed on standard error, as a single line. The exit status is:
+    Errors are printed on standard error, as a single line. The exit status of an error is:
 
     - 2 for an error of the package or of the command line, a lack of system resources such as disk
       space, or a failure to write standard output. Command lines to run next may follow.

@@ -149,8 +149,8 @@ class RobotAndTask:
 
     Methods load the robot and create the stand task from these values. ``which`` contains the
     options that select the robot, ``stance`` the options of the stand task. The command sets
-    ``fixed_base``. Each other field is the value of the option of this name; ``payload`` is in kg,
-    ``timestep`` in s.
+    ``fixed_base``. Each other field is the value of the parameter of this name: ``style`` of
+    ``--format``, ``everything`` of ``--verbose``; ``payload`` is in kg, ``timestep`` in s.
     """
 
     which: RobotOptions
