@@ -206,8 +206,8 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""Joint parameters that a URDF or an MJCF can specify. Comparisons list differences in this
-order."""
+"""Joint parameters that a URDF or an MJCF can specify. A comparison evaluates the parameters of a
+joint in this order."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}

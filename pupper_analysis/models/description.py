@@ -44,7 +44,8 @@ class Description:
             is 0. A contact point without an entry is the centre of a collision sphere.
         nominal: {joint: position [rad, m]} of the nominal stand, the pose in which the robot stands
             by default; missing joints are at zero.
-        made_frames: Contact points without a frame in either file.
+        made_frames: Names of the frames (links of ``urdf``, sites of ``mjcf``) that were added for
+            contact points, because neither file has such a frame.
         added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written get
             the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of

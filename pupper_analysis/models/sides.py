@@ -70,10 +70,9 @@ def mirror_name(name: str) -> str:
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in the word for left or right.
 
-    A name without a side, such as ``foot`` of a planar walker, is paired with ``foot_left`` or
-    ``foot_right``, unless both exist. These pairs come last. The other pairs are in the given
-    order. Names of grippers, fingers, cameras, IMUs and sensors are excluded
-    (``ASYMMETRIC_PART_NAME``).
+    A name such as ``foot`` of a planar walker is paired with ``foot_left`` or ``foot_right``,
+    unless both exist. These pairs come last. The other pairs are in the given order. Names of
+    grippers, fingers, cameras, IMUs and sensors are excluded (``ASYMMETRIC_PART_NAME``).
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}

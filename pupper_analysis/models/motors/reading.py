@@ -145,7 +145,7 @@ def _make_motor(
     Args:
         path: File with the numbers, for messages.
         name: Name of the motor.
-        source: Source of all numbers.
+        source: Source of the numbers without an entry in ``sources``.
         stated: {number of the motor: text with unit}.
         sources: {number of the motor: its own source}.
 
