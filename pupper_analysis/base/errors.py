@@ -406,8 +406,8 @@ class StaticsInfeasibleError(PupperAnalysisError):
     Attributes:
         reason: Reason.
         margin: Signed distance [m] between the projected CoM or zero-moment point and the edge of
-            the support polygon; negative outside. NaN if a grip or a prescribed force is the
-            reason.
+            the support polygon; negative outside. Not finite if undefined, for example NaN if a
+            grip or a prescribed force is the reason.
         friction_needed: Minimum friction coefficient with a solution, if friction is the reason;
             otherwise None.
         feet: Feet concerned.
