@@ -45,8 +45,8 @@ _SHARED_OPTIONS = {field.name for field in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-"""Options of ``fit`` that all modes accept, with one exception: ``--record`` and ``--listen`` do
-not accept ``priors`` and ``kp``.
+"""Names of the parameters of ``fit`` that all modes accept, with one exception: ``--record`` and
+``--listen`` do not accept ``priors`` and ``kp``.
 """
 _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
@@ -55,7 +55,7 @@ _MODE_OPTIONS = {
     "--log": {*_SHARED_OPTIONS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
     "--plan": {*_SHARED_OPTIONS, "count", "added", "added_at"},
 }
-"""{option that selects a mode: options that the mode accepts}."""
+"""{option that selects a mode: names of the parameters that the mode accepts}."""
 
 
 @shared.command("fit")

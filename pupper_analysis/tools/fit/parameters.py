@@ -240,7 +240,7 @@ def apply_priors(
 
     - The width is 0: the stated value counts as exact. An example is the prior ``kp=0``. The
       default width of a mass is relative, so that the width is 0 for a stated mass of 0.
-    - The width is NaN.
+    - The width is negative or NaN.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible

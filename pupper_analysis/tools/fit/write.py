@@ -256,7 +256,7 @@ _SAMPLES_HEADER = """\
 # Samples of a fitted robot. One a row: factors on the corrected models' numbers, com_x, com_y, \
 com_z: to be added (m).
 """
-"""Comment lines before the header of the CSV file with samples of fitted robots."""
+"""Comment line before the header of the CSV file with samples of fitted robots."""
 
 
 def _format_csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:

@@ -852,7 +852,7 @@ def differentiate_motion(
 
     Returns:
         {index of the group in `simulator.groups`: (indices of k parameters, derivatives of shape
-        (samples, joints of the group, k) [rad per unit of the parameter])}.
+        (samples, joints of the group, k) [rad or m per unit of the parameter])}.
     """
     groups, common_parameters = (
         simulator.groups,

@@ -211,7 +211,7 @@ class Simulator:
         self.groups = self.bodies.find_independent_groups(table)
 
     def _compute_joint_inertia(self) -> Array:
-        """Return the inertia that a torque of one joint alone accelerates, shape (nu,) [kg m^2].
+        """Return the inertia that each joint's motor alone accelerates, shape (nu,) [kg m^2, kg].
 
         The result is 1 / (M^-1)_jj, with the mass matrix M in the posture `Robot.home`.
         """
@@ -651,9 +651,9 @@ class MomentCoordinates:
         """Convert physical parameters, shape (n,), to first-moment coordinates, shape (n,).
 
         A CoM component c [m] of a body with an estimated mass m [kg] becomes
-        c0 + (m / m0) (c - c0), with the stated values c0 and m0. The delay [s] becomes the delay
-        minus the time constant of the lag of commands, if both are estimated. Other parameters are
-        unchanged.
+        c0 + (m / m0) (c - c0), with the stated values c0 and m0, and m at least
+        `MIN_MASS_FRACTION` m0. The delay [s] becomes the delay minus the time constant of the lag
+        of commands, if both are estimated. Other parameters are unchanged.
         """
         moments = vector.copy()
         deviation = vector[self._coms] - self._stated_com
