@@ -124,12 +124,12 @@ def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FootJacobian(Result):
-    """Jacobian of a foot with respect to the joints of the leg.
+    """Jacobian of a contact point of a foot with respect to the joints of the leg.
 
     Attributes:
         joints: Joints of the leg.
-        matrix: Velocity of the foot's centre per joint velocity, shape (3, n) (m/rad), in world
-            axes.
+        matrix: Velocity of the contact sphere's centre per joint velocity, shape (3, n) (m/rad), in
+            world axes.
         singular_values: Singular values of the matrix, shape (min(3, n),), in descending order
             (m/rad).
         condition: Ratio of the largest to the smallest singular value: 1 if the Jacobian is
@@ -167,7 +167,8 @@ class Analysis(Result):
         min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
         hanging_torques: Motor torques in the same configuration if the base is held and the feet
             carry no load, shape (nu,) (N m or N).
-        foot_jacobians: {foot: Jacobian of the leg}.
+        foot_jacobians: {contact point: Jacobian with respect to the joints of the leg}. A spherical
+            foot has a single contact point, with the name of the foot.
         verification: Simulation of the stand with feed-forward.
         sagging: Simulation of the stand without feed-forward.
         verdict: Verdict on the stand, with the basis of the verdict.
@@ -280,11 +281,12 @@ def analyze_variant(
 
 
 def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
-    """Compute the Jacobian of each foot with respect to the joints of its leg.
+    """Compute the Jacobian of each contact point with respect to the joints of its leg.
 
     Returns:
-        {foot: Jacobian, shape (3, n) [m/rad], singular values and condition number}. The Jacobian
-        maps joint velocities to the velocity of the foot's centre, in world axes.
+        {contact point: Jacobian, shape (3, n) [m/rad], singular values and condition number}. The
+        Jacobian maps joint velocities to the velocity of the contact sphere's centre, in world
+        axes.
     """
     robot = config.robot
     jacobians = {}

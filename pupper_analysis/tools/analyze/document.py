@@ -337,7 +337,7 @@ def _format_length(length: float | None) -> str:
 
 
 def _make_jacobian_table(analysis: Analysis) -> doc.Block:
-    """Create the table of foot Jacobians [m/rad] in world axes, a row per foot.
+    """Create the table of foot Jacobians [m/rad] in world axes, a row per contact point.
 
     The columns are the three rows of the Jacobian, singular values and condition number.
     """
