@@ -58,12 +58,13 @@ class JointSummary(Result):
         axis: Joint axis at zero angles, shape (3,), in the base frame.
         lower: Lower position limit (rad or m).
         upper: Upper position limit (rad or m).
-        effort: Effort limit (N m or N): the smallest limit that the files state.
+        effort: Effort limit (N m or N): the smallest limit that the files state, or a requested
+            limit that replaces these limits.
         velocity: Velocity limit (rad/s or m/s).
         armature: Armature of the MJCF (kg m^2 or kg).
         damping: Viscous damping (N m s/rad or N s/m).
         friction: Dry friction (N m or N).
-        effort_origin: Statement in a file from which ``effort`` was read; None without a limit.
+        effort_origin: Origin of ``effort``: statement in a file, or request; None without a limit.
     """
 
     name: str
