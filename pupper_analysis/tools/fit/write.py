@@ -77,7 +77,7 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
     """Return the parameters ``vector``, shape (n,), rounded according to their standard deviations.
 
     `_EXTRA_DIGITS` digits beyond the first digit of the standard deviation remain. A parameter
-    within `_UNCHANGED_STDS` standard deviations of the value in the model files gets that value.
+    within `_UNCHANGED_STDS` standard deviations of the stated value gets that value.
     """
     return np.array(
         [

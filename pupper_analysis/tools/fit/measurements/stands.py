@@ -238,7 +238,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
     Required columns, for at least a single joint: ``command.<joint>`` and ``position.<joint>``.
     Optional columns:
 
-    - ``stand``: name of the stand; rows with the same name are repeated readings.
+    - ``stand``: name of the stand; for repeated readings see `MeasuredStands.average_repeats`.
     - ``swing``: feet in the air, separated by blanks.
     - ``heading``: rotation of the robot about the vertical.
     - ``added.<link>``: known mass on a link.
