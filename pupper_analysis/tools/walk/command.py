@@ -159,10 +159,11 @@ def command(
       pupper-analysis walk v3 --policy policy_latest.json --response
       pupper-analysis walk g1.xml deploy.yaml policy.onnx --trace recorded.npz
 
-    Exit status: 0 every run tracks the command, 1 otherwise, 2 bad input. Options change the
-    condition of 0: with --fit, every run tracks within the intervals of the fit; with --orders, no
-    interpretation walks better than the stated interpretation; with --response, no run falls and no
-    command is ignored; with --trace, the trace agrees as well.
+    Exit status: 0 every run tracks the command, the files state all masses, and motors of --motor
+    can exert the torques; 1 otherwise; 2 bad input. Options change the first condition of 0: with
+    --fit, every run tracks within the intervals of the fit; with --orders, the stated
+    interpretation tracks a command, and no interpretation walks clearly better; with --response, no
+    run falls and no command is ignored; with --trace, the trace agrees as well.
     """  # noqa: D301 - click reads the \b
     _refuse_idle_options(
         init=init, orders=orders, response=response, trace=trace is not None, vary=vary is not None

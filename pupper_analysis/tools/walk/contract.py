@@ -325,13 +325,13 @@ class _MergedValues:
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
         """Return the value of a contract key as a vector, shape (size,).
 
-        A single number is repeated for each element. `fallback` replaces each element of a missing
-        key. None if the key is missing and `fallback` is None. The default of `size` is the number
-        of joints.
+        A number, or a list of one number, is repeated for each element. `fallback` replaces each
+        element of a missing key. None if the key is missing and `fallback` is None. The default of
+        `size` is the number of joints.
 
         Raises:
-            ModelError: If the value is neither a number nor a list of `size` numbers. Also if an
-                element is not finite; limits may be infinite.
+            ModelError: If the value is neither a number nor a list of one or `size` numbers. Also
+                if an element is not finite; limits may be infinite.
         """
         value = self.values.get(key, fallback)
         if value is None:
@@ -794,9 +794,9 @@ def _put_known_layout(
 ) -> None:
     """Infer the observation from the network's number of inputs: first known layout of this size.
 
-    The known layouts are `KNOWN_LAYOUTS`. The function passes the observation and the gait
-    frequency to ``put``. ``put`` is not called if the files do not contain scales as in legged_gym,
-    or if no layout has this size.
+    The known layouts are `KNOWN_LAYOUTS`. The function passes the observation, and the gait
+    frequency if it is not 0, to ``put``. ``put`` is not called if the files do not contain scales
+    as in legged_gym, or if no layout has this size.
 
     Args:
         deployment: Numbers of a deployment.

@@ -84,7 +84,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
-    """Return the command that the report proposes to run next.
+    """Return the command that the report proposes to run next: the first case that applies.
 
     - ``walk --vary``: all runs track the command.
     - ``walk --response``: a command of zero prevents a fall.
@@ -198,7 +198,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
     """Return the text of the motor with the largest rms torque / torque limit.
 
     The text states rms and peak torque [N m, N], and the time at the limit [%]. If a motor has no
-    positive limit, the divisor is the largest rms torque of all motors.
+    finite positive limit, the divisor is the largest rms torque of all motors.
     """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
@@ -218,9 +218,9 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
     """Yield a text that compares a motor with the torque-speed region of this motor.
 
-    The motor is the closest to the edge of the region. If a motor is outside for more than
-    `MAX_BEYOND_FRACTION` of a run, the text is about the motor that is outside for the longest
-    time. Nothing is yielded without assigned motors, or if all runs end at the first state.
+    The motor has the largest `Gait.region_peak` of all runs. If a motor is outside for more than
+    `MAX_BEYOND_FRACTION` of a run, the text is about the motor with the largest fraction of a run
+    outside. Nothing is yielded without assigned motors, or if all runs end at the first state.
     """
     peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
     if np.isnan(peaks).all():
@@ -626,7 +626,8 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
 def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
     """Create the cell of one end of an interval of values at which the policy tracks the command.
 
-    The cell is marked with ``*`` if the tested range ended before any seed had an untracked value.
+    The cell is marked with ``*`` if the end is not the nominal value, and the tested range ended
+    before any seed had an untracked value.
 
     Args:
         interval: Interval.
@@ -885,7 +886,8 @@ interpretation. Chosen, not tuned.
 def _make_candidate_table(result: Orders) -> doc.Table:
     """Create the table of the best interpretations of a policy, with the stated interpretation.
 
-    Columns: rank, change, tracked commands, falls, rms torque [N m], velocity error [1], cost.
+    Columns: rank, change, tracked commands, falls, rms torque [N m], velocity error [1], cost
+    [N m].
     """
     places = sorted({*range(min(_MAX_SHOWN_CANDIDATES, len(result.candidates))), result.stated})
     rows = []

@@ -36,10 +36,9 @@ def find_fall_tests(
         seconds: Duration of each run [s].
 
     Returns:
-        A test per change, of the first run that falls. Empty if no run of the walk falls. A change
-        without effect is left out. Examples are a command of zero if the command is already zero,
-        no delay if the policy has no latency, and larger torque limits if the motors have no
-        limits.
+        A test per change, of the first run that falls. Empty if no run of the walk falls. Left
+        out are a command of zero if the command is already zero, no delay if the policy has no
+        latency, and larger torque limits if the motors have no limits.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:
@@ -56,7 +55,7 @@ def find_fall_tests(
 def _list_effective_changes(
     stage: Stage, command: Array, seed: int
 ) -> dict[tuple[str, float], Case]:
-    """Create the runs with a single change that has an effect: {(quantity, value): run}."""
+    """Create the runs with a single change that may have an effect: {(quantity, value): run}."""
     changes: dict[tuple[str, float], Case] = {}
     latency = stage.policy.contract.latency
     if np.any(command):

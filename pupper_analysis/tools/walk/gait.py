@@ -120,7 +120,7 @@ class Gait(Result):
         speed_peak: Largest speed of each joint, shape (nu,); NaN if the run has a single state.
         power: Mean of the positive mechanical power of all motors, without recuperation; NaN if the
             run has a single state.
-        transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
+        transport: Cost of transport: power / (weight x speed); None up to 0.05 m/s.
         duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
         touching: Bodies other than feet that touched the ground in a sample.
         static: Root mean square of the torque with which each motor would hold the sampled poses

@@ -255,7 +255,8 @@ class TrackedIntervals(Result):
         speed_margins: 1 - speed error / tolerance of the unchanged robot for each requested seed,
             shape (requested_seeds,).
         turning_margins: 1 - error of the turning rate / tolerance, shape (requested_seeds,).
-        intervals: An interval per quantity, with all other quantities unchanged.
+        intervals: An interval per quantity, with all other quantities unchanged. Empty if `seeds`
+            is empty.
         rollouts: Number of simulated runs.
         seconds: Duration of each run.
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.
@@ -569,7 +570,7 @@ def read_measured_intervals(
     - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
 
     Other parameters of the fit are ignored. A parameter is also ignored if the interval or the
-    stated value is infinite, or if the stated mass or gain is not positive.
+    stated value is not finite, or if the stated mass or gain is not positive.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

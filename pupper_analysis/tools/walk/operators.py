@@ -44,7 +44,7 @@ def _is_along_elements(attributes: dict[str, Any]) -> bool:
 
 
 def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Create the ONNX operation Split into ``count`` parts; None if Split would separate runs."""
+    """Create the ONNX operation Split into ``count`` parts; None if the axis is not -1, 1 or 2."""
     if not _is_along_elements(attributes):
         return None
 
@@ -57,7 +57,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Concat; None if Concat would join different runs.
+    """Create the ONNX operation Concat; None if the axis is not 0, -1, 1 or 2.
 
     Lists of sizes are joined along axis 0. Along axis 1, arrays with several channels each are
     joined by channel. Otherwise the elements of each array are joined along the last axis;
@@ -106,9 +106,9 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
-    """Return True if a GRU or LSTM runs forward, with all other options at their defaults.
+    """Return True if a GRU or LSTM runs forward, without other stated options.
 
-    The other options are activations, clip, gates and layout.
+    The other options are activations, and nonzero values of clip, input_forget and layout.
 
     Args:
         attributes: Attributes of the ONNX node.
@@ -170,7 +170,7 @@ def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Softmax within each run; None for the axis of runs."""
+    """Create the ONNX operation Softmax within each run; None if the axis is not -1, 1 or 2."""
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
         return None
@@ -219,8 +219,8 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
     """Return a function that creates a reduction, such as a mean, for ``OPERATION_MAKERS``.
 
     The operation reduces a single axis, or by default all elements of each run. A reduced axis
-    keeps a single element. The function returns None if several axes, or another axis than -1, 1
-    or 2, are stated.
+    keeps a single element. The function returns None if the attribute ``axes`` states several
+    axes, or another axis than -1, 1 or 2.
     """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
@@ -357,7 +357,7 @@ def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _expand(value: Array, sizes: Array) -> Array:
-    """Return an array that is broadcast to the shape ``sizes`` (ONNX operator Expand)."""
+    """Broadcast an array to the common shape of the array and ``sizes`` (ONNX operator Expand)."""
     shape: Sequence[int] = np.ravel(sizes).astype(int).tolist()
     return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), tuple(shape)))
 
@@ -398,7 +398,7 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
 """ONNX operators that are evaluated as identity. For a single observation, these operators change
-neither the numbers nor the order of the numbers, except a Cast of fractions to integers. Only the
+neither the numbers nor the order of the numbers, except a Cast to a type that rounds. Only the
 first input is used.
 """
 

@@ -67,7 +67,7 @@ class Candidate(Result):
         flipped: Joints with the opposite of the stated sign.
         tracked: Number of tracked commands.
         fallen: Number of commands with a fall.
-        torque: Root mean square of all motor torques in all runs.
+        torque: Root mean square of all motor torques in all runs. All runs have equal weights.
         error: Mean deviation of speed and turning rate, relative to the command; 1 for a fall.
         cost: Ranking value of candidates with equally many tracked commands: torque (1 + error) (N
             m).
@@ -217,7 +217,7 @@ def rank_orders(
 def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
     """Group joints by limb, to permute the limbs of a policy's joint order.
 
-    A limb contains all bodies below the same child body of the base.
+    A limb is a child body of the base, with all bodies below this child.
 
     Args:
         robot: Robot.

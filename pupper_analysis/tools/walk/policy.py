@@ -109,7 +109,7 @@ class Policy:
 
         Raises:
             MissingPackageError: If the policy is TorchScript and torch is not installed.
-            ModelError: If a file cannot be used; the message names the layer or the key.
+            ModelError: If a file cannot be used.
         """
         path = Path(path)
         try:
@@ -245,6 +245,7 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
     """Return the network of a policy file, and {contract key: value} that the file states.
 
     Raises:
+        MissingPackageError: If the policy is TorchScript and torch is not installed.
         ModelError: If the file cannot be read, or contains a network that is not supported.
     """
     with refuse_malformed(path):
@@ -309,6 +310,7 @@ class _WeightFiles:
         Raises:
             ModelError: If the entries are not valid, or the file is not below the folder of the
                 ONNX file, cannot be read, or is too short.
+            ValueError: If ``offset`` or ``length`` is not a whole number.
         """
         entries = [gather_fields(entry) for entry in tensor.get(_EXTERNAL_DATA_FIELD, ())]
         stated = {get_text(entry, 1): get_text(entry, 2) for entry in entries}
@@ -461,7 +463,7 @@ def _build_node(
         weight_files: Files of weights beside the file.
 
     Raises:
-        ModelError: If the operator is not supported.
+        ModelError: If the operator is not supported, or a tensor of the node cannot be read.
     """
     kind = get_text(node, 4)
     name = get_text(node, 3) or f"layer {number} ({kind})"

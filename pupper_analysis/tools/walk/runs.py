@@ -572,6 +572,8 @@ class Observer:
     def observe(self, states: Array, active: IntArray, tick: int) -> Array:
         """Return the observations (inputs of the policy) of the active runs, shape (n, inputs).
 
+        The newest frame of each active run is added to the history of frames.
+
         Args:
             states: Full physics states of MuJoCo of the active runs, shape (n, size).
             active: Indices of the active runs, shape (n,).

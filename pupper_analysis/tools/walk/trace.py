@@ -674,7 +674,8 @@ def record_trace(
 ) -> dict[str, Any]:
     """Simulate a policy, and return the arrays of a trace for ``np.savez`` and `read_trace`.
 
-    The arrays have a row per action, and the names that `read_trace` reads from an npz file.
+    The arrays, except ``joints``, have a row per action. The names are those that `read_trace`
+    reads from an npz file.
 
     Args:
         robot: Robot.
