@@ -66,7 +66,8 @@ def command(
         policy.json -v
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
-    Exit status: 0 no disagreement as severe as --fail-on, 1 there is one, 2 bad input.
+    Exit status: 0 no disagreement as severe as --fail-on, 1 there is one, 2 bad input. Also 1 if a
+    source or quantity was not compared, except with --fail-on error.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.contract.contract import read_contract

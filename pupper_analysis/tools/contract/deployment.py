@@ -49,7 +49,7 @@ class Deployment:
     Attributes:
         joints: Joints of the robot in the order of the policy; empty if no file states an order,
             and none is assumed.
-        order_place: File and line of the joint order; empty without.
+        order_place: File of the joint order, with the line if known; empty without.
         is_order_assumed: Whether the joint order of lists is assumed.
         facts: {(quantity, joint): number}; the joint is "" for a setting.
         observations: Terms of an observation, in order; empty if no file states them.
@@ -95,8 +95,8 @@ def read_deployment(
             robot, if a file contains several configurations and no name is passed, or if a source
             is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
             the only list of such a quantity has another length than the joint order of its file,
-            or if two deployments list the joints in different orders. These errors of ``policy``
-            are ignored.
+            or if two deployments list the joints in different orders. Also if ``policy``, an ONNX
+            file or JSON, cannot be read or states nothing.
     """
     requests, folders = split_arguments(sources)
     if folders:

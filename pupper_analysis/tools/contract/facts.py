@@ -45,13 +45,15 @@ class Origin(StrEnum):
     DERIVED = "derived"
     """Computed from other numbers of the file."""
     ASSUMED = "assumed"
-    """The file states the number, but not for which joint: the joint order is assumed."""
+    """The file states the number, but not for which joint: the joint order is assumed. Also a
+    neutral value in a policy contract that no file states."""
     UNKNOWN = "unknown"
     """No file states the number."""
 
 
 class Role(StrEnum):
-    """Role of a source. If two sources disagree, the earlier role is the reference."""
+    """Role of a source. If two sources of `read_contract` disagree, the earlier role is the
+    reference."""
 
     TRAINER = "trainer"
     POLICY = "policy"

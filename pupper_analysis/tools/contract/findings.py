@@ -217,12 +217,12 @@ LENGTH_CODES = ("contract-list-length", "contract-motors-length")
 def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     """List quantities in sources that are lost for the comparison with other sources.
 
-    The reason is a list that cannot be assigned to joints, or keys that match no joint of the
-    robot. A list that has another length than the joint order of its own file is always reported;
-    all other cases only if another source states the quantity for a joint.
+    The reason is a value that is no number, a list that cannot be assigned to joints, or keys that
+    match no joint of the robot. A list that has another length than the joint order of its own file
+    is always reported; all other cases only if another source states the quantity.
 
     Returns:
-        A message per source and quantity.
+        Messages, each about a quantity in a source.
     """
     lost = list[Diagnostic]()
     for source in placed:
@@ -589,8 +589,8 @@ def _compare_sides(
 ) -> Iterator[Disagreement]:
     """Yield a disagreement for each left-right pair of joints whose numbers are not symmetric.
 
-    Numbers of the same source are compared. Skipped are pairs without both numbers, and pairs whose
-    numbers the file does not state (`Fact.implied`).
+    Numbers of the same source are compared. Skipped are pairs without both numbers, and pairs of
+    which the file states neither number (`Fact.implied`).
     """
     for source, pair in product(placed, find_mirror_pairs(model.order)):
         facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]

@@ -71,7 +71,8 @@ class KeyRule:
     def accepts(self, node: LocatedValue) -> bool:
         """Return True if a node has a value of the required shape: number, list or table.
 
-        Each value that is neither list nor table, such as a text, counts as a number.
+        Each value that is neither a list nor a table with entries, such as a text, counts as a
+        number.
         """
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
@@ -126,7 +127,7 @@ def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
         Nested keys in lower case, such as ("robot", "joints"), for each definition.
 
     Raises:
-        ModelError: If an entry of the user's file is not valid.
+        ModelError: If the user's file cannot be read, or an entry is not valid.
     """
     return tuple(rule.path for rule in _load_rules("table", source) if rule.quantity == JOINT_ORDER)
 
@@ -138,7 +139,7 @@ def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
     are applied.
 
     Raises:
-        ModelError: If an entry of the user's file is not valid.
+        ModelError: If the user's file cannot be read, or an entry is not valid.
     """
     return tuple(rule for rule in _load_rules(form, source) if rule.quantity != JOINT_ORDER)
 
@@ -154,7 +155,7 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
         source: File to which the rules are applied.
 
     Raises:
-        ModelError: If an entry of the user's file is not valid.
+        ModelError: If the user's file cannot be read, or an entry is not valid.
     """
     rules = _load_builtin_rules()
     for folder in (source.absolute().parent, Path.cwd()):
@@ -234,7 +235,7 @@ def _make_rules(entry: Any, path: Path) -> Iterator[KeyRule]:
 
 
 def _is_text_list(value: Any) -> bool:
-    """Return True for a list of texts that are not empty."""
+    """Return True for a list, possibly empty, of texts that are not empty."""
     return isinstance(value, list) and all(isinstance(item, str) and item for item in value)
 
 

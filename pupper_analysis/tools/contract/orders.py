@@ -175,8 +175,8 @@ angles of both joints is unknown. Chosen, not tuned.
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
     """Return the names of the moving joints limb by limb: the order of MuJoCo and Isaac Gym.
 
-    Slides of a base that also has a ball joint are left out: slides and ball joint act as a free
-    joint.
+    The joints of a base that has a ball joint are left out: with slides, the ball joint acts as a
+    free joint.
     """
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
@@ -447,9 +447,10 @@ def _determine_order(
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
     """Determine the joint order of the lists in a source, and how this order is known.
 
-    The first case that applies: the source lists joint names; the source maps joints to motors that
-    another source names; the source is a deployment of a policy that lists joint names; the order
-    by depth or limb by limb with the better left-right symmetry of the values (assumed).
+    The first case that applies: the source lists joint names, or contains lists of joint names
+    under other keys that agree; the source maps joints to motors that another source names; the
+    source is a deployment of a policy that lists joint names; the order by depth or limb by limb
+    with the better left-right symmetry of the values (assumed).
 
     Args:
         source: Source, for example a trainer's configuration.
@@ -594,7 +595,7 @@ def _compute_unlike_fraction(
 
 
 def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
-    """Return True if first = sign x second, to a relative tolerance of 1e-3.
+    """Return True if first = sign x second, within 1e-3 |first| + 1e-9.
 
     Also True if a number is None or the sign is 0, since nothing can be compared.
 

@@ -42,7 +42,7 @@ def read(request: Request) -> Iterator[JointSource]:
     defined in the file or returned by its functions, alone or in a list. If there are no tables,
     constants of the file are read, and finally constants of the block ``if __name__ ==
     "__main__"``. Names that contain ``action_scale`` add action scales to sources that state a
-    stiffness but no action scale. No code is executed.
+    stiffness but no action scale, unless the request names a configuration. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)

@@ -63,7 +63,7 @@ class _View:
         return self.tables[0].place
 
     def get(self, *path: str) -> LocatedValue:
-        """Return the value of a path of keys in the first table that has it.
+        """Return the value of a path of keys in the first table with this path.
 
         If no table has the exact keys, letters of any case match. Without a match, the node has the
         value None and the place of the first table.
