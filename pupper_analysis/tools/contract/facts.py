@@ -52,8 +52,7 @@ class Origin(StrEnum):
 
 
 class Role(StrEnum):
-    """Role of a source. If two sources of `read_contract` disagree, the earlier role is the
-    reference."""
+    """Role of a source. In `read_contract`, the earlier role is the reference."""
 
     TRAINER = "trainer"
     POLICY = "policy"

@@ -130,7 +130,7 @@ def command(
       pupper-analysis study legs.toml -o legs/ --write 3
       pupper-analysis study legs.toml -o legs/ --dask tcp://host:8786
 
-    Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
+    Exit status: 0 all designs were evaluated, 1 the files of a written design give other numbers,
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.published import is_published_name

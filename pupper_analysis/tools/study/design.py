@@ -611,7 +611,8 @@ DesignRow = dict[str, Any]
 
 FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
 """Columns that describe a failure: kind; the metric that failed (None if the design could not
-be built); the reason in English; the reason as the record of a diagnostic (JSON)."""
+be built, exceeded the time limit or ended the worker process); the reason in English; the reason as
+the record of a diagnostic (JSON)."""
 
 
 def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:

@@ -55,7 +55,7 @@ class Failures(Result):
         metric: Metric that failed in the first design with this failure; None if the design could
             not be built, exceeded the time limit or ended the worker process.
         designs: Number of designs with this failure.
-        share: Fraction of the stored designs.
+        share: Fraction of the stored designs of the study.
         reason: Reason for the first design with this failure, in English.
         diagnostic: Reason as a diagnostic; None if the stored record cannot be read, for example
             of an older version.
@@ -108,7 +108,7 @@ class StudyOutcome(Result):
         rests_on: Assumptions on which the stands depend: simulation of the published file, added
             servos.
         variables: {variable: values or distribution, as in the study file}.
-        table: A row per stored design.
+        table: A row per stored design of the study.
         units: {variable or metric: unit in ``table``}; empty for ratios and factors.
         designs: Number of designs of the study.
         measured: Summary of each metric.

@@ -406,7 +406,7 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Remove visual geoms, unused meshes and all textures from the MJCF of a description.
+    """Return a copy of a description whose MJCF has no visual geoms, unused meshes and textures.
 
     The dynamics and the contacts are unchanged: a visual geom that contributes to the mass of a
     body is kept. Models with many meshes compile several times faster.

@@ -541,7 +541,7 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
     """Prepend the folder of the study file to the files of motors.
 
     The content ``data`` of the study file is changed in place: the present motor, and the values of
-    motor variables. Names of known motors are unchanged.
+    motor variables. A text without a file in this folder is unchanged.
     """
 
     def resolve(text: Any) -> Any:
@@ -630,7 +630,7 @@ def read_study(folder: str | Path) -> pd.DataFrame:
     """Read the stored results of a study, from the folder alone.
 
     Returns:
-        A row per stored design, as `Study.run` returns.
+        A row per stored design of the stored definition, as `Study.run` returns.
 
     Raises:
         StudyError: If the folder contains no study, the definition is damaged or has another
