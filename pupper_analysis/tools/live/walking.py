@@ -267,7 +267,7 @@ class WalkPage(ServedPage):
 
     Raises:
         ConfigurationError: If the server cannot use this address, the base is fixed, the robot has
-            no feet, or the language is unknown.
+            no feet, the policy acts more than once per time step, or the language is unknown.
         MissingPackageError: If viser is not installed.
         ModelError: If the policy does not fit the robot.
     """
