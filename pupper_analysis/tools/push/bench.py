@@ -368,8 +368,9 @@ class PushBench:
     def _find_early_failure(self, states: Array) -> Diagnostic | None:
         """Return the failure that ends a simulation: divergence, or a body on the ground.
 
-        Contacts are searched every `_SAMPLE_TIME`, and only at states in which a part may reach
-        the ground, according to `ClearanceBounds`. None without such a failure.
+        Contacts are searched every `_SAMPLE_TIME`. After each computation of the distance to the
+        ground, states in which no part can reach the ground are skipped (`ClearanceBounds`). None
+        without such a failure.
         """
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
