@@ -77,8 +77,8 @@ _SHAKE_DURATION = 3.0
 Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
 
 GAIN_MARGIN = 2.0
-"""Smallest factor between a recommended gain and a stability bound, in either direction: the usual
-gain margin of 6 dB (Åström and Murray 2008, section 9.3)."""
+"""Smallest factor between the recommended stiffness and the bounds on both sides, and between the
+recommended damping and the upper bound: the usual gain margin of 6 dB (Åström and Murray 2008)."""
 
 MIN_DAMPING_RATIO = 0.5
 """Required damping ratio [1] of each oscillation with the recommended damping. If no damping within
@@ -97,7 +97,7 @@ MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 
 _REFERENCE_FREQUENCY = 50.0
 """Natural frequency sqrt(kp / inertia) [rad/s] of the first tried gains that are proportional to
-inertia. Chosen: 8 Hz, within a factor of 4096 of all servos. The bounds do not depend on it."""
+inertia. Chosen: 8 Hz, within a factor of 4096 of all servos."""
 
 _NEAR_POWER = 6
 """Largest sum of the magnitudes of two exponents (of 2, for factors on kp and kd) up to which all
@@ -106,7 +106,7 @@ are stable."""
 
 _SAG_RATIO = 2.0**0.5
 """Ratio of successive factors on the stiffness in the search for a stand without feed-forward.
-Chosen: a recommended stiffness is at most 1.4 times the smallest that the margins permit."""
+Chosen: the found factor is at most 1.4 times the smallest sufficient factor."""
 
 _CURVE_RATIO = 2.0**0.5
 """Ratio of successive stiffnesses in the plot of the largest stable damping over the stiffness.
@@ -714,8 +714,9 @@ class _Gains:
     ) -> tuple[float | None, float | None]:
         """Recommend factors on all stiffnesses and dampings, away from the bounds of stability.
 
-        The distance from each bound is at least the factor ``GAIN_MARGIN``. The factor on the
-        stiffness is 1, or the allowed factor nearest to 1. The factor on the damping is the
+        The distance of the stiffness from both bounds, and of the damping from the upper bound, is
+        at least the factor ``GAIN_MARGIN``. The factor on the stiffness is 1, or the allowed factor
+        nearest to 1. The factor on the damping is the
         smallest of a list with which all oscillations have a damping ratio of at least
         ``MIN_DAMPING_RATIO``, or, if there is none, the factor with the largest damping ratio.
 
