@@ -72,8 +72,9 @@ class MotorHeat(Result):
             the thermal numbers if known, otherwise read from the data sheet. None if unknown.
         largest_torque: Largest torque of the motor at rest (N m); None if unknown.
         limiting_number: Name of the motor data that limits the largest torque; empty if unknown.
-        unknown: Names of the missing motor data, without which temperatures or limits are unknown.
-            Empty if the motor is too weak.
+        unknown: Names of the missing motor data without which the motor cannot be judged. If
+            ``continuous_torque`` is known, only ``peak_torque`` may be missing. Empty if the motor
+            is too weak.
     """
 
     joint: str
@@ -194,7 +195,7 @@ class HeatStudy(Result):
 
     @property
     def known(self) -> bool:
-        """Whether each driven joint has a motor, and no number of a loaded motor is missing."""
+        """Whether each driven joint has a motor, and ``unknown`` of each loaded motor is empty."""
         judged = all(not motor.unknown or motor.torque == 0.0 for motor in self.motors)
         return judged and not self.omitted
 
