@@ -81,7 +81,8 @@ def command(
       pupper-analysis check --config robots/pupper-analysis.toml --format github
       pupper-analysis check --format sarif --json check.json
 
-    Exit status: 0 nothing is new, 1 a finding is new or a model cannot be read, 2 bad input.
+    Exit status: 0 no new finding is as severe as fail-on, 1 there is one or a model cannot be
+    read, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.check import document as report
