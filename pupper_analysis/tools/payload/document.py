@@ -88,8 +88,8 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
     - The result fails without: `stand`, which states the cause.
     - Otherwise: the command for the bound that limits the payload (`_NEXT_STEPS`).
 
-    Except for `best`, which searches for a payload, the command loads the robot with
-    `VERIFIED_FRACTION` of a finite bound.
+    In the last case, except for `best`, which searches for a payload, the command adds
+    `VERIFIED_FRACTION` of a finite bound to the payload of the command line.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
