@@ -200,7 +200,7 @@ class SimulatedStance:
 
     Attributes:
         robot: Robot, with the contacts of the stand.
-        held: Stand on MuJoCo's soft ground.
+        held: Stand on MuJoCo's soft ground if possible, otherwise on rigid ground.
         kp: Servo stiffness as given [N m/rad, N/m]; None for the model's.
         kd: Servo damping as given [N m s/rad, N s/m]; None for the model's.
         statics: Motor torques and contact forces with minimum tangential forces.
