@@ -125,8 +125,8 @@ class GainBound(Result):
         factor: Factor on the reference gains (``JointClass.reference_kp``), in the linear model
             without dry friction; None if the robot is stable up to ``MAX_FACTOR``, or down to its
             inverse.
-        simulated: Factor found by simulation of the unmodified model. None if ``factor`` is None,
-            or if no bound was found between 1/2 and 2 times ``factor``.
+        simulated: Factor found by simulation of the controlled stand, with all friction. None if
+            ``factor`` is None, or if no bound was found between 1/2 and 2 times ``factor``.
         frequency: Frequency of the mode that grows beyond the bound (Hz); 0 without oscillation.
         joints: Joints that move most in this mode, largest first.
     """

@@ -1,8 +1,8 @@
 """A robot in MuJoCo's viewer, or as text: sensor readings, and the result of a drop.
 
-The robot starts at the keyframe ``home``, with the servos commanded to its joint positions. A drop
-is simulated from above the ground, and messages state what in the robot's file contradicts a stable
-drop.
+The robot starts in the start pose (``Robot.home``), with the servos commanded to the joint
+positions of this pose. A drop is simulated from above the ground, and messages state what in the
+robot's file contradicts a stable drop.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ DROP_SECONDS = 6.0
 
 DROP_HEIGHT = 0.15
 """Height [m] of the lowest foot above the ground at which a drop starts, if the lowest foot in the
-keyframe is below half of this height. The value is the foot height in v3's keyframe."""
+start pose is below half of this height. The value is the foot height in v3's keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,10 @@ class Drop:
 
 
 def simulate_drop(robot: Robot) -> Drop:
-    """Simulate a drop with the servos at the joint positions of the keyframe ``home``.
+    """Simulate a drop with the servos at the joint positions of the start pose (``Robot.home``).
 
-    The simulation lasts `DROP_SECONDS` and starts at the height of the keyframe (v3: 0.28 m). If
-    the lowest foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this
+    The simulation lasts `DROP_SECONDS` and starts at the height of this pose (v3: 0.28 m). If the
+    lowest foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this
     foot is at `DROP_HEIGHT`.
     """
     data = make_home_data(robot)
@@ -146,7 +146,7 @@ def make_home_data(robot: Robot) -> mujoco.MjData:
 
 
 def view_robot(robot: Robot, *, headless: bool) -> None:
-    """Show a robot at the keyframe ``home`` until the window is closed.
+    """Show a robot in the start pose (``Robot.home``) until the window is closed.
 
     A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if the feet are
     near the ground (`make_home_data`).

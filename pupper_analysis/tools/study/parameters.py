@@ -384,7 +384,7 @@ def with_gains(
     Raises:
         ConfigurationError: If a gain is out of range.
         UnknownNameError: If a pattern matches nothing.
-        ModelError: If a joint has no servo, and kp and kd are not both given.
+        ModelError: If a joint has no motor, or no servo while kp and kd are not both given.
     """
     servos = model_with_servos(robot, kp, kd)
     gains = {"kp": servos.kp.copy(), "kd": servos.kd.copy()}
