@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare import own_run as own_run_module
 from pupper_analysis.prepare import published_model
@@ -146,6 +147,44 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
     assert own.lean == pytest.approx(tilt, abs=0.02)
     assert own.is_tilted is fails
     assert judge_nominal_stand(robot).passed is not fails
+    found = [found for found in _list_falls(tmp_path / "robot.xml") if found.values["tilted"]]
+    assert bool(found) is fails  # audit reports the same event
+    for message in found:
+        assert message.values["causes"]
+        lean = message.values["lean"]
+        assert isinstance(lean, Quantity)
+        assert lean.value == pytest.approx(tilt, abs=0.02)
+
+
+def _list_falls(path: Path) -> list[Diagnostic]:
+    """Return the messages of the audit rule keyframe-falls."""
+    findings = pa.audit_model(path).findings
+    return [found.diagnostic for found in findings if found.rule == "keyframe-falls"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gravity", [0.02, 0.05])
+def test_audit_reports_a_slide_of_more_than_half_the_height(tmp_path: Path, gravity: float) -> None:
+    """Reference: bare MuJoCo, in which the feet creep on ice, and the robot stays upright."""
+    pair = standing(tmp_path)
+    ice = ('type="plane"', 'priority="1" friction="0.01" type="plane"')
+    rewrite_file(pair.mjcf, ("<option ", f'<option gravity="{gravity} 0 -9.81" '), ice)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    start = data.subtree_com[1].copy()
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    mujoco.mj_forward(model, data)
+    away = float(np.linalg.norm((data.subtree_com[1] - start)[:2]))
+    fails = bool(away > 0.5 * start[2])
+    assert fails is (gravity > 0.03)
+    run = own_run(pa.load_robot(mjcf=pair.mjcf))
+    assert run is not None
+    assert run.away == pytest.approx(away, abs=5e-3)
+    assert not run.collapses
+    found = _list_falls(pair.mjcf)
+    assert [message.values["moved"] for message in found] == [True] * fails
 
 
 @pytest.mark.parametrize(
@@ -219,6 +258,11 @@ def test_a_leg_that_its_ctrl_lifts_from_the_ground_fails(tmp_path: Path) -> None
     assert run.redirected == run.lifted_leg
     assert run.has_left_stance
     assert run.fails
+    (found,) = _list_falls(pair.mjcf)
+    assert found.values["leg"] == "FL_knee"
+    (cause,) = found.values["causes"]  # type: ignore[misc]
+    assert isinstance(cause, Diagnostic)
+    assert cause.code == "keyframe-commands-another-pose"
 
 
 @pytest.mark.slow

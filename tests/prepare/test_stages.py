@@ -333,7 +333,7 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     assert complete.mj_model.ngeom == model.ngeom
     np.testing.assert_array_equal(complete.mj_model.mesh_vert, model.mesh_vert)
     np.testing.assert_array_equal(complete.mj_model.body_mass, model.body_mass)
-    assert [note.code for note in pair.add_conversion_note(complete).notes] == [
+    assert [note.code for note in pair.add_source(complete).notes] == [
         note.code for note in robot.notes
     ]
 

@@ -78,12 +78,18 @@ class ModelPair:
             return ModelPair(urdf, mjcf, "mjcf", imported)
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
-    def add_conversion_note(self, robot: Robot) -> Robot:
-        """Add to a robot the note that its URDF or MJCF was converted from the other model.
+    def add_source(self, robot: Robot, keyframe: str | None = None) -> Robot:
+        """Add the published file to a robot, and a note if a model was converted from the other.
 
-        The format of the converted model is stored in ``description.converted``. The robot is
-        returned unchanged if both models were read from files.
+        The format of the converted model is stored in ``description.converted``. Without a
+        conversion, the description and the notes are unchanged.
+
+        Args:
+            robot: Robot that was prepared from this pair.
+            keyframe: Requested keyframe; None if none was requested.
         """
+        file = None if self.converted == "mjcf" else self.mjcf
+        robot = replace(robot, published=PublishedFile(file, keyframe, self.imported))
         if not self.converted:
             return robot
         description = replace(robot.description, converted=self.converted)
@@ -329,8 +335,6 @@ def load_robot(
         xacro_args=xacro_args,
         defer_visuals=feet is None,  # a named foot may be a visual geom
     )
-    file = None if pair.converted == "mjcf" else pair.mjcf
-    published = PublishedFile(file, keyframe, pair.imported)
     return make_robot(
         pair.urdf,
         pair.mjcf,
@@ -341,5 +345,22 @@ def load_robot(
         keyframe=keyframe,
         as_is=as_is,
         visuals=visuals,
-        finish=lambda robot: pair.add_conversion_note(replace(robot, published=published)),
+        finish=lambda robot: pair.add_source(robot, keyframe),
+    )
+
+
+@silence_mujoco()
+def load_mjcf_robot(file: MjcfFile) -> Robot:
+    """Load a robot without visual geoms from an MJCF that was already read, as `load_robot` does.
+
+    Raises:
+        ModelError: If no robot can be made of the file, for example if it has several robots.
+    """
+    file.check_compiled()
+    pair = ModelPair.from_file(with_one_robot(file, None))
+    return make_robot(
+        pair.urdf,
+        pair.mjcf,
+        visuals=False,
+        finish=pair.add_source,
     )

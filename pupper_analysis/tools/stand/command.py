@@ -173,7 +173,7 @@ def _explain_preparation(
             defer_visuals=load_request.feet is None,
         )
         preparation, robot = explain_loading(pair.urdf, pair.mjcf, load_request)
-        preparation = replace(preparation, notes=pair.add_conversion_note(robot).notes)
+        preparation = replace(preparation, notes=pair.add_source(robot).notes)
     document = preparation_document(preparation)
     shared.show_report(
         Report(document.title, (document,)), request.style, everything=request.everything

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -848,13 +850,27 @@ def test_models_of_this_package_have_no_error_or_warning(path: Path) -> None:
 
 @pytest.mark.slow
 def test_derived_variants_have_no_error_or_warning(variant: str, tmp_path: Path) -> None:
+    """Exception: the servos of v3-long-leg are too soft. In bare MuJoCo its base ends tilted by
+    16 deg, and command ``stand`` fails it for the same reason."""
     written = pa.pupper.write_variant(variant, tmp_path)
     assert len(written) == 2
     for path in written:
         result = audit_model(path)
-        assert result.counts["error"] == result.counts["warning"] == 0, list(
-            map(str, result.findings)
-        )
+        expected = ["keyframe-falls"] * (variant == "v3-long-leg" and path.suffix == ".xml")
+        serious = [found for found in result.findings if found.severity in ("error", "warning")]
+        assert [found.rule for found in serious] == expected, list(map(str, result.findings))
+        for found in serious:
+            values = found.diagnostic.values
+            model = mujoco.MjModel.from_xml_path(str(path))
+            data = mujoco.MjData(model)
+            mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+            mujoco.mj_step(model, data, nstep=round(5 / model.opt.timestep))
+            lean = values["lean"]
+            assert values["tilted"]
+            assert isinstance(lean, Quantity)
+            assert lean.value == pytest.approx(math.acos(data.xmat[1][8]), abs=0.02)
+            (cause,) = values["causes"]  # type: ignore[misc]
+            assert cause.code == "servos-too-soft"  # type: ignore[union-attr]
 
 
 def test_the_tutorials_long_leg_is_found(tmp_path: Path) -> None:

@@ -23,14 +23,20 @@ from pupper_analysis.base.diagnostics import (
     Severity,
     diagnose,
 )
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import JointKind, has_free_joint
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel
+from pupper_analysis.prepare.convert.load import load_mjcf_robot
+from pupper_analysis.prepare.self_check import explain_own_run, name_remaining_cause
+from pupper_analysis.present.verdict import describe_cause
+from pupper_analysis.robot.as_published import OwnCommands, OwnRun
 from pupper_analysis.robot.contact import ground_geom
-from pupper_analysis.robot.fall import simulate_keyframe
+from pupper_analysis.robot.fall import BodyMotion, simulate_keyframe
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
@@ -371,14 +377,13 @@ def _compute_heights(
 
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find a keyframe from which the robot falls, rises or moves away, or the simulation diverges.
+    """Find a keyframe from which the robot does not stand in a simulation of the unmodified file.
 
-    `simulate_keyframe` simulates the keyframe ``home``, or the first keyframe if ``home`` is
-    missing, with and without a small velocity disturbance at the start. The actuators receive the
-    ctrl of the keyframe. If the keyframe has no ctrl, position servos are commanded to the pose. In
-    this case nothing is simulated if there are fewer than half as many servos as moving joints.
-    Robots without a free base and files that MuJoCo refuses are skipped. Files without a ground, or
-    with a time step below `_MIN_TIMESTEP`, are skipped as well.
+    The simulation is the one on which command ``stand`` bases its verdict (`OwnRun`), and so are
+    its causes. A finding means that `OwnRun.fails` is True. If no legged robot can be loaded from
+    the file, for example without feet, a simpler criterion applies (`_find_collapse`). Robots
+    without a free base, files that MuJoCo refuses and files with a time step below `_MIN_TIMESTEP`
+    are skipped.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -388,8 +393,40 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     free = joint >= 0 and model.jnt_type[joint] == JointKind.FREE
     if not free or not step >= _MIN_TIMESTEP:
         return
-    key = _choose_keyframe(model)
-    assert key is not None
+    try:
+        loaded = load_mjcf_robot(robot.file)
+        run = explain_own_run(loaded)
+    except PupperAnalysisError:  # the commands that simulate robots report this error
+        run = None
+    if run is None or not run.keyframe:
+        yield from _find_collapse(robot, base)
+        return
+    if not run.fails:
+        return
+    if not (run.causes or find_servos_used(loaded, None, None).replacement_servos):
+        run = name_remaining_cause(loaded, run, None)[0] or run
+    names = {model.key(key).name for key in range(model.nkey)}
+    name = run.keyframe if run.keyframe in names else ""  # a keyframe without a name
+    yield CheckFinding("key", name, _describe_fall(run, run))
+
+
+def _find_collapse(robot: MjcfModel, base: int) -> Iterator[CheckFinding]:
+    """Find a keyframe from which a robot falls, rises or moves away, or the simulation diverges.
+
+    `simulate_keyframe` simulates the keyframe ``home``, or the first keyframe if ``home`` is
+    missing, with and without a small velocity disturbance at the start. The actuators receive the
+    ctrl of the keyframe. If the keyframe has no ctrl, position servos are commanded to the pose. In
+    this case nothing is simulated if there are fewer than half as many servos as moving joints.
+    Files without a ground are skipped.
+
+    Args:
+        robot: Model of an MJCF with keyframes, which MuJoCo compiles.
+        base: Body id of the base, which has a free joint.
+    """
+    model = robot.mj_model
+    key = None if model is None else _choose_keyframe(model)
+    if model is None or key is None:
+        return
     before = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, before, key)
     ground = ground_geom(model)
@@ -399,21 +436,41 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     mujoco.mj_kinematics(model, before)
     floor = float(before.geom_xpos[ground][2])
     motion, _ = simulate_keyframe(model, before, base, floor, partial(_run_simulation, model))
+    if motion.collapses:
+        yield CheckFinding("key", model.key(key).name, _describe_fall(motion))
+
+
+def _describe_fall(motion: BodyMotion, run: OwnRun | None = None) -> Diagnostic:
+    """Create the message about a simulation from a keyframe that does not end in the stance.
+
+    Args:
+        motion: Motion of the robot.
+        run: The same simulation with the joints of the robot and the causes; None if the joints are
+            unknown, and the robot collapses.
+    """
+    causes = () if run is None else tuple(map(describe_cause, run.causes))
     if motion.diverged:
-        message = diagnose("keyframe-diverges")
-    elif motion.collapses:
-        message = diagnose(
-            "keyframe-falls",
-            lifted=motion.is_lifted,
-            time=Quantity(motion.duration, "s"),
-            end=_round_quantity(motion.end_height, "m"),
-            start=_round_quantity(motion.height, "m"),
-            away=_round_quantity(motion.away, "m"),
-            lean=_round_quantity(motion.lean, "rad"),
-        )
-    else:
-        return
-    yield CheckFinding("key", model.key(key).name, message)
+        return diagnose("keyframe-diverges", causes=causes)
+    stands = run is not None and not motion.collapses
+    loose = run.unheld if run is not None and stands else None
+    leg = run.lifted_leg if run is not None and stands and loose is None else None
+    tilted = run is not None and stands and loose is None and leg is None and run.is_tilted
+    return diagnose(
+        "keyframe-falls",
+        lifted=motion.is_lifted,
+        collapses=motion.collapses and not motion.is_lifted,
+        tilted=tilted,
+        loose=None if loose is None else loose.joint,
+        leg=None if leg is None else leg.joint,
+        moved=stands and loose is None and leg is None and not tilted,
+        absent=run is not None and run.commands is OwnCommands.ABSENT,
+        time=Quantity(motion.duration, "s"),
+        end=_round_quantity(motion.end_height, "m"),
+        start=_round_quantity(motion.height, "m"),
+        away=_round_quantity(motion.away, "m"),
+        lean=_round_quantity(motion.lean, "rad"),
+        causes=causes,
+    )
 
 
 def _choose_keyframe(model: mujoco.MjModel) -> int | None:
