@@ -762,6 +762,9 @@ def cross_check(
     States are random (`random_states`). Joint positions and torques are within the limits. A
     floating base has any orientation, and a position within 1 m of the origin along each axis.
 
+    If the robot was loaded from an MJCF alone, terms of the MJCF that a URDF cannot express are not
+    compared, for example springs: there is no second file.
+
     Args:
         robot: Robot.
         configurations: Number of states. Large robots may be evaluated at fewer states.
@@ -791,7 +794,8 @@ def cross_check(
         robot,
         states,
         without_effects(robot.mj_model, effects),
-        without_effects(robot.mj_model, coupled),
+        # A URDF that was converted from the MJCF is no file that could disagree with these terms.
+        None if robot.description.converted == "urdf" else without_effects(robot.mj_model, coupled),
     )
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     units = get_common_units(robot, robot.joint_names)
@@ -822,7 +826,7 @@ def _evaluate_all(
     robot: Robot,
     states: States,
     reduced: mujoco.MjModel,
-    full: mujoco.MjModel,
+    full: mujoco.MjModel | None,
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
     """Evaluate both models in all engines; a large robot in MuJoCo only.
 
@@ -831,7 +835,7 @@ def _evaluate_all(
         states: Random states.
         reduced: MuJoCo model of the MJCF without terms that a URDF cannot express.
         full: MuJoCo model of the MJCF with terms that a URDF cannot express, without couplings that
-            the URDF has too.
+            the URDF has too. None to leave out this evaluation.
 
     Returns:
         {evaluation name: values}, messages about evaluations that were left out, and the robot with
@@ -868,10 +872,9 @@ def _evaluate_all(
             URDF_PINOCCHIO: evaluate_in_pinocchio(robot, states),
             MJCF_PINOCCHIO: evaluate_in_pinocchio(mjcf_robot, states),
         }
-    evaluations |= {
-        MJCF_MUJOCO: evaluate_in_mujoco(robot, reduced, base, mjcf_frames, states),
-        MJCF_AS_IT_IS: evaluate_in_mujoco(robot, full, base, mjcf_frames, states),
-    }
+    for name, model in ((MJCF_MUJOCO, reduced), (MJCF_AS_IT_IS, full)):
+        if model is not None:
+            evaluations[name] = evaluate_in_mujoco(robot, model, base, mjcf_frames, states)
     if urdf_in_mujoco is not None:
         urdf_in_mujoco = make_passive_model(urdf_in_mujoco)
         # MuJoCo imports mimic joints as equalities; in Pinocchio they are independent.

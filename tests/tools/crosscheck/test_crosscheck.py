@@ -14,6 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, EXTRAS_EDGE, cross_check
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.robots import Frame, arm, compare_files, mjcf_text, numbers, urdf_text, write
 
 
@@ -179,6 +180,17 @@ def test_spring_that_only_the_mjcf_has_is_a_difference_of_the_files() -> None:
     failed = {quantity.name: quantity for quantity in check.quantities if not quantity.passed}
     assert {quantity.edge for quantity in failed.values()} == {EXTRAS_EDGE}
     assert "forward dynamics" in failed
+
+
+def test_spring_of_an_mjcf_alone_is_no_difference_of_files(tmp_path: Path) -> None:
+    """There is no URDF that could disagree with the spring."""
+    path = quadruped(tmp_path).mjcf
+    rewrite_file(path, ('name="FL_knee"', 'name="FL_knee" stiffness="2"'))
+    robot = pa.load_robot(mjcf=path)
+    assert robot.mj_model.jnt_stiffness[robot.mj_model.joint("FL_knee").id] == 2.0
+    check = cross_check(robot, configurations=3)
+    assert check.passed
+    assert all(EXTRAS_EDGE not in quantity.edge_deviations for quantity in check.quantities)
 
 
 def test_length_of_a_joint_axis_is_ignored(tmp_path: Path) -> None:
