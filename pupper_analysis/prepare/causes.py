@@ -98,6 +98,7 @@ class CauseCandidate:
 _XML_SECTIONS = {
     "weld": "equality",
     "connect": "equality",
+    "tendon": "tendon",
     "ctrlrange": "actuator",
     "forcerange": "actuator",
     "timeconst": "actuator",
@@ -165,7 +166,7 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
         *_list_numerics(model),
         *_list_exclude_causes(model),
         *_list_option_causes(model),
-        *_list_equality_causes(model),
+        *list_ties(model),
         *_list_limit_causes(published, robot),
         *_list_servo_causes(published, robot),
         *_list_actuator_causes(published),
@@ -514,22 +515,58 @@ def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
         yield from _yield_if_any(code, (element,) if acts else (), field, None, value)
 
 
-def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield constraints of the published model that may cause a deviation from the prepared robot.
+TIE_CODES = ("weld", "connect", "tendon")
+"""Codes (`Cause.code`) of elements that tie the robot to the world or to a mocap body."""
 
-    These are the initially active welds and connects of which a body is fixed to the world, or is a
-    mocap body.
+
+def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
+    """Yield elements of a published model that tie a body to the world or to a mocap body.
+
+    These are initially active welds and connects, and spatial tendons from a body to a site or geom
+    of the world that have an active equality or a limited length. A tie may cause a deviation from
+    the prepared robot.
     """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJECT_TYPE.mjOBJ_SITE.value:
             ends = [int(model.site_bodyid[end]) for end in ends]
-        if any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
+        if _reach_the_world(model, ends):
             name = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_EQUALITY, number)
             both = _name_bodies(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, ends))
             kind = kinds[int(model.eq_type[number])]
             yield from _yield_if_any(kind, (name or both,), "eq_active0", number)
+    for tendon in range(model.ntendon):
+        first = int(model.tendon_adr[tendon])
+        path = range(first, first + int(model.tendon_num[tendon]))
+        ends = [body for wrap in path for body in _find_wrap_bodies(model, wrap)]
+        equalities = np.flatnonzero(
+            (model.eq_type == mujoco.mjtEq.mjEQ_TENDON.value)
+            & model.eq_active0
+            & ((model.eq_obj1id == tendon) | (model.eq_obj2id == tendon))
+        )
+        if _reach_the_world(model, ends) and (equalities.size or model.tendon_limited[tendon]):
+            name = _list_element_names(model, _OBJECT_TYPE.mjOBJ_TENDON, [tendon])
+            yield CauseCandidate(
+                "tendon",
+                tuple(name),
+                _make_switch(("eq_active0", equalities, 0), ("tendon_limited", tendon, 0)),
+            )
+
+
+def _reach_the_world(model: mujoco.MjModel, bodies: list[int]) -> bool:
+    """Return True if some of the bodies are fixed to the world or mocap bodies, and others move."""
+    held = [model.body_weldid[body] == 0 or model.body_mocapid[body] >= 0 for body in bodies]
+    return any(held) and not all(held)
+
+
+def _find_wrap_bodies(model: mujoco.MjModel, wrap: int) -> list[int]:
+    """Return the body of a site or geom on the path of a spatial tendon; empty for other items."""
+    kind, item = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
+    if kind == mujoco.mjtWrap.mjWRAP_SITE.value:
+        return [int(model.site_bodyid[item])]
+    geoms = (mujoco.mjtWrap.mjWRAP_SPHERE.value, mujoco.mjtWrap.mjWRAP_CYLINDER.value)
+    return [int(model.geom_bodyid[item])] if kind in geoms else []
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
+from pupper_analysis.prepare.causes import TIE_CODES
 from pupper_analysis.prepare.limits import (
     describe_loaded_passive_joints,
     describe_unknown_limits,
@@ -36,6 +37,7 @@ from pupper_analysis.prepare.self_check import (
     compare_as_published,
     explain_own_run,
     name_remaining_cause,
+    report_ties,
 )
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.as_published import (
@@ -145,11 +147,13 @@ def judge_simulation(
         *_report_distant_command(keyframe_run),
         *_list_model_remarks(robot, stand, statics, given_gains=given),
     )
-    errors = any(remark.severity is Severity.ERROR for remark in remarks)
     causes = (
         *(() if keyframe_run is None else keyframe_run.causes),
         *(() if published is None else published.causes),
     )
+    if not any(cause.code in TIE_CODES for cause in causes):
+        remarks = (*report_ties(robot), *remarks)
+    errors = any(remark.severity is Severity.ERROR for remark in remarks)
     # With given gains, the run from the keyframe is information only.
     if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):
         named, published = name_remaining_cause(robot, None if given else keyframe_run, published)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.array_types import Array, BoolArray, IntArray
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.causes import (
@@ -31,6 +32,7 @@ from pupper_analysis.prepare.causes import (
     list_loading_changes,
     list_shared_causes,
     list_soft_servos,
+    list_ties,
 )
 from pupper_analysis.prepare.own_run import (
     get_loaded_robot,
@@ -946,6 +948,33 @@ def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
         ],
         loaded,
     )
+
+
+def report_ties(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Report elements of the file that tie a robot with a free base to the world or a mocap body.
+
+    The severity is ERROR if the unmodified file stands from its keyframe, but not without these
+    elements. The result is cached per loaded robot.
+    """
+    return get_loaded_robot(robot).compute_once(_report_ties)
+
+
+def _report_ties(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Report the ties of a robot to the world (`report_ties`, uncached)."""
+    model = robot.compute_once(get_published_model)
+    ties = [] if model is None or not robot.floating else list(list_ties(model))
+    if model is None or not ties:
+        return ()
+    untied = copy.copy(model)
+    for tie in ties:
+        tie.switch_off(untied)
+    published = PublishedModel.from_model(untied, robot)
+    tied_run, run = own_run(robot), simulate_model_from_keyframe(published, robot)
+    falls = tied_run is not None and not tied_run.fails and run is not None and run.fails
+    names = [name for tie in ties for name in tie.elements]
+    line = add_lines([ties[0].make_cause(0.0)], robot)[0].line
+    message = diagnose("base-tied", names=names, line=line, falls=falls)
+    return (replace(message, severity=Severity.ERROR) if falls else message,)
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:

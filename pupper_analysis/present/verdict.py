@@ -569,6 +569,7 @@ _CAUSES = (
     "motors-overloaded",
     "weld-holds-it",
     "connect-holds-it",
+    "tendon-holds-it",
 )
 """Codes of statements that explain a bad verdict. These statements follow directly after the first
 statement, in the order of the verdict. For example, a range in the file that limits motors precedes
@@ -581,6 +582,7 @@ _CAUSE_MESSAGES = {
     "actuatorgroupdisable": "actuators-disabled",
     "weld": "weld-holds-it",
     "connect": "connect-holds-it",
+    "tendon": "tendon-holds-it",
     "ctrlrange": "ctrlrange-cuts-off",
     "forcerange": "forcerange-cuts-off",
     "actuatorfrcrange": "actuatorfrcrange-cuts-off",

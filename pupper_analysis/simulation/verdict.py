@@ -39,6 +39,7 @@ class VerdictCode(StrEnum):
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
+    TIED = "holds by a constraint that ties the base to the world"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
     DISAGREES = "stands in simulation, and not as predicted"
@@ -384,8 +385,9 @@ def _find_worst_code(
         and not (deviation.agrees_with_equilibrium or published.is_altered_only)
     ):
         return VerdictCode.DIFFERS_AS_PUBLISHED
-    if any(remark.severity is Severity.ERROR for remark in remarks):
-        return VerdictCode.LIMB_WITHOUT_FOOT
+    errors = [remark.code for remark in remarks if remark.severity is Severity.ERROR]
+    if errors:
+        return VerdictCode.TIED if "base-tied" in errors else VerdictCode.LIMB_WITHOUT_FOOT
     if overloaded_motors:
         return VerdictCode.OVERLOADED
     if alone is not None and not alone.passed:

@@ -23,6 +23,7 @@ from pupper_analysis.prepare.judge import (
     list_file_remarks,
 )
 from pupper_analysis.prepare.limits import describe_unknown_limits
+from pupper_analysis.prepare.self_check import report_ties
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
@@ -374,3 +375,91 @@ def test_feet_without_friction_are_reported_unless_the_robot_is_held(
     robot: Any = SimpleNamespace(contacts=contacts, fixed_parts=welds, is_base_fixed=is_fixed)
     assert (describe_frictionless_feet(robot, ("a", "b")) is not None) is slippery
     assert describe_frictionless_feet(robot, ()) is None
+
+
+ROPE = (
+    '<tendon><spatial name="rope"{limit}><site site="hook"/><site site="eye"/></spatial></tendon>'
+)
+TIES = {
+    "weld": '<equality><weld name="tie" body1="trunk"/></equality>',
+    "connect": '<equality><connect name="tie" body1="trunk" anchor="0 0 0"/></equality>',
+    "mocap": '<equality><weld name="tie" body1="trunk" body2="hand"/></equality>',
+    "sites": '<equality><connect name="tie" site1="eye" site2="hook"/></equality>',
+    "rope": ROPE.format(limit="") + '<equality><tendon tendon1="rope"/></equality>',
+    "limited rope": ROPE.format(limit=' limited="true" range="0 0.3"'),
+}
+
+
+def _tie(folder: Path, tie: str, kp: float) -> Path:
+    """Write a quadruped with a trunk that is tied to the world at its height in the keyframe."""
+    path = slips.standing(folder).mjcf
+    world = '<site name="hook" pos="0 0 0.65"/><body name="hand" mocap="true" pos="0 0 0.35"/>'
+    if tie == "sites":
+        world = world.replace("0.65", "0.35")
+    rewrite_file(
+        path, ("<worldbody>", "<worldbody>" + world), ("</mujoco>", TIES[tie] + "</mujoco>")
+    )
+    rewrite_file(path, ("<freejoint/>", '<freejoint/><site name="eye"/>'))
+    text, count = re.subn(r'kp="[^"]*"', f'kp="{kp}"', path.read_text())
+    assert count
+    path.write_text(text)
+    return path
+
+
+def _keeps_height(path: Path, *, tied: bool) -> bool:
+    """Return True if the CoM keeps 70 % of its height for 5 s in bare MuJoCo, without collapse."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    height = float(data.subtree_com[model.body("trunk").id][2])
+    if not tied:
+        data.eq_active[:] = 0
+        model.tendon_limited[:] = 0
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    return bool(data.subtree_com[model.body("trunk").id][2] > 0.7 * height)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tie", TIES)
+@pytest.mark.parametrize("kp", [150.0, 3.0])
+def test_a_tie_of_the_base_to_the_world_is_reported_with_its_effect(
+    tmp_path: Path, tie: str, kp: float
+) -> None:
+    """Reference: bare MuJoCo with and without the tie. Servos of 3 N m/rad do not carry the robot;
+    a tie does."""
+    path = _tie(tmp_path, tie, kp)
+    assert _keeps_height(path, tied=True)
+    robot = pa.load_robot(mjcf=path)
+    (message,) = report_ties(robot)
+    assert message.values["names"] == ("rope" if "rope" in tie else "tie",)
+    assert message.values["line"] is not None
+    falls = not _keeps_height(path, tied=False)
+    assert falls is (kp < 10)
+    assert message.values["falls"] is falls
+    assert message.severity == ("error" if falls else "warning")
+
+
+@pytest.mark.slow
+def test_stand_and_analyze_agree_on_a_robot_with_a_weak_tie(tmp_path: Path) -> None:
+    """The tie carries less than 0.1 % of the weight: bare MuJoCo stands with and without it.
+
+    ``analyze`` failed the MJCF alone, because no URDF expresses the tie: "the files disagree".
+    """
+    path = _tie(tmp_path, "connect", 150.0)
+    weak = 'name="tie" solref="2 1" solimp="0.01 0.01 0.001"'
+    rewrite_file(path, ('name="tie"', weak))
+    assert _keeps_height(path, tied=True)
+    assert _keeps_height(path, tied=False)
+    analysis = pa.analyze_variant(pa.load_robot(mjcf=path))
+    assert analysis.verdict.passed
+    assert "base-tied" in [remark.code for remark in analysis.verdict.remarks]
+    assert analysis.verified
+    assert analysis.check.passed
+
+
+def test_a_robot_without_a_tie_has_no_message_about_ties(tmp_path: Path) -> None:
+    path = slips.standing(tmp_path).mjcf
+    off = '<equality><weld body1="trunk" active="false"/></equality></mujoco>'
+    rewrite_file(path, ("</mujoco>", off))
+    assert not report_ties(pa.load_robot(mjcf=path))

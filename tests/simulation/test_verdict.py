@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.base.diagnostics import Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Severity, Term, diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.present.verdict import (
     format_verdict,
@@ -158,6 +158,20 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         VerdictCode.LIMB_WITHOUT_FOOT,
         False,
         "3 of 4 limbs that are alike have a foot, and calf has none",
+    ),
+    "tied": (
+        {
+            "remarks": (
+                replace(
+                    diagnose("base-tied", names=("rope",), line=3, falls=True),
+                    severity=Severity.ERROR,
+                ),
+            )
+        },
+        VerdictCode.TIED,
+        False,
+        "the file ties the robot to the world: rope (line 3); without this tie the unmodified file"
+        " does not stand from its keyframe",
     ),
     "on balls": (
         {"remarks": (diagnose("on-balls-for-soles", count=8),)},
