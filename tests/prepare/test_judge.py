@@ -20,6 +20,7 @@ from pupper_analysis.prepare.judge import (
     describe_frictionless_feet,
     describe_impossible_inertias,
     describe_missing_masses,
+    judge_stand,
     list_file_remarks,
 )
 from pupper_analysis.prepare.limits import describe_unknown_limits
@@ -463,3 +464,13 @@ def test_a_robot_without_a_tie_has_no_message_about_ties(tmp_path: Path) -> None
     off = '<equality><weld body1="trunk" active="false"/></equality></mujoco>'
     rewrite_file(path, ("</mujoco>", off))
     assert not report_ties(pa.load_robot(mjcf=path))
+
+
+@pytest.mark.slow
+def test_unknown_torque_limits_matter_as_soon_as_the_robot_carries_more(tmp_path: Path) -> None:
+    """The MJCF states no torque limit. A stand holds without a payload; with one, nobody knows."""
+    robot = pa.load_robot(mjcf=slips.standing(tmp_path).mjcf)
+    loaded = with_payload(robot, 0.2, (0.0, 0.0, 0.0))
+    found = [judge_stand(model, pa.solve_stand(model)) for model in (robot, loaded)]
+    assert [verdict.code for verdict in found] == [VerdictCode.HOLDS, VerdictCode.LIMITS_UNKNOWN]
+    assert [verdict.passed for verdict in found] == [True, False]

@@ -669,3 +669,31 @@ def test_an_arm_whose_ctrl_moves_the_com_leaves_the_robot_in_its_stance(tmp_path
     assert run.redirected is not None
     assert run.redirected.joint == "swing"
     assert not run.fails
+
+
+@pytest.mark.slow
+def test_heights_without_ground_below_count_from_the_level_plane(tmp_path: Path) -> None:
+    """By hand: the plane is 0.8 m high and touches nothing; the robot floats without gravity, with
+    its feet on the plane. The CoM is 0.307 m above the plane."""
+    path = standing(tmp_path).mjcf
+    raised = ('type="plane"', 'type="plane" pos="0 0 0.8" contype="0" conaffinity="0"')
+    floating = ("<option ", '<option gravity="0 0 0" ')
+    edits = (raised, floating, ('qpos="0 0 0.35 ', 'qpos="0 0 1.15 '))
+    robot = pa.load_robot(mjcf=path)
+    rewrite_file(path, *edits)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    published = PublishedModel.from_model(model, robot)
+    run = own_run_module._simulate_key(published, robot, 0)
+    assert run.clearance == 0.0
+    assert run.height == pytest.approx(0.307, abs=1e-3)
+    assert run.end_height == pytest.approx(0.307, abs=5e-3)
+    known = []
+    measure = own_run_module.initial_height
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            own_run_module,
+            "initial_height",
+            lambda *arguments: (known.append(arguments[-1]), measure(*arguments))[1],
+        )
+        settles_in_place(model, robot, robot.home)
+    assert known == [pytest.approx(0.8)]

@@ -258,6 +258,26 @@ def test_approaches_of_a_stand_keep_the_joint_limits(robot: Robot) -> None:
     assert np.min(sent) == pytest.approx(-0.2)
 
 
+def test_commands_are_ramped_at_half_a_radian_per_second(robot: Robot) -> None:
+    """By hand: the fastest joint travels 0.3 rad, which takes 0.6 s, or 30 intervals of 20 ms. A
+    slow ramp of 2 s takes 100 intervals."""
+    bridge, sent = Sluggish(robot), list[Array]()
+    session = make_session(robot, bridge)
+    move = bridge.send
+    bridge.send = lambda command: (sent.append(command.copy()), move(command))[1]  # type: ignore[method-assign]
+    target = np.full(robot.nu, 0.1)
+    target[2] = -0.3
+    stand = PlannedStand("s0", (), {}, None)
+    session._move_command(stand, target)
+    assert len(sent) == 30
+    assert bridge.now() == pytest.approx(0.6)
+    expected = np.linspace(1 / 30, 1.0, 30)[:, None] * target
+    np.testing.assert_allclose(sent, expected, atol=1e-12)
+    session._move_command(stand, np.zeros(robot.nu), 2.0)
+    assert len(sent) == 130
+    assert bridge.now() == pytest.approx(2.6)
+
+
 def test_robot_holds_its_last_command_after_a_recording(robot: Robot) -> None:
     bridge, sent = Sluggish(robot), list[Array]()
     bridge.send = sent.append  # type: ignore[method-assign]
@@ -599,6 +619,10 @@ def test_invalid_plan_is_refused_before_any_command(
     at = header.split(",").index("command.leg_front_r_1")
     cells = first.split(",")
     cells[at] = "3.5"
+    other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
+    with pytest.raises(MeasurementError, match="s0: leg_front_r_1"):
+        record_stands(robot, other, tmp_path / "stands.csv", one, one)
+    cells[at] = ""
     other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
     with pytest.raises(MeasurementError, match="s0: leg_front_r_1"):
         record_stands(robot, other, tmp_path / "stands.csv", one, one)

@@ -236,6 +236,25 @@ def test_intervals_are_reproducible_and_their_ends_are_exact(trot: Policy) -> No
     assert ends >= 4
 
 
+@pytest.mark.parametrize(
+    ("quantity", "first", "second", "middle"),
+    [
+        ("mass", 0.5, 8.0, 2.0),
+        ("kp", 0.04, 1.0, 0.2),
+        ("delay", 0.0, 60.0, 30.0),
+        ("payload", 0.0, 0.5, 0.25),
+    ],
+)
+def test_bisection_of_a_factor_halves_its_logarithm(
+    quantity: str, first: float, second: float, middle: float
+) -> None:
+    """By hand: the geometric mean of factors, the arithmetic mean of other quantities."""
+    varied = VARIED_QUANTITIES[quantity]
+    assert (varied.unit == "x") is (first > 0)
+    assert varied.compute_midpoint(first, second) == pytest.approx(middle)
+    assert varied.compute_midpoint(second, first) == pytest.approx(middle)
+
+
 def test_narrow_margin_is_reported_if_seeds_differ_by_more(trot: Policy) -> None:
     """By hand: margins 0.1 and 0.5 differ by 0.4, more than 0.1; 0.5 and 0.6 do not."""
     empty = TrackedIntervals(
