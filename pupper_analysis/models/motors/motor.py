@@ -14,8 +14,8 @@ import numpy as np
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.motors.units import UNIT_KINDS
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.models.motors.units import UNIT_KINDS, check_motor_number
 
 MAX_STALL_RATIO = 1.1
 """Largest accepted ratio between a stated stall torque and K I of the same motor, and between a
@@ -126,11 +126,22 @@ class Motor:
     price: float | None = _number("price")
 
     def __post_init__(self) -> None:
-        """Check that stated numbers, such as stall torque and resistance, do not contradict.
+        """Check that all numbers are in range, and that stated numbers do not contradict.
 
         Raises:
-            ModelError: If numbers contradict each other.
+            ModelError: If a number is out of range, for example a torque constant of zero, or if
+                numbers contradict each other.
         """
+        for number in fields(self):
+            value = getattr(self, number.name)
+            if "kind" not in number.metadata or value is None:
+                continue
+            try:
+                kind = UNIT_KINDS[number.metadata["kind"]]
+                check_motor_number(number.name, value, kind, f"{value:g}")
+            except ConfigurationError as error:
+                problem = diagnose("motor-number", name=number.name, problem=error.problem)
+                raise ModelError(self.name, problem) from error
         current = self.stall_current
         resistance, voltage = self.resistance, self.supply_voltage
         if current is not None and resistance is not None and voltage is not None:

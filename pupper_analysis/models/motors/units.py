@@ -104,16 +104,25 @@ def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
         code = "motor-other-unit" if unit else "motor-without-unit"
         raise ConfigurationError(name, diagnose(code, given=str(text), unit=unit, units=units))
     value = number * kind.factors[unit] + kind.offset.get(unit, 0.0)
+    check_motor_number(name, value, kind, str(text))
+    return value
+
+
+def check_motor_number(name: str, value: float, kind: UnitKind, given: str) -> None:
+    """Check that the value of a motor's quantity is finite and in the range of its kind.
+
+    Args:
+        name: Name of the quantity, for messages.
+        value: Value [``kind.unit``].
+        kind: Kind of quantity.
+        given: Text of the value, for messages.
+
+    Raises:
+        ConfigurationError: If the value is out of range.
+    """
     low = -273.15 if kind.signed else 0.0
     valid = low <= value if kind.signed or kind.zero else low < value
-    if not (valid and value <= kind.most and math.isfinite(value)):
-        raise ConfigurationError(
-            name,
-            diagnose(
-                "motor-out-of-range",
-                given=str(text),
-                low=low,
-                most=kind.most if math.isfinite(kind.most) else None,
-            ),
-        )
-    return value
+    if valid and value <= kind.most and math.isfinite(value):
+        return
+    most = kind.most if math.isfinite(kind.most) else None
+    raise ConfigurationError(name, diagnose("motor-out-of-range", given=given, low=low, most=most))

@@ -139,6 +139,26 @@ def test_a_file_without_source_is_refused(tmp_path: Path) -> None:
         read_motor(write(tmp_path, TEXT.replace('source = "bench"\n', "")))
 
 
+@pytest.mark.parametrize(
+    ("number", "value"),
+    [
+        *(
+            (number, 0.0)
+            for number, kind in NUMBERS.items()
+            if not (UNIT_KINDS[kind].zero or UNIT_KINDS[kind].signed)
+        ),
+        ("output_torque_constant", -0.1),
+        ("resistance", math.nan),
+        ("peak_torque", math.inf),
+        ("gear_efficiency", 1.2),
+    ],
+)
+def test_a_motor_in_memory_with_a_number_out_of_range_is_refused(number: str, value: float) -> None:
+    """Zero would divide by zero in a current, or be read as a motor without losses."""
+    with pytest.raises(ModelError, match=f"{number}: .*out of range"):
+        Motor("test", "bench", **{number: value})  # type: ignore[arg-type]
+
+
 def test_calculation_with_an_unknown_motor_number_is_refused_by_its_name() -> None:
     motor = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0)
     with pytest.raises(ModelError, match="output_torque_constant, gear_efficiency"):
