@@ -239,11 +239,11 @@ class SpecTree:
         element = self.spec.joint(joint)
         if attribute == BY_KIND["effort"]:
             element.actfrcrange = np.array(element.actfrcrange) * factor
-            for actuator in self.spec.actuators:
-                if actuator.target == joint:
-                    actuator.forcerange = np.array(actuator.forcerange) * factor
-                    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # the control is a force
-                        actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
+            for actuator in _list_actuators_at(self.spec, joint):
+                actuator.forcerange = np.array(actuator.forcerange) * factor
+                if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # the control is a force
+                    actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
+            self._clear_cache()
             return
         if "springdamper" in attribute.mjcf and np.any(element.springdamper):
             self._expand_springdamper(element)
@@ -534,23 +534,36 @@ def _reference_position(joint: mujoco.MjsJoint) -> float:
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
     """Delete a joint of a spec, in place, with its actuators, joint equalities and sensors."""
     name = joint.name
-    for actuator in list(spec.actuators):
-        if actuator.target == name:
-            _delete_sensors(spec, actuator.name)
-            spec.delete(actuator)
+    for actuator in _list_actuators_at(spec, name):
+        _delete_sensors(spec, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator.name)
+        spec.delete(actuator)
     for equality in list(spec.equalities):
         # Connect and weld refer to bodies, which may have the names of joints.
         couples_joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
         if couples_joints and name in (equality.name1, equality.name2):
             spec.delete(equality)
-    _delete_sensors(spec, name)
+    _delete_sensors(spec, mujoco.mjtObj.mjOBJ_JOINT, name)
     spec.delete(joint)
 
 
-def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
-    """Delete the sensors that refer to an element by its name; an empty name deletes none."""
+def _list_actuators_at(spec: mujoco.MjSpec, joint: str) -> list[mujoco.MjsActuator]:
+    """Return the actuators that act on a joint, directly or with axes of the parent frame.
+
+    Other actuators may act on a tendon, site or body with the name of the joint.
+    """
+    kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    return [
+        actuator
+        for actuator in spec.actuators
+        if actuator.trntype in kinds and actuator.target == joint
+    ]
+
+
+def _delete_sensors(spec: mujoco.MjSpec, kind: mujoco.mjtObj, name: str) -> None:
+    """Delete the sensors that refer to an element by type and name; an empty name deletes none."""
     for sensor in list(spec.sensors):
-        if name and name in (sensor.objname, sensor.refname):
+        references = ((sensor.objtype, sensor.objname), (sensor.reftype, sensor.refname))
+        if name and (kind, name) in references:
             spec.delete(sensor)
 
 

@@ -208,10 +208,10 @@ def name_joints(names: Sequence[str]) -> str:
 
     The common beginning and the common end of the names, cut at underscores, are joined by ``*``.
     Names without common part are listed: two names, and the number of further names. A single name
-    is returned unchanged.
+    is returned unchanged; no name gives an empty text.
     """
-    if len(names) == 1:
-        return names[0]
+    if len(names) <= 1:
+        return "".join(names)
     begin = _common_beginning(names)
     begin = begin[: begin.rfind("_") + 1]
     end = _common_beginning([name[len(begin) :][::-1] for name in names])

@@ -7,7 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pupper_analysis.models.spec_tree import SpecTree, set_inertia
+from pupper_analysis.models.attributes import BY_KIND
+from pupper_analysis.models.spec_tree import SpecTree, delete_joint, set_inertia
 
 MJCF = """<mujoco><worldbody><body name="base"><freejoint/>
   <inertial pos="0.1 0.2 0.3" mass="2" fullinertia="0.02 0.03 0.04 0.001 0.002 0.003"/>
@@ -134,3 +135,37 @@ def test_subtree_is_removed_with_its_joints() -> None:
     one.remove_subtree("arm")
     assert tuple(one.names) == ("base",)
     assert one.spec.compile().njnt == 1
+
+
+NAMESAKES = """<mujoco><worldbody><site name="hook" pos="0 0 1"/><body name="lone" pos="1 0 0">
+  <freejoint/><geom size="0.1"/><site name="knee"/></body><body name="knee"><joint name="knee"/>
+  <geom size="0.1"/><site name="eye"/><body><joint name="ankle"/><geom size="0.1"/></body></body>
+  </worldbody><tendon><spatial name="knee"><site site="hook"/><site site="eye"/></spatial></tendon>
+  <actuator><motor name="at joint" joint="knee" forcerange="-2 2" ctrlrange="-2 2"/>
+  <motor name="in parent" jointinparent="knee" forcerange="-3 3"/>
+  <motor name="at tendon" tendon="knee" forcerange="-5 5" ctrlrange="-5 5"/>
+  <motor name="at site" site="knee" forcerange="-7 7"/></actuator>
+  <sensor><jointpos name="angle" joint="knee"/><framepos name="place" objtype="body" objname="knee"/>
+  <tendonpos name="length" tendon="knee"/><actuatorfrc name="force" actuator="at joint"/></sensor>
+  </mujoco>"""
+"""A joint, a body, a site and a tendon have the same name."""
+
+
+def test_scaled_effort_changes_only_the_actuators_of_the_joint() -> None:
+    """Reference: the ranges in the text. The cached model is compiled again."""
+    tree = SpecTree(mujoco.MjSpec.from_string(NAMESAKES))
+    before = tree._compiled_model
+    tree.scale("knee", BY_KIND["effort"], 10.0)
+    model = tree._compiled_model
+    assert model is not before
+    assert model.actuator_forcerange[:, 1].tolist() == [20.0, 30.0, 5.0, 7.0]
+    assert model.actuator_ctrlrange[:, 1].tolist() == [20.0, 0.0, 5.0, 0.0]
+
+
+def test_deleted_joint_leaves_the_elements_of_the_same_name() -> None:
+    spec = mujoco.MjSpec.from_string(NAMESAKES)
+    delete_joint(spec, spec.joint("knee"))
+    model = spec.compile()
+    assert [model.actuator(number).name for number in range(model.nu)] == ["at tendon", "at site"]
+    assert [model.sensor(number).name for number in range(model.nsensor)] == ["place", "length"]
+    assert [model.joint(number).name for number in range(1, model.njnt)] == ["ankle"]

@@ -192,6 +192,7 @@ def test_joints_with_other_gains_form_a_class_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
+        ([], ""),
         (["left_knee"], "left_knee"),
         (["left_knee", "right_knee"], "*_knee"),
         (["leg_front_r_1", "leg_back_l_1"], "leg_*_1"),
