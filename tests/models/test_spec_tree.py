@@ -145,7 +145,8 @@ NAMESAKES = """<mujoco><worldbody><site name="hook" pos="0 0 1"/><body name="lon
   <motor name="in parent" jointinparent="knee" forcerange="-3 3"/>
   <motor name="at tendon" tendon="knee" forcerange="-5 5" ctrlrange="-5 5"/>
   <motor name="at site" site="knee" forcerange="-7 7"/></actuator>
-  <sensor><jointpos name="angle" joint="knee"/><framepos name="place" objtype="body" objname="knee"/>
+  <sensor><jointpos name="angle" joint="knee"/>
+  <framepos name="place" objtype="body" objname="knee"/>
   <tendonpos name="length" tendon="knee"/><actuatorfrc name="force" actuator="at joint"/></sensor>
   </mujoco>"""
 """A joint, a body, a site and a tendon have the same name."""

@@ -383,8 +383,6 @@ def apply_conventions(
 ) -> None:
     """Convert a URDF to the base frame and the joint zeros of the MJCF, in place.
 
-    Shapes of the root link keep their placement in the link.
-
     Args:
         root: Root element of the URDF; modified.
         link: Name of the root link.
@@ -393,9 +391,12 @@ def apply_conventions(
     """
     tree = UrdfTree(root)
     if conventions.base is not None:
-        inertial = tree.links[link].inertial
-        below = [joint.element for joint in tree.child_joints.get(link, ())]
-        for element in below if inertial is None else [*below, inertial]:
+        parts = [
+            part
+            for tag in ("inertial", "visual", "collision")
+            for part in tree.links[link].element.findall(tag)
+        ]
+        for element in (*parts, *(joint.element for joint in tree.child_joints.get(link, ()))):
             set_origin(element, conventions.base * origin_of(element))
     for name, mover in tree.joints.items():
         joint, offset = mover.element, conventions.zeros.get(name)

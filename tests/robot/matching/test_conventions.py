@@ -15,7 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from pupper_analysis.models import multibody
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.robot.matching.conventions import find_conventions
+from pupper_analysis.models.urdf_tree import UrdfTree, origin_of
+from pupper_analysis.models.xml import parse_text
+from pupper_analysis.robot.matching.conventions import (
+    Conventions,
+    apply_conventions,
+    find_conventions,
+)
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.robots import (
     FEET,
@@ -386,3 +392,32 @@ def test_limits_of_the_only_joint_on_a_base_distinguish_its_zero_from_the_base_f
     column, quarter = mjcf["column"], math.pi / 2
     moved = change_part(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
     assert not compare_files(pair(tmp_path, moved, urdf=bare)).agree
+
+
+def test_all_parts_of_the_root_link_move_with_another_base_frame() -> None:
+    """Reference: poses between inertial, shapes and joint of the link are those before."""
+    root = parse_text("""<robot name="r"><link name="base">
+      <inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+        <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+      <visual><origin xyz="0 0.2 0" rpy="0.3 0 0"/><geometry><sphere radius="1"/></geometry>
+      </visual>
+      <collision><geometry><box size="1 2 3"/></geometry></collision>
+      <collision><origin xyz="0 0 0.3" rpy="0 0.4 0"/><geometry><sphere radius="1"/></geometry>
+      </collision></link><link name="leg"/>
+      <joint name="hip" type="revolute"><origin xyz="0.5 0 0"/><parent link="base"/>
+      <child link="leg"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint></robot>""")
+    tree = UrdfTree(root)
+    tags = ("inertial", "visual", "collision")
+    parts = [part for tag in tags for part in tree.links["base"].element.findall(tag)]
+    parts.append(tree.joints["hip"].element)
+    assert len(parts) == 5
+    before = [origin_of(part) for part in parts]
+    base = pin.SE3(pin.exp3(np.array([0.2, -0.5, 0.7])), np.array([1.0, 2.0, 3.0]))
+    apply_conventions(
+        root, "base", Conventions(base), MultibodyTree("base", True, {}, {}, {}, np.zeros(3))
+    )
+    after = [origin_of(part) for part in parts]
+    for old, new in zip(before, after, strict=True):
+        relative = (after[-1].inverse() * new).homogeneous
+        np.testing.assert_allclose(relative, (before[-1].inverse() * old).homogeneous, atol=1e-8)
+    assert not after[2].isApprox(before[2], 0.1)
