@@ -43,7 +43,8 @@ class RobotFiles:
 
         Args:
             *models: Names of a URDF, an MJCF, or both.
-            **options: Keyword arguments of ``load_robot``.
+            **options: Keyword arguments of ``load_robot``. A ``urdf`` or ``mjcf`` of None counts as
+                absent.
 
         Raises:
             ModelError: If an installed description is not found.
@@ -57,6 +58,8 @@ class RobotFiles:
             """Return the absolute path of a model file."""
             return str(find_file(model, folders).absolute())
 
+        unset = [name for name in _MODEL_OPTIONS if options.get(name) is None]
+        options = {name: value for name, value in options.items() if name not in unset}
         named = {name: absolute(options[name]) for name in _MODEL_OPTIONS if name in options}
         return RobotFiles(tuple(map(absolute, models)), {**options, **named})
 

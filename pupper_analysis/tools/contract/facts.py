@@ -7,6 +7,7 @@ with the line.
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -558,7 +559,8 @@ def parse_scalar(text: str, place: Place) -> LocatedValue:
         return LocatedValue(text.lower() == "true", place)
     if len(text) <= 64 and _FLOAT_PATTERN.match(text):
         plain = text.replace("_", "")
-        return LocatedValue(float(plain), place, count_decimals(plain))
+        if math.isfinite(number := float(plain)):  # 1e999 is a text: a double would be infinite
+            return LocatedValue(number, place, count_decimals(plain))
     if text.lower() in (".inf", "-.inf", "inf", "-inf"):
         return LocatedValue(float(text.replace(".", "")), place, 0)
     return LocatedValue(text, place)

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.convert.load import read_pair
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.prepare.convert.load import load_mjcf_robot, read_pair
 from pupper_analysis.pupper.variants import find_model_folder
 from tests.support.corpus import INERTIAL, LIMIT, format_joint, format_link, format_urdf
 from tests.support.legged import quadruped, rewrite_file
@@ -321,3 +323,22 @@ def test_pair_is_read_in_any_order_and_by_keyword() -> None:
         read_pair(urdf=URDF, mjcf=MJCF),
     ):
         assert (pair.urdf.path, pair.mjcf.path, pair.converted) == (URDF, MJCF, "")
+
+
+def test_absent_files_in_the_arguments_of_a_robot_count_as_not_given(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    files = RobotFiles.from_arguments(urdf=str(pair.urdf), mjcf=None, name="dog")
+    assert dict(files.options) == {"urdf": str(pair.urdf), "name": "dog"}
+    assert str(files) == pair.urdf.name
+    assert files.load().name == "dog"
+
+
+def test_robot_of_a_read_mjcf_is_that_of_its_path(tmp_path: Path) -> None:
+    path = quadruped(tmp_path).mjcf
+    one, other = load_mjcf_robot(read_mjcf(path)), pa.load_robot(mjcf=path, visuals=False)
+    assert one.joint_names == other.joint_names
+    assert one.feet == other.feet
+    assert one.published is not None
+    assert one.published.file is not None
+    np.testing.assert_array_equal(one.home, other.home)
+    assert [note.code for note in one.notes] == [note.code for note in other.notes]

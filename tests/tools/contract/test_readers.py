@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.contract import facts
-from pupper_analysis.tools.contract.facts import Request
+from pupper_analysis.tools.contract.facts import Request, read_yaml_nodes
 from pupper_analysis.tools.contract.readers import (
     decode_integers,
     gather_fields,
@@ -89,3 +90,13 @@ def test_rtneural_file_gives_layer_sizes_and_no_weights(
     statements = {statement.quantity: statement.value for statement in source.statements}
     assert source.role == "policy"
     assert statements == {"actions": 12, "observed numbers": 36, "kp": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1e999", "1e999"), ("-1e999", "-1e999"), ("1e300", 1e300), (".inf", math.inf)],
+)
+def test_a_number_beyond_a_double_is_no_infinite_limit(text: str, value: object) -> None:
+    """A limit that is stated as infinite is none; 1e999 is an error of the file."""
+    (node,) = read_yaml_nodes(Path("x.yaml"), f"kp: {text}")
+    assert node.get("kp").value == value
