@@ -10,6 +10,7 @@ nudged simulation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -38,6 +39,11 @@ _RATE_TOLERANCE = 0.3
 """Largest relative difference between the growths per time step, |eigenvalue| - 1, of two modes
 that count as the same mode [1]. The modes come from the spectra with the two finite-difference
 steps. Chosen, not tuned."""
+
+_EQUAL_GROWTH_RTOL = 1e-3
+"""Largest relative difference between the growths per time step of two modes, with and without dry
+friction, with which dry friction does not affect the mode [1]. Chosen, not tuned: a joint that dry
+friction holds does not take part in a mode."""
 
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
@@ -436,7 +442,7 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     The result contains:
 
     - the growing modes with dry friction
-    - the modes without dry friction that grow within ``HOLD_DURATION``
+    - the modes that grow within ``HOLD_DURATION`` only without dry friction
     - the least damped mode: the one with the smaller damping ratio of both evaluations
     - the other values of the evaluation with dry friction
 
@@ -457,7 +463,7 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
             values[:] = before
     freed = [
         replace(mode, without_dry_friction=True)
-        for mode in free.unstable
+        for mode in _list_further_modes(free.unstable, found.unstable)
         if mode.grows_within(HOLD_DURATION)
     ]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
@@ -469,6 +475,25 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     )
     least = min(damped, key=lambda mode: mode.damping_ratio, default=None)
     return replace(found, unstable=tuple(unstable), least_damped=least)
+
+
+def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mode]:
+    """Return the modes of a spectrum that another spectrum of the same state does not contain.
+
+    Modes are equal if their growths per step are equal within `_EQUAL_GROWTH_RTOL`. Each known mode
+    removes a single mode, if possible one with the same joints.
+    """
+    further = list(modes)
+    for mode in known:
+        equal = [
+            other
+            for other in further
+            if abs(other.growth - mode.growth) <= _EQUAL_GROWTH_RTOL * mode.growth
+        ]
+        alike = [other for other in equal if other.joints == mode.joints]
+        for other in (alike or equal)[:1]:
+            further.remove(other)
+    return further
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:

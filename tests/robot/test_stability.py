@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.stability import Mode, step_derivative
+from pupper_analysis.robot.stability import Mode, _evaluate_friction, step_derivative
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state, simulate_commands
 from pupper_analysis.simulation.stability import Nudge, measure_response
@@ -188,6 +188,29 @@ def test_dry_friction_hides_an_unstable_servo_until_a_push_overcomes_it() -> Non
         mujoco.mj_step(model, data, 10)
         assert bool(abs(data.qvel[0]) < speed) is stays
     np.testing.assert_array_equal(model.dof_frictionloss, 0.5)  # which is given back
+
+
+def test_growing_mode_that_dry_friction_does_not_affect_is_listed_once() -> None:
+    """Two inverted pendulums, one of which dry friction holds. By hand: the growth rate of a rod of
+    1 m is sqrt(3 g / 2) = 3.836 1/s."""
+    pole = (
+        '<body pos="{x} 0 0"><joint name="{name}" axis="0 1 0" {more}/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 1" size="1e-3" mass="1"/></body>'
+    )
+    free = pole.format(x=0, name="free", more="")
+    held = pole.format(x=1, name="held", more='frictionloss="0.5"')
+    text = f'<mujoco><option timestep="1e-3"/><worldbody>{free}{held}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    # MuJoCo's regularised friction creeps, which is a slow growth of the held pendulum.
+    modes = [mode for mode in _evaluate_friction(model, data).unstable if mode.grows_within(12.0)]
+    assert [(mode.joints, mode.without_dry_friction) for mode in modes] in (
+        [(("free",), False), (("held",), True)],
+        [(("held",), True), (("free",), False)],
+    )
+    for mode in modes:
+        assert math.log1p(mode.growth) / 1e-3 == pytest.approx(3.836, rel=5e-3)
 
 
 def test_stability_does_not_depend_on_the_tolerance_of_mujocos_solver() -> None:
