@@ -636,8 +636,11 @@ def test_invalid_plan_is_refused_before_any_command(
     other.write_text(text.replace("s1,", "t1,").replace("position", "position"))
     with pytest.raises(MeasurementError, match="stand t1"):
         record_stands(robot, plan, other, one, one)
+    closed: list[str] = []
+    one.close = lambda: closed.append("closed")  # type: ignore[method-assign]
     with pytest.raises(MeasurementError, match="absent"):
         record_stands(robot, tmp_path / "absent.csv", other, one, one)
+    assert closed == ["closed"]
     assert len(one.sent) == sent
 
 

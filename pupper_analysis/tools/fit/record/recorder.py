@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -172,8 +172,7 @@ def record_stands(
         robot: Robot, with the values of the files.
         plan: File of ``write_plan``.
         output: Output file. Stands named in this file are not recorded again.
-        bridge: Connection to the robot. Closed at the end of the recording, except after an error
-            before the first stand.
+        bridge: Connection to the robot. Closed at the end of the recording, also after an error.
         operator: Person who lifts the robot and reports the feet in the air.
 
     Raises:
@@ -187,10 +186,11 @@ def record_stands(
         ModelError: If the model with a known load cannot be built.
     """
     path = Path(output)
-    if path.exists() and Path(plan).exists() and path.samefile(plan):
-        raise ConfigurationError("output", diagnose("recording-into-the-plan"))
-    with _lock_output(path):
-        return _record_missing_stands(robot, plan, path, bridge, operator)
+    with closing(bridge):
+        if path.exists() and Path(plan).exists() and path.samefile(plan):
+            raise ConfigurationError("output", diagnose("recording-into-the-plan"))
+        with _lock_output(path):
+            return _record_missing_stands(robot, plan, path, bridge, operator)
 
 
 @contextmanager
@@ -220,7 +220,7 @@ def _record_missing_stands(
 ) -> Recording:
     """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet.
 
-    The bridge is closed afterwards, except after an error before the first stand.
+    The bridge is not closed.
 
     Raises:
         MeasurementError: If the plan or the output cannot be read, or the output belongs to another
@@ -275,7 +275,6 @@ def _record_missing_stands(
         findings.append(diagnose("recording-stopped"))
     finally:
         session.hold_position()
-        bridge.close()
     missing = [planned.names[row] for row in rows if planned.names[row] not in taken]
     names = tuple(name for name in planned.names if name in recorded_names)
     angles = session.compute_friction_angles(len(taken))
