@@ -525,10 +525,8 @@ class _RollingFeet:
                 self.away, self.turned = away, rotations
                 return stand
         change = max(np.abs(away[foot] - last[foot]).max() for foot in away)
-        raise NoEquilibriumError(
-            0.0,
-            diagnose("feet-roll-without-end", change=Quantity(change, "m")),
-        )
+        problem = diagnose("feet-roll-without-end", change=Quantity(change, "m"))
+        raise NoEquilibriumError(None, problem)
 
 
 def _differentiate(

@@ -14,7 +14,9 @@ from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity
+from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.robot.configuration import UP
+from pupper_analysis.tools.path import geometry
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.geometry import solve_segments
 from pupper_analysis.tools.path.plan import StancePath, stance_path
@@ -382,6 +384,17 @@ def test_feet_of_a_squat_roll_by_radius_times_angle() -> None:
 
 
 @pytest.mark.slow
+def test_feet_whose_rolling_does_not_converge_state_no_share_of_feedforward(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No feed-forward is removed on a path: 0.0 would mean that none of it could be removed."""
+    monkeypatch.setattr(geometry, "_ROLL_TOLERANCE", -1.0)
+    robot = load("v3")
+    with pytest.raises(NoEquilibriumError, match="roll") as caught:
+        geometry.path_geometry(robot, [Task(), Task(roll=0.1)], 2, 1.0)
+    assert caught.value.share is None
+
+
 def test_velocity_and_acceleration_at_a_stance_vanish_with_the_step() -> None:
     """Differences of joint positions: the velocity shrinks as step^2, the acceleration as step."""
     rates = []
