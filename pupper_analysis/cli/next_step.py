@@ -51,7 +51,7 @@ def complete_command(step: NextStep | None) -> str:
 
         - There is no step, or no running command.
         - The next command is not installed, or needs more files than were typed.
-        - A typed word is ``-``, standard input or output.
+        - The line would contain ``-``: a file that the user passed on standard input.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -59,7 +59,7 @@ def complete_command(step: NextStep | None) -> str:
     root, typed = context.find_root(), context.meta.get(TYPED_WORDS, ())
     group = root.command
     target = group.get_command(root, step.command) if isinstance(group, click.Group) else None
-    if target is None or "-" in typed:
+    if target is None:
         return ""
     values, _, order = context.command.make_parser(context).parse_args(list(typed))
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
@@ -72,8 +72,8 @@ def complete_command(step: NextStep | None) -> str:
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
     )
     first, last = step.words[:split], step.words[split:]
-    line = shlex.join([step.command, *first, *robot, *options, *last])
-    return f"{GENERATOR_NAME} {line}"
+    words = [step.command, *first, *robot, *options, *last]
+    return "" if "-" in words else f"{GENERATOR_NAME} {shlex.join(words)}"
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
