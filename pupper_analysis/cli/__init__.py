@@ -11,6 +11,7 @@ import difflib
 import errno
 import gc
 import os
+import shlex
 import sys
 import traceback
 from functools import cache
@@ -98,6 +99,9 @@ class LazyGroup(click.Group):
             if not alike and f"--{name}" in (word for one in self.params for word in one.opts):
                 alike = [f"--{name}"]
             hint = f"Did you mean {' or '.join(alike)}?" if alike else ""
+            if not alike and _is_robot(name):
+                line = shlex.join([GENERATOR_NAME, "stand", *args])
+                hint = f"{name} is a robot; type {line}"
             raise click.UsageError(f"No such command {name!r}. {hint}".strip(), ctx)
         return super().resolve_command(ctx, args)
 
@@ -116,6 +120,13 @@ class LazyGroup(click.Group):
                     formatter.write_dl(
                         [(name.ljust(width), tools[name].question) for name in listed]
                     )
+
+
+def _is_robot(word: str) -> bool:
+    """Return True if a word is the name of a variant or of a URDF or MJCF, not of a command."""
+    from pupper_analysis.pupper.named_robots import is_variant
+
+    return is_variant(word) or word.lower().endswith((".urdf", ".xml", ".mjcf"))
 
 
 __all__ = ["EXIT_BAD_INPUT", "find_command", "group", "main", "run"]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 from click.shell_completion import CompletionItem
@@ -238,7 +238,9 @@ class RobotOptions:
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
         ):
-            raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
+            names = map(OPTIONS_OF_LOADING.__getitem__, self._load_options)
+            message = diagnose("options-of-files-alone", options=tuple(names))
+            raise ConfigurationError("ROBOT", message)
         return [
             RobotFiles(specification, self._load_options)
             if isinstance(specification, tuple)
@@ -291,6 +293,19 @@ class RobotOptions:
             "xacro_args": shared.parse_xacro_args(self.xacro_args or ()),
         }
         return {name: value for name, value in options.items() if value}
+
+
+OPTIONS_OF_LOADING: Final = {
+    "take": "--take",
+    "body": "--body",
+    "feet": "--foot",
+    "joints": "--map",
+    "keyframe": "--keyframe",
+    "packages": "--package",
+    "xacro": "--xacro",
+    "xacro_args": "--xacro-arg",
+}
+"""{keyword argument of ``load_robot``: command-line option}, for errors about these options."""
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:

@@ -15,7 +15,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -208,6 +208,7 @@ class Command(click.Command):
         """
         _refuse_other_dashes(ctx, args, [name for one in self.params for name in one.opts])
         _refuse_separate_units(ctx, args)
+        _refuse_separate_values(ctx, args, self.params)
         self._refuse_options_without_hyphens(ctx, args)
         ctx.meta[TYPED_WORDS] = tuple(args)
         try:
@@ -490,6 +491,51 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
                 given, wanted = f"{value} {unit}", f"{value}{known[unit.lower()]}"
                 code = "unit-apart" if known[unit.lower()] else "unit-not-typed"
                 raise click.UsageError(str(diagnose(code, given=given, wanted=wanted)), context)
+
+
+_NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?[a-z°]*", re.IGNORECASE)
+"""Pattern of a word that is a number with or without a unit: ``8``, ``-45deg``, ``1e-3``."""
+
+
+def _refuse_separate_values(
+    context: click.Context, words: Sequence[str], params: Sequence[click.Parameter]
+) -> None:
+    """Refuse numbers that are separate words behind the value of an option.
+
+    Examples are ``--payload-at 0 0 8cm`` in place of ``0,0,8cm``, and ``--joints elbow -45deg`` in
+    place of ``elbow=-45deg``. Click reads such a number as a robot, or as an option ``-4``. A
+    number that is also the name of an existing file is accepted.
+
+    Raises:
+        click.UsageError: If there are such words. The message contains the words to type.
+    """
+    forms = {
+        name: option.metavar or ""
+        for option in params
+        if isinstance(option, click.Option) and not option.is_flag
+        for name in option.opts
+    }
+    for place, word in enumerate(words):
+        option, equals, value = word.partition("=")
+        others = words[place + 1 :]
+        if not equals:
+            value, others = (*others, "")[0], others[1:]
+        numbers = [
+            *takewhile(lambda one: _NUMBER_WORD.fullmatch(one) and not Path(one).exists(), others)
+        ]
+        form = forms.get(option, "")
+        assigned = value.rpartition("=")[2]
+        if not numbers or value.startswith("--"):
+            continue
+        if "=" in form and "=" not in value and not _NUMBER_WORD.fullmatch(value):
+            wanted = f"{value}={','.join(numbers)}"
+        elif "," in form and _NUMBER_WORD.fullmatch(assigned):
+            wanted = ",".join((value, *numbers))
+        else:
+            continue
+        given = " ".join((value, *numbers))
+        message = diagnose("values-apart", given=given, wanted=f"{option} {wanted}")
+        raise click.UsageError(str(message), context)
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:

@@ -54,7 +54,8 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
         fixed_base: Any = used.pop("fixed_base", False)
         used.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
         if used:
-            raise ConfigurationError(next(iter(used)), diagnose("options-of-files-alone"))
+            message = diagnose("options-of-files-alone", options=tuple(used))
+            raise ConfigurationError(next(iter(used)), message)
         variant: Any = models[0]
         if not isinstance(variant, VariantSpec):
             variant = str(variant)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.cli.stance_options import limit_by_peak, parse_continuous_torques
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import ThermalNetwork, compute_continuous_torque
@@ -34,8 +34,10 @@ def test_unknown_numbers_and_words_are_refused() -> None:
     robot = load("v3")
     with pytest.raises(ModelError, match=r"needed: winding_resistance.*continuous_torque"):
         parse_continuous_torques(("dynamixel-xm540-w270",), robot)
-    with pytest.raises(ConfigurationError, match="not a number"):
+    with pytest.raises(UnknownNameError, match="most similar names are: dephy-actpack"):
         parse_continuous_torques(("dephy",), robot)
+    with pytest.raises(ConfigurationError, match="not a number"):
+        parse_continuous_torques(("8Nm",), robot)
     with pytest.raises(ModelError, match="no such file"):
         parse_continuous_torques(("missing.toml",), robot)
 

@@ -87,8 +87,8 @@ def test_robots_with_equal_names_get_unique_names() -> None:
         (("nobody",), {}, "name 'nobody' is not valid; known variants"),
         (("v3",), {"base": "v3"}, "give the robot once"),
         (("a.urdf",), {"mjcf": Path("a.xml")}, "give the robot once"),
-        (("v3",), {"keyframe": "home"}, "are for a robot of your own"),
-        ((), {"take": "urdf"}, "are for a robot of your own"),
+        (("v3",), {"keyframe": "home"}, "--keyframe applies to files only"),
+        ((), {"take": "urdf", "feet": ("FL",)}, "--take and --foot apply to files only"),
     ],
 )
 def test_none_or_two_robots_are_refused(

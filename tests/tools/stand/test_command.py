@@ -140,7 +140,7 @@ BAD = {
     "name and files": (["v3", "--urdf", "a.urdf"], "give the robot once: a variant's name"),
     "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
     "no scale": (["--leg-scale", "0"], "greater than 0"),
-    "a map alone": (["--map", "a=b"], "are for a robot of your own"),
+    "a map alone": (["--map", "a=b"], "--map applies to files only, not to a variant"),
     "no damping": (["v3", "--kp", "-3"], "kp"),
     "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),
     "too high": (["v3", "--height", "0.3"], "height 191.9 mm"),
