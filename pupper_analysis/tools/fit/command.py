@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -402,8 +403,12 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
     if bridge is None or output is None:
         option = "--bridge" if bridge is None else "--output"
         raise ConfigurationError(option, diagnose("recording-needs"))
-    bridge_handle, operator = open_bridge(bridge, robot)
-    return record_stands(robot, plan, output, bridge_handle, operator)
+    # A real robot's operator types on the terminal; a simulated robot needs seconds of silence.
+    simulated = bridge.partition(":")[0] == "mujoco"
+    progress = "recording the stands of a simulated robot"
+    with shared.show_progress(progress) if simulated else nullcontext():
+        bridge_handle, operator = open_bridge(bridge, robot)
+        return record_stands(robot, plan, output, bridge_handle, operator)
 
 
 def _record_policy(

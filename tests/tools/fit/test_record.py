@@ -656,6 +656,9 @@ def test_bridge_is_selected_by_its_name_and_options(robot: Robot) -> None:
         open_bridge("mujoco:five", robot)
     with pytest.raises(ConfigurationError, match="kp=five"):
         open_bridge("mujoco:5;kp=five", robot)
+    # The bridge's argument is valid: the refusal names the fixed base.
+    with pytest.raises(ConfigurationError, match="fixed base and cannot stand"):
+        open_bridge("mujoco:5", load_variant("v3", fixed_base=True))
 
 
 # ------------------------------- ROS 2: a stub whose messages have the fields of the real ones

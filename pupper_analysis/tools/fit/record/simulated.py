@@ -229,14 +229,17 @@ def open_simulated(robot: Robot, arguments: str) -> tuple[SimulatedRobot, Simula
         The simulated robot, twice: as the bridge and as the operator.
 
     Raises:
-        ConfigurationError: If the seed or the stiffness is invalid.
+        ConfigurationError: If the seed or the stiffness is invalid, or the base is fixed.
         ModelError: If a joint has no position servo.
     """
     seed, _, stiffness = (arguments or "0").partition(";kp=")
     try:
-        simulated = SimulatedRobot(robot, int(seed), float(stiffness) if stiffness else None)
+        number, kp = int(seed), float(stiffness) if stiffness else None
+        np.random.default_rng(number)  # refuses a negative seed
     except (OverflowError, ValueError) as error:
         raise ConfigurationError(
             "--bridge", diagnose("no-bridge-words", words=arguments)
         ) from error
+    robot.check_floating()
+    simulated = SimulatedRobot(robot, number, kp)
     return simulated, simulated
