@@ -254,7 +254,12 @@ class _Comparison:
             ModelError: If both versions have joints, but no joint in common.
         """
         if one.joints and two.joints and not self.pairs:
-            message = diagnose("no-joint-in-common", other=self.sources[0].name)
+            message = diagnose(
+                "no-joint-in-common",
+                other=self.sources[0].name,
+                old=tuple(one.joints),
+                new=tuple(two.joints),
+            )
             raise ModelError(self.sources[1].name, message)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]

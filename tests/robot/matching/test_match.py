@@ -104,7 +104,7 @@ def test_floating_or_planar_joint_of_the_urdf_is_fixed_at_rest_with_a_note(
 def test_robots_without_a_common_joint_are_refused(tmp_path: Path) -> None:
     """Names and structure differ: no guess, but a hint at mappings."""
     other = {name: replace(part, joint=f"x{part.joint}") for name, part in arm().items()}
-    with pytest.raises(ModelError, match=r"no joint in common .*name the pairs with a mapping"):
+    with pytest.raises(ModelError, match=r"no joint in common .*pair the joints by --map"):
         compare_files(write_parts(tmp_path, quadruped(), other))
 
 
