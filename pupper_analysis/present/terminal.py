@@ -231,7 +231,8 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
             f"bold {MARK_STYLES.get(document.mark, '')}".strip(),
         )
         line.append(" ")
-    line.append(_to_plain_text(document.title), "bold")
+    title = _get_short_form(document.title) if short else _to_plain_text(document.title)
+    line.append(title, "bold")
     if messages:
         line.append(": ")
         line.append_text(_style_words(messages[0], short=short))

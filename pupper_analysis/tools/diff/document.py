@@ -7,6 +7,7 @@ and the effect, the change of mass, and the gravity torques that have changed.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import format_number, format_pair
@@ -38,7 +39,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
     changes = text("1-change") if count == 1 else text("count-changes", count=count)
     return doc.Document(
         text("changes"),
-        text("old-and-new", old=doc.Name(diff.old), new=doc.Name(diff.new)),
+        _format_title(diff),
         tuple(_list_blocks(diff)),
         passed=diff.same,
         verdict=text("same") if diff.same else text("different"),
@@ -48,6 +49,15 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         if ":" in diff.new
         else doc.NextStep("audit", (diff.new,), robot_typed=False),
     )
+
+
+def _format_title(diff: ModelDiff) -> doc.Text:
+    """Return the names of both versions; the short form omits folders, unless both names agree."""
+    title = text("old-and-new", old=doc.Name(diff.old), new=doc.Name(diff.new))
+    old, new = (Path(version).name for version in (diff.old, diff.new))
+    if old == new:
+        return title
+    return replace(title, short=text("old-and-new", old=doc.Name(old), new=doc.Name(new)).en)
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:

@@ -49,6 +49,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         findings=(
             *(() if failures else (gains,)),
             _describe_controller(study),
+            *_describe_recommended_gains(study),
             *_describe_added_servos(study),
         ),
         details=(
@@ -69,7 +70,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
     """
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
-        joints = join_words([doc.Name(name) for name in study.worst.joints])
+        joints = study.worst.joints
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
         if study.worst.frequency:
             frequency = format_number(study.worst.frequency, ".3g")
@@ -158,16 +159,29 @@ def _describe_controller(study: GainStudy) -> doc.Words:
     )
 
 
+def _describe_recommended_gains(study: GainStudy) -> Iterable[doc.Words]:
+    """Yield the recommended gains, which the next command sets, if all joints have equal gains."""
+    if recommended := _get_uniform_recommendation(study):
+        kp, kd = recommended
+        yield text("gains-recommended-gains", kp=kp, kd=kd)
+
+
+def _get_uniform_recommendation(study: GainStudy) -> tuple[str, str] | None:
+    """Return recommended kp and kd with three digits if all joints have equal gains, else None."""
+    first = study.classes[0]
+    if not study.uniform or first.recommended_kp is None or first.recommended_kd is None:
+        return None
+    return f"{first.recommended_kp:.3g}", f"{first.recommended_kd:.3g}"
+
+
 def _select_next_step(study: GainStudy) -> NextStep:
     """Return the command to suggest next: `stand`.
 
     The command contains the recommended gains if all joints have equal gains.
     """
-    first = study.classes[0]
-    if study.uniform and first.recommended_kp is not None and first.recommended_kd is not None:
-        return NextStep(
-            "stand", ("--kp", f"{first.recommended_kp:.3g}", "--kd", f"{first.recommended_kd:.3g}")
-        )
+    if recommended := _get_uniform_recommendation(study):
+        kp, kd = recommended
+        return NextStep("stand", ("--kp", kp, "--kd", kd))
     return NextStep("stand")
 
 

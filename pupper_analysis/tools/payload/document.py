@@ -114,16 +114,26 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
     if math.isnan(limit.mass) or not limit.passed:
         key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
         return qualify_verdict_word(key, limit.verdict.converted)
-    count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
     return text(
         "carries-with-limits",
-        compensated=limit.verdict.commands_alone not in (None, Ending.HOLDS),
-        continuous=bool(limit.continuous) and not count,
-        peak=not limit.continuous,
-        part=bool(count),
-        count=count,
         file=name_only_format(limit.verdict.converted),
+        **_describe_torque_limits(limit),
     )
+
+
+def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
+    """Return the conditions of a payload as values of a text: kind of torque limits, compensation.
+
+    The limits are peak torques, continuous torques, or peak torques of ``count`` motors only.
+    """
+    count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
+    return {
+        "compensated": limit.verdict.commands_alone not in (None, Ending.HOLDS),
+        "continuous": bool(limit.continuous) and not count,
+        "peak": not limit.continuous,
+        "part": bool(count),
+        "count": count,
+    }
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
@@ -141,6 +151,10 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         mass=mass_text(limit.upper_bound),
         ground=ground_word(limit.stand.depths.values()),
         beside=bool(np.any(limit.point)),
+        none=limit.upper_bound == 0,
+        conditions=text("payload-conditions", **_describe_torque_limits(limit))
+        if limit.passed
+        else "",
     )
 
 

@@ -142,7 +142,8 @@ def command(
 
     if is_variant(file) or is_published_name(str(file)):
         raise ConfigurationError("FILE", diagnose("study-of-variant", variant=str(file)))
-    study = Study.read(file)
+    with shared.show_progress("reading the study, and loading its robot"):
+        study = Study.read(file)
     if folder is None:  # after the file, so that a wrong name is reported first
         raise click.UsageError("Missing option '-o' / '--output'.", click.get_current_context())
     check_objectives(study, minimise, maximise)

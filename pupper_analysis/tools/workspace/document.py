@@ -72,7 +72,7 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
 
     Names of joints and links are omitted. With at least four directions, the directions of a limit
     that applies to all, or to all but a single direction, are abbreviated, for example
-    ``joint limits (all but x)``.
+    ``joints (all but x)``.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -121,7 +121,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     `build_document` calls this function for a `BaseWorkspace`.
     """
     rows: list[tuple[doc.Cell, ...]] = []
-    ranges = list[doc.Text]()
+    lengths, angles = list[doc.Text](), list[doc.Text]()
     # Lengths come first, since the answer begins with the height.
     directions = sorted(workspace.intervals, key=lambda name: name in _ANGLE_DIRECTIONS)
     for number, direction in enumerate(directions):
@@ -144,7 +144,8 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
         if mirrored:
             values["high"] = high.text.removeprefix("+")
-        ranges.append(text(key, direction=text(direction), **values))
+        (angles if angle else lengths).append(text(key, direction=text(direction), **values))
+    groups = filter(None, (lengths, angles))
     table = doc.Table(
         text("how-far-the-base"),
         (
@@ -160,7 +161,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         findings=(
-            text("range-in-short", ranges=join_words(ranges)),
+            text("range-in-short", ranges=join_words(map(join_words, groups), "semicolon")),
             text("workspace-limits", limits=_join_limits(workspace)),
         ),
         passed=True,

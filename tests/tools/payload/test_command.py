@@ -21,11 +21,12 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         path = tmp_path / f"{option}.json"
         status, out, err = run_command(capfd, "payload", "v3", option, "0.6", "--json", str(path))
         assert status == 0, err
-        word = out.partition(" v3:")[0].replace(" only with gravity compensation", "")
-        found[option] = word, json.loads(path.read_text())["mass"]
+        answer = out.partition("\n")[0]
+        assert answer.startswith("CARRIES v3: max ")
+        found[option] = answer.split(", ")[1], json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
-    assert found["--continuous"][0] == "CARRIES (continuous torque)"
-    assert found["--effort"][0] == "CARRIES (peak torque)"
+    assert found["--continuous"][0] == "permanently (continuous torque)"
+    assert found["--effort"][0] == "short-term (peak torque)"
 
 
 @pytest.mark.slow

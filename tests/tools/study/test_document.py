@@ -218,7 +218,7 @@ def test_study_of_one_design_without_failure_has_a_page(tmp_path: Path) -> None:
     one = pa.study.study_outcome(study, tmp_path / "study")
     assert one.objectives == {}
     page = Page(render_page(build_report([("", one)])))
-    assert "1 design, of which 0 failed" in page.shown()
+    assert "1 design, none failed" in page.shown()
     assert {*page.tables()} == {"Metrics", "Designs"}
 
 

@@ -53,8 +53,9 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
-    assert limits == "  joint limits (all), reach (all but yaw); no torque limits"
-    assert answer.startswith("RANGE stub: height 92 to 192, x ")
+    assert limits == "  limits: joints (all), reach (all but yaw); torques ignored"
+    assert answer.startswith("RANGE stub: base height 92 to 192, x ")
+    assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1
     assert answer.endswith("yaw ±28 deg")
 
