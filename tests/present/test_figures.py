@@ -26,6 +26,13 @@ from pupper_analysis.present.figures.pose import (
     make_pose_figure,
     write_pose_figure,
 )
+from pupper_analysis.present.html.plots import (
+    DOT_RADIUS,
+    LEFT_MARGIN,
+    PLOT_WIDTH,
+    RIGHT_MARGIN,
+    draw_svg,
+)
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
 from tests.support.legged import ARM, quadruped, rewrite_file, with_arm
@@ -230,19 +237,37 @@ def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
     assert page.x0 <= inside.x0 < inside.x1 <= page.x1
     assert page.y0 <= inside.y0
     assert axes.get_window_extent().width > 0.9 * page.width
-    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
-    assert circles
+    points = [line for line in axes.lines if line.get_marker() != "None"]
+    assert len(points) == 1
     (name_of_y,) = (words for words in axes.texts if words.get_rotation() == 90)
     extent = axes.transData.inverted().transform(name_of_y.get_window_extent())
     assert abs(extent[:, 1].mean() - name_of_y.get_position()[1]) < 1.0
     grid = [line for line in axes.lines if line.get_color() == drawing.GRID_COLOUR]
     assert max(line.get_zorder() for line in grid) < Circle((0, 0), 1).get_zorder()  # below bars
-    lines = max(line.get_zorder() for line in axes.lines)
-    assert all(circle.get_zorder() > lines for circle in circles)  # a grid line crossed a point
+    lines = max(line.get_zorder() for line in axes.lines if line not in points)
+    assert points[0].get_zorder() > lines  # a grid line crossed a point
     markers = [
         handle.get_marker() for handle in legend.legend_handles if hasattr(handle, "get_marker")
     ]
-    assert markers.count("o") == 1  # the series without a line
+    assert markers.count(points[0].get_marker()) == 1  # the series without a line
+
+
+def test_points_differ_in_shape_and_lie_inside_the_axes() -> None:
+    """Without colours, points of two series were equal; the outermost lay on the axis."""
+    axis = Axis(Name("x"), "m", ".1f")
+    series = [Series(Name(name), [0.0, 1.0], [0.0, 1.0], points=True) for name in "ab"]
+    (axes,) = drawing.make_plots_figure([LinePlot(Name("title"), axis, axis, series)]).axes
+    points = [line for line in axes.lines if line.get_marker() != "None"]
+    assert len({line.get_marker() for line in points}) == len(series)
+    xs = [float(np.min(np.asarray(line.get_xdata()))) for line in points]
+    assert min(xs) > LEFT_MARGIN + 2 * DOT_RADIUS
+
+
+def test_a_curve_over_time_fills_the_axis() -> None:
+    axis = Axis(Name("x"), "s", ".1f")
+    plot = LinePlot(Name("title"), axis, axis, [Series(Name("a"), [0.0, 1.0], [0.0, 1.0])])
+    (curve,) = [mark for mark in draw_svg(plot).marks if mark["tag"] == "polyline"]
+    assert [x for x, _ in curve["points"]] == [LEFT_MARGIN, PLOT_WIDTH - RIGHT_MARGIN]
 
 
 def test_long_caption_of_a_pose_does_not_cover_the_panels() -> None:

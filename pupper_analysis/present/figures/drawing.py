@@ -60,6 +60,9 @@ SERIES_COLOURS = (
 )
 """Colours of the lines of a plot, in plotting order."""
 
+_TITLE_PLACE = 0.006
+"""Left end of the title of a figure, as a share of the width: that of the titles of the panels."""
+
 PAGE_WIDTH = 178 / 25.4
 """Width of a figure [inch]: the text width of a printed page, 178 mm."""
 
@@ -77,6 +80,8 @@ _CLASS_COLOURS = {
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
+_CLASS_MARKERS = {"s1": "s", "s2": "^", "s3": "D", "s4": "v", "s5": "P"}
+"""{class of the HTML report's style sheet: shape of points in Matplotlib}; ``s0`` has circles."""
 _DOT_ZORDER = 3.0
 """Order in which Matplotlib draws a point: after all lines (`_LINE_ZORDER`)."""
 _GRID_ZORDER = 0.5
@@ -170,7 +175,7 @@ def make_plots_figure(
         if legend:
             entries = axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0),
                                   ncols=legend_columns[index], fontsize=size,
-                                  frameon=False)  # fmt: skip
+                                  frameon=False, handlelength=_LEGEND_LINE_LENGTH)  # fmt: skip
             for entry in entries.get_texts():
                 entry.set_parse_math(False)
     return figure
@@ -199,16 +204,27 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
             case "polyline":
                 axes.plot(*np.array(mark["points"]).T, **_make_line_style(kind, 1.3))
             case "circle":
-                fill = kind != "grid"
                 place, radius = (mark["cx"], mark["cy"]), mark["r"]
-                dot = Circle(place, radius, color=_CLASS_COLOURS[kind], fill=fill, lw=0.7)
-                dot.set_zorder(_DOT_ZORDER if fill else dot.get_zorder())
-                axes.add_patch(dot)
+                if kind == "grid":
+                    axes.add_patch(Circle(place, radius, color=GRID_COLOUR, fill=False, lw=0.7))
+                else:
+                    diameter = 2 * radius * size / _LETTER_HEIGHT
+                    axes.plot(*place, ls="", ms=diameter, zorder=_DOT_ZORDER, **_make_dot(kind))
             case "text":
                 _write_words(mark, axes, size)
     # All of it is inside the drawing's own frame: laying out need not measure each word.
     for artist in axes.get_children():
         artist.set_in_layout(False)
+
+
+def _make_dot(kind: str) -> dict[str, Any]:
+    """Return the options of Matplotlib for a point: colour, shape, and a white edge.
+
+    Series differ in shape as well, so that they differ without colours; the edge separates points
+    that overlap.
+    """
+    marker = _CLASS_MARKERS.get(kind, "o")
+    return {"marker": marker, "color": _CLASS_COLOURS.get(kind, kind), "mec": "white", "mew": 0.5}
 
 
 def _make_line_style(kind: str, width: float) -> dict[str, Any]:
@@ -248,7 +264,11 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
     return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 
-_LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 4.0
+_LEGEND_LINE_LENGTH = 3.6
+"""Length of the line of a legend entry, as a multiple of the font size: a whole period of the
+longest dash pattern. Chosen, not tuned."""
+
+_LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 5.6
 """Mean width of a letter of a legend, and width of a symbol with the gaps, as fractions of the font
 size (measured with DejaVu Sans). The widths decide whether two entries fit side by side.
 """
@@ -291,8 +311,7 @@ def _make_handle(name: str, kind: str, *, dot: bool = False) -> Artist:
     if not kind:
         return Line2D([], [], ls="", label=name)
     if dot:
-        colour = _CLASS_COLOURS.get(kind, kind)
-        return Line2D([], [], ls="", marker="o", color=colour, label=name)
+        return Line2D([], [], ls="", label=name, **_make_dot(kind))
     if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
         return Line2D([], [], label=name, **_make_line_style(kind, 1.3))
     return Patch(color=_CLASS_COLOURS.get(kind, kind), label=name)
@@ -315,7 +334,9 @@ def make_page_figure(
             ``pyplot.figure`` for a figure that notebooks show.
     """
     figure = create(figsize=(PAGE_WIDTH, height), dpi=FIGURE_DPI, layout=layout)
-    figure.suptitle(title, x=0.012, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False)
+    figure.suptitle(
+        title, x=_TITLE_PLACE, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False
+    )
     return figure
 
 

@@ -134,7 +134,9 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
         lines.append(values[drawn])
         marked.append(next(iter(np.flatnonzero(drawn == one.marked_index).tolist()), None))
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
-    left, right = _compute_range(points[:, 0], 0.0)
+    inside = any(one.points or bool(np.any(np.diff(line[:, 0]) < 0))
+                 for one, line in zip(series, lines, strict=True))  # fmt: skip
+    left, right = _compute_range(points[:, 0], _X_MARGIN if inside else 0.0)
     low, high = _compute_range(points[:, 1], 0.06)
     flat = _MIN_HEIGHT_RATIO * max(abs(low), abs(high)) - (high - low)
     if flat > 0:
@@ -163,6 +165,13 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
     return Drawing(
         plot.title, PLOT_WIDTH, PLOT_HEIGHT, tuple(marks), draw_legend(series), plot.note
     )
+
+
+_X_MARGIN = 0.03
+"""Margin of the horizontal axis [1], relative to the range of the values, if the plot contains
+points or a closed curve. Without margin, the axes of the plot would cover half of the outermost
+points. Curves over time have no margin. Chosen, not tuned.
+"""
 
 
 _ROUNDING_RATIO = 1e-9

@@ -445,7 +445,16 @@ def walk_torque_plot(walk: Walk) -> doc.LinePlot:
     gait = walk.gaits[0]
     hardest = np.argsort(-gait.torque_rms, kind="stable")[:_NUM_DRAWN_MOTORS]
     lines = [
-        doc.Series(doc.Name(walk.joints[index]), gait.torque_time, gait.torques[:, index])
+        doc.Series(
+            doc.Name(walk.joints[index]),
+            gait.torque_time,
+            gait.torques[:, index],
+            note=text(
+                "walk-motor-limit", limit=f"{walk.limits[index]:.3g}", unit=walk.torque_units[index]
+            )
+            if math.isfinite(walk.limits[index])
+            else None,
+        )
         for index in hardest
     ]
     time = doc.Axis(text("walk-time"), "s", ".1f")

@@ -218,7 +218,7 @@ def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Ax
         axes.barh(labels, widths, left=[low for low, _ in ends], color=SKY_BLUE_COLOUR, height=0.5)
         for row, (direction, pair) in enumerate(zip(directions, ends, strict=True)):
             for end, limit, side in zip(pair, workspace.limits[direction], (-1, 1), strict=True):
-                words = f"{end:z.0f}, {doc.diagnostic_text(limit).short}"
+                words = f"{end:z.0f} ({doc.diagnostic_text(limit).short})"
                 axes.annotate(words, (end, row), xytext=(3 * side, 0), va="center",
                               ha="right" if side < 0 else "left", textcoords="offset points",
                               size=FONT_SIZE - 1, color=BLACK_COLOUR)  # fmt: skip
