@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -36,6 +37,11 @@ A + B >= C. The tolerance covers rounding of the eigenvalues."""
 _MIN_INERTIA: Final = 1e-14
 """Lower bound of the principal moments of inertia [kg m^2] of a valid inertial with mass. Chosen as
 ten times MuJoCo's bound."""
+
+_FLAT_MARGIN: Final = 1e-11
+"""Margin of A + B >= C, relative to the largest moment C, below which all moments of a flat body are
+enlarged by this part of C. Chosen above the rounding of eigenvalues (1e-15) and below the tolerance
+of comparisons (1e-9)."""
 
 ADDED_MASS: Final = 1e-3
 """Mass [kg] of a moving link that has no mass in the URDF, if no link fixed to this link has a
@@ -158,6 +164,7 @@ def repair_inertials(
     3. If no such sum is valid and the mass is positive, the moments become the nearest valid
        moments.
     4. A moving body without mass gets `ADDED_MASS`, if no body fixed to this body has a mass.
+    5. The moments of flat bodies are enlarged by `_FLAT_MARGIN` (`_widen_flat_inertia`).
 
     Other invalid inertials without positive mass remain: their body does not move, or a body with
     mass is fixed to their body.
@@ -195,6 +202,8 @@ def repair_inertials(
             if not repair:
                 raise _make_mass_error(urdf, body)
             repairs.append(_repair_inertia(bodies, body))
+    for body in bodies.names:
+        _widen_flat_inertia(bodies, body)
     return moved, repairs
 
 
@@ -233,8 +242,8 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
     1. Negative moments become zero.
     2. If no moment exceeds `_MIN_INERTIA`, all moments become m r^2, with the radius of gyration r,
        `_GYRATION_RADIUS`.
-    3. Otherwise, a violation of A + B >= C is distributed in equal parts on all three moments
-       (projection on a half-space).
+    3. Otherwise, the moments are projected on those that satisfy A + B >= C in any order
+       (`_project_moments`).
     4. Each moment is raised to at least 10 `_MIN_INERTIA`.
 
     MuJoCo's ``balanceinertia`` uses the mean of the moments instead, which is a larger change.
@@ -246,10 +255,55 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
     result: Array = np.maximum(moments, 0.0)
     if result.max() <= _MIN_INERTIA:
         return np.full(3, mass * _GYRATION_RADIUS**2)
-    missing = float(result[2] * (1 + _TRIANGLE_MARGIN) - result[0] - result[1])
-    if missing > 0:
-        result = result + np.array([1.0, 1.0, -1.0]) * missing / 3
-    return np.maximum(result, 10 * _MIN_INERTIA)
+    return np.maximum(_project_moments(result), 10 * _MIN_INERTIA)
+
+
+def _project_moments(moments: Array) -> Array:
+    """Project principal moments on the moments of bodies, shape (3,) [kg m^2].
+
+    With the second moments s, I = N s: the integrals of the squared distances from the three
+    principal planes. A body requires s >= margin for each. A tensor of a rod violates two of these
+    bounds, so all sets of active bounds are tried; the nearest feasible result is the projection.
+    """
+    matrix = np.ones((3, 3)) - np.eye(3)
+    stated = np.linalg.solve(matrix, moments)
+    least = _TRIANGLE_MARGIN / 2 * float(moments.max())
+    metric, results = matrix @ matrix, []
+    for flags in product((False, True), repeat=3):
+        active = np.array(flags)
+        change = np.where(active, least - stated, 0.0)
+        if not active.all():
+            free = ~active
+            change[free] = -np.linalg.solve(
+                metric[np.ix_(free, free)], metric[np.ix_(free, active)] @ change[active]
+            )
+        second = np.where(active, least, stated + change)
+        if (second >= least).all():
+            results.append((float(change @ metric @ change), matrix @ second))
+    nearest: Array = min(results, key=lambda result: result[0])[1]
+    return nearest
+
+
+def _widen_flat_inertia(bodies: LinkBodies, body: str) -> None:
+    """Enlarge the moments of a flat body so that rounding does not violate A + B >= C, in place.
+
+    A plate or a planar mesh without thickness has A + B = C. MuJoCo compares the moments after its
+    own rounding, without tolerance, and refuses about half of such tensors. A diagonal tensor that
+    satisfies A + B >= C exactly remains unchanged.
+    """
+    inertia = bodies.inertia(body)
+    if inertia is None or not inertia.mass > 0 or not is_valid_inertia(inertia):
+        return
+    tensor = np.array(inertia.inertia)
+    low, middle, high = np.linalg.eigvalsh(tensor)
+    if np.array_equal(tensor, np.diag(np.diag(tensor))):
+        low, middle, high = np.sort(np.diag(tensor))
+        is_safe = bool(low + middle >= high)
+    else:
+        is_safe = bool(low + middle >= high * (1 + _FLAT_MARGIN))
+    if not is_safe:
+        wider = tensor + _FLAT_MARGIN * high * np.eye(3)
+        bodies.tree.links[body].set_inertia(make_inertia(inertia.mass, inertia.lever, wider))
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:

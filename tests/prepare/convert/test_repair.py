@@ -171,6 +171,19 @@ def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
     assert distance <= nearest * (1 + 1e-5)
 
 
+@pytest.mark.parametrize("least", [0.0, 3e-20, 1e-9])
+@pytest.mark.parametrize("difference", [0.0, 1e-9, 1e-6])
+def test_repaired_moments_of_a_rod_are_possible_in_any_order(
+    least: float, difference: float
+) -> None:
+    """A rod of 0, B and C = B: raising both A and B alone would make B larger than A + C."""
+    moments = np.array([least, 1.5e-3, 1.5e-3 * (1 + difference)])
+    low, middle, high = np.sort(find_nearest_moments(moments, 1.0))
+    assert low > 0
+    assert low + middle > high
+    np.testing.assert_allclose((low, middle, high), moments, rtol=0, atol=3e-6 * 1.5e-3)
+
+
 def test_nearest_inertia_of_a_mass_without_inertia_is_valid() -> None:
     """Moments of 1e-4 m^2 times the mass [kg m^2], valid by the triangle inequality."""
     import pinocchio as pin
@@ -190,3 +203,24 @@ def test_only_a_mass_of_zero_needs_no_moments(mass: float, valid: bool) -> None:
     inertia = pin.Inertia.Zero()
     inertia.mass = mass
     assert is_valid_inertia(inertia) is valid
+
+
+@pytest.mark.parametrize("moments", [(0.3, 0.7, 1.0), (0.1, 0.7, 0.8), (1e-4, 0.2, 0.2001)])
+@pytest.mark.parametrize("seed", [None, *range(8)])
+def test_flat_body_is_accepted_by_mujoco_in_any_axes(
+    moments: tuple[float, float, float], seed: int | None, tmp_path: Path
+) -> None:
+    """A plate has A + B = C. MuJoCo refuses such tensors if its rounding makes C larger.
+
+    0.1 + 0.7 < 0.8 in double precision. Reference: the stated tensor, in MuJoCo's model.
+    """
+    turn = np.eye(3)
+    if seed is not None:
+        turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    tensor = turn @ np.diag(moments) @ turn.T
+    entries = tuple(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    parts = change_part(arm(), "rod", inertia=entries)
+    robot = pa.load_robot(write_parts(tmp_path, parts))
+    assert not [note for note in robot.notes if note.code == "inertia-repaired"]
+    body = robot.mj_model.body("rod")
+    np.testing.assert_allclose(sorted(body.inertia), moments, rtol=1e-9, atol=1e-10)
