@@ -167,6 +167,16 @@ class Motor:
             raise ModelError(
                 self.name, diagnose("motor-limit-below-ambient", limit=limit, ambient=ambient)
             )
+        friction, largest = self.coulomb_friction, self.largest_torque
+        if friction is not None and largest is not None and friction >= largest[0]:
+            raise ModelError(
+                self.name,
+                diagnose(
+                    "motor-friction-above-torque",
+                    friction=Quantity(friction, "N m"),
+                    largest=Quantity(largest[0], "N m"),
+                ),
+            )
 
     def _check_conventions(self) -> None:
         """Raise a ModelError if stated numbers contradict a product or quotient of other numbers.

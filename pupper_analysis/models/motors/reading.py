@@ -59,7 +59,7 @@ def find_motor(name: str) -> Motor:
     if name in list_motors():
         return read_motor(Path(str(_DATA / f"{name}.toml")))
     path = Path(name)
-    if not path.exists() and not path.suffix:
+    if not name or (not path.exists() and not path.suffix):
         raise UnknownNameError("motors", "motor", name, list_motors())
     return read_bam_parameters(path) if path.suffix.lower() == ".json" else read_motor(path)
 
@@ -81,14 +81,15 @@ def read_motor(path: Path) -> Motor:
         raise ModelError(path, error.cause) from error
     name, source = stated.pop("name", path.stem), stated.pop("source", "")
     sources = stated.pop("sources", {})
-    if not all(isinstance(text, str) for text in (name, source)) or not isinstance(sources, dict):
+    texts = [name, source, *(sources.values() if isinstance(sources, dict) else [None])]
+    if not name or not all(isinstance(text, str) for text in texts):
         raise ModelError(path, diagnose("motor-name-or-source"))
     if not source:
         raise ModelError(path, diagnose("motor-without-source"))
     for key in (*stated, *sources):
         if key not in NUMBERS:
             raise UnknownNameError(path, "number", key, NUMBERS)
-    return _make_motor(path, name, source, stated, {key: str(sources[key]) for key in sources})
+    return _make_motor(path, name, source, stated, sources)
 
 
 def read_bam_parameters(path: Path) -> Motor:
@@ -109,10 +110,10 @@ def read_bam_parameters(path: Path) -> Motor:
         stated = json.loads(read_input(path, MAX_TEXT_BYTES))
     except InputError as error:
         raise ModelError(path, error.cause) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(path, diagnose("motor-not-json", message=str(error))) from error
     model = stated.get("model") if isinstance(stated, dict) else None
-    if model not in BAM_MODELS:
+    if not isinstance(model, str) or model not in BAM_MODELS:
         raise ModelError(path, diagnose("motor-no-bam-model", models=list(BAM_MODELS)))
     if "kt" not in stated or "actuator" not in stated:
         raise ModelError(path, diagnose("motor-numbers-unknown", numbers=["kt", "actuator"]))
@@ -160,4 +161,7 @@ def _make_motor(
     except ConfigurationError as error:
         problem = diagnose("motor-number", name=error.field, problem=error.problem)
         raise ModelError(path, problem) from error
-    return Motor(name=name, source=source, sources=sources, **numbers)
+    try:
+        return Motor(name=name, source=source, sources=sources, **numbers)
+    except ModelError as error:  # names the motor; a message about a file names the file
+        raise ModelError(path, error.cause) from error

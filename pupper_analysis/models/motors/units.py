@@ -97,7 +97,7 @@ def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         raise ConfigurationError(name, diagnose("motor-no-quantity", given=repr(text), units=units))
     match = _NUMBER.match(str(text))
-    if match is None:
+    if match is None or not math.isfinite(float(match[1])):
         raise ConfigurationError(name, diagnose("motor-no-quantity", given=str(text), units=units))
     number, unit = float(match[1]), " ".join(match[2].replace("Nm", "N m").split())
     if unit not in kind.factors:
@@ -124,5 +124,14 @@ def check_motor_number(name: str, value: float, kind: UnitKind, given: str) -> N
     valid = low <= value if kind.signed or kind.zero else low < value
     if valid and value <= kind.most and math.isfinite(value):
         return
-    most = kind.most if math.isfinite(kind.most) else None
-    raise ConfigurationError(name, diagnose("motor-out-of-range", given=given, low=low, most=most))
+    raise ConfigurationError(
+        name,
+        diagnose(
+            "motor-out-of-range",
+            given=given,
+            low=low,
+            least=kind.signed or kind.zero,
+            most=kind.most if math.isfinite(kind.most) else None,
+            unit="" if kind.unit == "1" else kind.unit,
+        ),
+    )

@@ -67,7 +67,12 @@ def test_numbers_are_converted_from_their_unit(kind: str, text: object, value: f
         ("ratio", True, "no number"),
         ("fraction", "120 %", "at most 1"),
         ("efficiency", "0 %", "out of range"),
-        ("mass", "-1 kg", "more than 0 in SI units"),
+        ("mass", "-1 kg", r"out of range: more than 0 kg$"),
+        ("fraction", "-0.1", r"out of range: at least 0, at most 1$"),
+        ("temperature", "-274 degC", r"out of range: at least -273.15 degC$"),
+        ("mass", "1e999 kg", "no number with one of the units kg, g"),
+        ("ratio", math.inf, "no number"),
+        ("efficiency", math.nan, "no number"),
         ("temperature", "-300 degC", "out of range"),
         ("current", "inf A", "no number"),
     ],
@@ -111,10 +116,14 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
         ('kp = "5 N m"', "N m is not a unit"),
         ("gear_efficiency = 0", "gear_efficiency: 0 is out of range"),
         ("mass = 3", "no unit"),
+        ('peak_torque = "2 N m"\ncoulomb_friction = "3 N m"', "3 N m is not below the largest"),
+        ('gear_efficiency = 1\ncoulomb_friction = "28.9 N m"', "not below the largest torque of 28.8 N m"),
+        ("[sources]\nresistance = 3", "sources is a table"),
+        ("[sources]\nrezistance = 'x'", "resistance, "),
     ],
 )
 def test_contradictions_are_named(tmp_path: Path, more: str, words: str) -> None:
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(ModelError, match=rf"motor\.toml: .*{words}"):
         read_motor(write(tmp_path, f"{TEXT}{more}\n"))
 
 
@@ -213,8 +222,26 @@ def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match="dephy-actpack"):
-        find_motor("dephy-actpak")
+    for name in ("dephy-actpak", ""):
+        with pytest.raises(UnknownNameError, match="dephy-actpack"):
+            find_motor(name)
+
+
+def test_a_file_that_is_no_motor_is_refused_by_its_name(tmp_path: Path) -> None:
+    """Bytes that are not UTF-8, a folder, no file, an empty file, an empty name."""
+    path = tmp_path / "motor.toml"
+    for content, words in (
+        (TEXT.encode() + b"# \xff\n", "UTF-8"),
+        (b"", "no source"),
+        (TEXT.replace('"test"', '""').encode(), "name and source"),
+        (b"mass = = 3\n", "not a TOML file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=rf"motor\.toml: .*{words}"):
+            find_motor(str(path))
+    for name, words in ((tmp_path, "it is a folder"), (tmp_path / "no.toml", "no such file")):
+        with pytest.raises(ModelError, match=words):
+            find_motor(str(name))
 
 
 BAM = {
@@ -253,6 +280,8 @@ def test_servo_models_are_read(tmp_path: Path, model: str) -> None:
         ({"model": "m1", "R": -2.0}, "resistance: "),
         ({"model": "m1", "kt": None}, "torque_constant"),
         ({"model": "m3", "load_friction_base": "high"}, "load_friction"),
+        ({"model": ["m1"]}, "m1, m2, m3"),
+        ({"model": "m1", "R": math.nan}, "resistance: nan ohm is no number"),
     ],
 )
 def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: str) -> None:
@@ -260,6 +289,7 @@ def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: s
     path.write_text(json.dumps({**BAM, **change}))
     with pytest.raises(ModelError, match=words):
         read_bam_parameters(path)
-    path.write_text("{")
-    with pytest.raises(ModelError, match="no valid JSON"):
-        read_bam_parameters(path)
+    for text in ("{", "[" * 100_000):
+        path.write_text(text)
+        with pytest.raises(ModelError, match="no valid JSON"):
+            read_bam_parameters(path)
