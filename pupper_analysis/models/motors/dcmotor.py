@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import mujoco
-import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.motor import Motor
@@ -20,12 +20,14 @@ from pupper_analysis.models.transmission import actuator_gear
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
-    The gear has no losses. The supply voltage is the larger absolute end of the control range.
+    The gear has no losses. The supply voltage is the smaller absolute end of the control range, and
+    the current limit that of the force range: the motor exerts such a torque in both directions.
     Numbers that a ``dcmotor`` does not state are unknown (None). Also unknown are:
 
-    - an armature of zero, and limits that are not set,
+    - an armature or a gear of zero, and limits that are not set,
     - thermal numbers, if the actuator has no thermal model,
-    - the supply voltage, if the control is not limited, or is no voltage (attribute ``input``).
+    - the supply voltage, if the control is not limited, is no voltage (attribute ``input``), or has
+      one sign.
 
     Args:
         model: MuJoCo model.
@@ -40,7 +42,8 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         raise ModelError(source, diagnose("motor-no-dcmotor", name=name))
     gain, dynamics = model.actuator_gainprm[actuator], model.actuator_dynprm[actuator]
     heats = dynamics[2] > 0 and dynamics[3] > 0
-    limited, high = bool(model.actuator_forcelimited[actuator]), model.actuator_forcerange[actuator]
+    limited = bool(model.actuator_forcelimited[actuator])
+    force = _find_symmetric_limit(model.actuator_forcerange[actuator]) if limited else None
     has_voltage = model.actuator_ctrlspec[actuator] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE.value
     control = int(model.actuator_ctrladr[actuator])
     return Motor(
@@ -48,7 +51,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         source=source,
         torque_constant=float(gain[1]),
         resistance=float(gain[0]),
-        gear_ratio=float(abs(actuator_gear(model, actuator)[0])),
+        gear_ratio=float(abs(actuator_gear(model, actuator)[0])) or None,
         gear_efficiency=1.0,
         resistance_rise=float(gain[2]) if heats else None,
         resistance_temperature=float(gain[3]) if heats else None,
@@ -56,11 +59,16 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         winding_capacity=float(dynamics[3]) if heats else None,
         ambient_temperature=float(dynamics[4]) if heats else None,
         rotor_inertia=float(model.actuator_armature[actuator]) or None,
-        supply_voltage=float(np.abs(model.actuator_ctrlrange[control]).max())
+        supply_voltage=_find_symmetric_limit(model.actuator_ctrlrange[control])
         if has_voltage and model.actuator_ctrllimited[control]
         else None,
-        current_limit=float(high[1] / gain[1]) if limited and high[1] > 0 else None,
+        current_limit=None if force is None else float(force / gain[1]),
     )
+
+
+def _find_symmetric_limit(ends: Array) -> float | None:
+    """Return the largest value that a range (low, high) contains with both signs; None if zero."""
+    return max(0.0, min(-float(ends[0]), float(ends[1]))) or None
 
 
 def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:

@@ -187,9 +187,11 @@ class Motor:
         - The output torque constant and torque constant x gear ratio.
         - The speed without load and supply voltage / K.
         - The stall torque and K I.
+        - Peak torque or continuous torque, and K x current limit or K I.
 
         Each ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`]; that of the stall torque
-        in [`MIN_STALL_RATIO`, `MAX_STALL_RATIO`]. Each unknown number omits the pairs that need it.
+        in [`MIN_STALL_RATIO`, `MAX_STALL_RATIO`]; those of peak and continuous torque have no lower
+        bound. Each unknown number omits the pairs that need it.
         """
         constants: dict[str, float | None] = {
             "torque_constant x gear_ratio": _multiply(self.torque_constant, self.gear_ratio),
@@ -211,13 +213,24 @@ class Motor:
                 formula = f"{name} x {current_name}"
                 expected = _multiply(constant, current)
                 self._check_ratio("stall_torque", expected, formula, "N m", MAX_STALL_RATIO)
+            for current_name, current in {**currents, "current_limit": self.current_limit}.items():
+                formula = f"{name} x {current_name}"
+                expected = _multiply(constant, current)
+                for number in ("peak_torque", "continuous_torque"):
+                    self._check_ratio(number, expected, formula, "N m", MAX_CONVENTION_RATIO, 0.0)
 
     def _check_ratio(
-        self, number: str, expected: float | None, formula: str, unit: str, most: float
+        self,
+        number: str,
+        expected: float | None,
+        formula: str,
+        unit: str,
+        most: float,
+        least: float = MIN_STALL_RATIO,
     ) -> None:
         """Raise a ModelError if a number divided by its expected value is out of range.
 
-        The range is [`MIN_STALL_RATIO`, ``most``]. An unknown value (None) is not checked.
+        The range is [``least``, ``most``]. An unknown value (None) is not checked.
 
         Args:
             number: Name of the field.
@@ -225,11 +238,12 @@ class Motor:
             formula: Formula of the expected value, with names of fields.
             unit: Unit of both values.
             most: Largest accepted ratio.
+            least: Smallest accepted ratio.
         """
         stated: float | None = getattr(self, number)
         if stated is None or expected is None:
             return
-        if not MIN_STALL_RATIO <= stated / expected <= most:
+        if not least <= stated / expected <= most:
             problem = diagnose(
                 "motor-contradiction",
                 number=number,
@@ -327,20 +341,24 @@ class Motor:
         """Largest torque at the output at rest [N m], and the name of the field that limits it.
 
         The torque is the smallest known value of peak torque, stall torque, current limit x torque
-        per current, and supply voltage / resistance x torque per current. The field is for example
-        ``peak_torque``. None if all are unknown.
+        per current, and supply voltage / resistance x torque per current. If the torque per current
+        is unknown, torque constant x gear ratio replaces it as an upper bound, provided that the
+        peak torque or the stall torque is known. The field is for example ``peak_torque``. None if
+        all are unknown.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:
             limits.append((self.peak_torque, "peak_torque"))
         if self.stall_torque is not None:
             limits.append((self.stall_torque, "stall_torque"))
+        per_ampere = _multiply(self.torque_constant, self.gear_ratio) if limits else None
         with suppress(ModelError):
             per_ampere = self.output_torque_per_ampere
+        if per_ampere is not None:
             if self.current_limit is not None:
                 limits.append((self.current_limit * per_ampere, "current_limit"))
-            if self.supply_voltage is not None:
-                current = self.supply_voltage / self.winding_ohms
+            with suppress(ModelError):
+                current = self.get("supply_voltage") / self.winding_ohms
                 limits.append((current * per_ampere, "supply_voltage"))
         return min(limits, default=None)
 
@@ -358,11 +376,14 @@ class Motor:
     def compute_available_torques(self, speeds: Array) -> Array:
         """Return the largest torques [N m], at least 0, that the motor can exert at output speeds.
 
-        The torque at the output is tau = min(I_max, (V - Ke w) / R) K, and at most stall torque and
-        peak torque. Symbols: speed w of the output, current limit I_max, supply voltage V,
-        resistance R of the cold winding (`winding_ohms`), torque per current K at the output
+        The torque at the output is tau = min(I_max, (V - Ke w) / R) K - T_f, and at most stall
+        torque and peak torque. Symbols: speed w of the output, current limit I_max, supply voltage
+        V, resistance R of the cold winding (`winding_ohms`), torque per current K at the output
         (`output_torque_per_ampere`). The back-EMF constant Ke is torque constant times gear ratio,
-        or V / no-load speed of the output. If both are known, Ke is the larger value.
+        or V / no-load speed of the output. If both are known, the smaller torque is returned. T_f
+        is the friction of a motor that drives (w > 0): Coulomb friction + viscous friction x w, if
+        known. The no-load speed of a data sheet includes friction: T_f is then omitted. At rest and
+        while a motor brakes, friction supports the motor, and is omitted.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].
@@ -375,16 +396,23 @@ class Motor:
                 values for Ke are unknown.
         """
         voltage = self.get("supply_voltage")
-        constants = []
+        friction = np.where(
+            speeds > 0,
+            (self.coulomb_friction or 0.0) + (self.viscous_friction or 0.0) * speeds,
+            0.0,
+        )
+        lines: list[tuple[float, Array]] = []  # back-EMF constant, friction
         if self.torque_constant is not None and self.gear_ratio is not None:
-            constants.append(self.torque_constant * self.gear_ratio)
-        if self.no_load_speed is not None or not constants:
-            constants.append(voltage / self.get("no_load_speed"))
-        currents = (voltage - max(constants) * speeds) / self.winding_ohms
-        largest = math.inf if self.current_limit is None else self.current_limit
-        torques = np.clip(currents, 0.0, largest) * self.output_torque_per_ampere
+            lines.append((self.torque_constant * self.gear_ratio, friction))
+        if self.no_load_speed is not None or not lines:
+            lines.append((voltage / self.get("no_load_speed"), np.zeros_like(friction)))
+        most = math.inf if self.current_limit is None else self.current_limit
         limits = [limit for limit in (self.peak_torque, self.stall_torque) if limit is not None]
-        available: Array = np.minimum(torques, min(limits, default=math.inf))
+        available = np.full(np.shape(speeds), min(limits, default=math.inf))
+        for constant, lost in lines:
+            currents = np.clip((voltage - constant * speeds) / self.winding_ohms, 0.0, most)
+            torques = currents * self.output_torque_per_ampere - lost
+            available = np.minimum(available, np.maximum(torques, 0.0))
         return available
 
 

@@ -71,20 +71,27 @@ class ThermalNetwork:
 
         Raises:
             ModelError: If a thermal number (the message lists all) or the electrical resistance is
-                unknown.
+                unknown, or if the resistance is not positive at the ambient temperature.
         """
         unknown = list_unknown_thermal_numbers(motor, ambient)
         if unknown:
             raise ModelError(motor.name, diagnose("motor-numbers-unknown", numbers=[*unknown]))
         names = ("winding",) if motor.housing_resistance is None else ("winding", "housing")
+        air = motor.get("ambient_temperature") if ambient is None else ambient
+        rise, reference = motor.get("resistance_rise"), motor.get("resistance_temperature")
+        if 1 + rise * (air - reference) <= 0:
+            problem = diagnose(
+                "motor-resistance-negative", rise=rise, reference=reference, ambient=air
+            )
+            raise ModelError(motor.name, problem)
         return cls(
             resistances=np.array([motor.get(f"{name}_resistance") for name in names]),
             capacities=np.array([motor.get(f"{name}_capacity") for name in names]),
-            ambient=motor.get("ambient_temperature") if ambient is None else ambient,
+            ambient=air,
             current=current,
             ohms=motor.winding_ohms,
-            rise=motor.get("resistance_rise"),
-            reference=motor.get("resistance_temperature"),
+            rise=rise,
+            reference=reference,
         )
 
     def compute_loss(self, temperature: float) -> float:

@@ -166,9 +166,11 @@ def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
     """Yield the copper loss of all motors, and current and time of the battery if known and finite.
 
     If motors are too weak, the loss is unknown, and the number of weak motors is yielded instead.
+    Nothing is yielded if the loss of a motor is unknown for another reason.
     """
-    if study.loss is None:
+    if study.weak:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
+    if study.loss is None:
         return
     current, time = study.battery_current, study.battery_time
     yield text(

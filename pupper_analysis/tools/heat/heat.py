@@ -57,10 +57,10 @@ class MotorHeat(Result):
         joint: Joint.
         motor: Name of the motor.
         torque: Torque of the stance (N m).
-        current: Current of this torque (A).
+        current: Current of this torque (A); None if unknown.
         cold_loss: Copper loss in the winding (W) at ambient temperature. If thermal numbers of the
             motor are unknown, the loss at the temperature of the stated resistance. None if the
-            motor is too weak.
+            current or the resistance is unknown, or if the motor is too weak.
         steady_loss: Copper loss at the final temperature (W). Infinite if the temperature grows
             without bound. None if unknown, or if the motor is too weak.
         steady_temperature: Final temperature of the winding (degC). Infinite if the temperature
@@ -80,7 +80,7 @@ class MotorHeat(Result):
     joint: str
     motor: str
     torque: float = field(metadata={"unit": "N m"})
-    current: float = field(metadata={"unit": "A"})
+    current: float | None = field(metadata={"unit": "A"})
     cold_loss: float | None = field(metadata={"unit": "W"})
     steady_loss: float | None = field(metadata={"unit": "W"})
     steady_temperature: float | None = field(metadata={"unit": "degC"})
@@ -95,8 +95,8 @@ class MotorHeat(Result):
     def loss(self) -> float | None:
         """Copper loss [W] at the final temperature; ``cold_loss`` if ``steady_loss`` is not finite.
 
-        ``cold_loss`` is also the result if ``steady_loss`` is None. None if the motor cannot exert
-        the torque.
+        ``cold_loss`` is also the result if ``steady_loss`` is None. None if the loss is unknown, or
+        if the motor cannot exert the torque.
         """
         if self.steady_loss is None or math.isinf(self.steady_loss):
             return self.cold_loss
@@ -135,7 +135,7 @@ class HeatStudy(Result):
         motors: Heat of each assigned motor, in actuator order.
         omitted: Joints with an actuator but without an assigned motor.
         loss: Copper loss of all assigned motors (W), at the final temperatures as far as known.
-            None if a motor cannot exert the torque of the stance.
+            None if a motor cannot exert the torque of the stance, or if its loss is unknown.
         supply_voltage: Voltage of the battery (V); None if unknown, or if motors differ.
         battery_current: Current of the battery (A); None if the voltage or the loss is unknown.
         battery_energy: Energy of the battery (J); None if not given.
@@ -231,7 +231,7 @@ def study_heat(
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If an argument is not valid, no joint of the robot has a motor, or a
             slide has a motor.
-        ModelError: If the torque per current or the resistance of a motor are unknown.
+        ModelError: If the resistance of a winding is not positive at the ambient temperature.
     """
     _check_conditions(ambient, limit, battery_energy)
     robot, stand = resolve_stance(robot, stance)
@@ -299,10 +299,19 @@ def _compute_motor_heat(
 
     ``ambient`` and ``limit`` [degC] replace the temperatures of the motor, unless None.
     """
-    current = motor.compute_current(torque)
     largest, limiting = motor.largest_torque or (None, "")
     unknown = [*list_unknown_thermal_numbers(motor, ambient)]
-    network = None if unknown else ThermalNetwork.of_motor(motor, current, ambient)
+    current = ohms = network = None
+    try:
+        current = motor.compute_current(torque)
+    except ModelError as error:
+        unknown.extend(_read_unknown_numbers(error))
+    try:
+        ohms = motor.winding_ohms
+    except ModelError as error:
+        unknown.extend(_read_unknown_numbers(error))
+    if current is not None and not unknown:
+        network = ThermalNetwork.of_motor(motor, current, ambient)
     highest = motor.limit_temperature if limit is None else limit
     if highest is None:
         unknown.append("limit_temperature")
@@ -326,9 +335,7 @@ def _compute_motor_heat(
         motor=motor.name,
         torque=torque,
         current=current,
-        cold_loss=current**2 * motor.winding_ohms
-        if network is None
-        else network.compute_loss(network.ambient),
+        cold_loss=_compute_cold_loss(network, current, ohms),
         steady_loss=None
         if network is None or steady is None
         else (network.compute_loss(steady) if math.isfinite(steady) else math.inf),
@@ -338,7 +345,7 @@ def _compute_motor_heat(
         continuous_torque=continuous,
         largest_torque=largest,
         limiting_number=limiting,
-        unknown=tuple(unknown),
+        unknown=tuple(dict.fromkeys(unknown)),
     )
     if not heat.too_weak:
         return heat
@@ -351,6 +358,22 @@ def _compute_motor_heat(
         time_to_limit=None,
         unknown=(),
     )
+
+
+def _read_unknown_numbers(error: ModelError) -> list[str]:
+    """Return the names of the motor numbers that an error of `Motor` reports as unknown."""
+    numbers = error.cause.values["numbers"]
+    assert isinstance(numbers, tuple | list)
+    return [str(number) for number in numbers]
+
+
+def _compute_cold_loss(
+    network: ThermalNetwork | None, current: float | None, ohms: float | None
+) -> float | None:
+    """Return the copper loss at the ambient temperature [W]; see `MotorHeat.cold_loss`."""
+    if network is not None:
+        return network.compute_loss(network.ambient)
+    return None if current is None or ohms is None else current**2 * ohms
 
 
 def _choose_times(
@@ -393,7 +416,7 @@ def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float |
 
     ``ambient`` is the temperature of the air [degC]. None selects the value in the motor's data.
     """
-    if heat.steady_temperature is None:
+    if heat.steady_temperature is None or heat.current is None:
         return np.full(len(times), np.nan)
     network = ThermalNetwork.of_motor(motor, heat.current, ambient)
     curve: Array = network.compute_temperatures(times)[:, 0]

@@ -16,7 +16,7 @@ def _compute_design_heat(design: Any) -> HeatStudy:
 
     Raises:
         ConfigurationError: If no motor is varied, or a driven joint has no motor.
-        ModelError: If the torque per current or the resistance of a motor are unknown.
+        ModelError: If the resistance of a winding is not positive at the ambient temperature.
     """
     _check_motors(design)
     study = study_heat(design.robot, design.stand, design.motors)
@@ -69,9 +69,17 @@ def _measure_time_until_hot(design: Any) -> float:
 
 
 def _measure_copper_loss(design: Any) -> float:
-    """Return the copper loss of all motors [W]; not a number if a motor is too weak."""
-    loss = design.compute_once(_compute_design_heat).loss
-    return math.nan if loss is None else loss
+    """Return the copper loss of all motors [W]; not a number if a motor is too weak.
+
+    Raises:
+        ModelError: If the torque per current or the resistance of a motor are unknown.
+    """
+    study = design.compute_once(_compute_design_heat)
+    for heat in study.motors:
+        if heat.cold_loss is None and not heat.too_weak:
+            motor = design.motors[heat.joint]
+            _ = motor.winding_ohms, motor.output_torque_per_ampere  # raises: one is unknown
+    return math.nan if study.loss is None else study.loss
 
 
 def _sum_numbers(design: Any, number: str) -> float:

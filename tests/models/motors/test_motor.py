@@ -117,7 +117,10 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
         ("gear_efficiency = 0", "gear_efficiency: 0 is out of range"),
         ("mass = 3", "no unit"),
         ('peak_torque = "2 N m"\ncoulomb_friction = "3 N m"', "3 N m is not below the largest"),
-        ('gear_efficiency = 1\ncoulomb_friction = "28.9 N m"', "not below the largest torque of 28.8 N m"),
+        (
+            'gear_efficiency = 1\ncoulomb_friction = "28.9 N m"',
+            "not below the largest torque of 28.8 N m",
+        ),
         ("[sources]\nresistance = 3", "sources is a table"),
         ("[sources]\nrezistance = 'x'", "resistance, "),
     ],
@@ -130,6 +133,9 @@ def test_contradictions_are_named(tmp_path: Path, more: str, words: str) -> None
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [
+        ({"peak_torque": 20.0, "current_limit": 15.0}, r"x current_limit = 7\.5 N m"),
+        ({"continuous_torque": 20.0, "current_limit": 15.0}, r"x current_limit = 7\.5 N m"),
+        ({"peak_torque": 20.0, "supply_voltage": 5.0, "resistance": 1.0}, r"resistance = 2\.5 N m"),
         ({"stall_torque": 28.0, "stall_current": 40.0}, r"stall_current = 20 N m"),
         ({"stall_torque": 28.0, "supply_voltage": 24.0, "resistance": 0.6}, r"resistance = 20 N m"),
         ({"no_load_speed": 200.0, "supply_voltage": 24.0}, r"output_torque_constant\) = 48 rad/s"),
@@ -207,6 +213,17 @@ def test_largest_torque_is_the_smallest_known_limit() -> None:
     assert driven.largest_torque == (pytest.approx(6.0), "supply_voltage")
     assert replace(driven, peak_torque=4.0).largest_torque == (4.0, "peak_torque")
     assert replace(driven, rotor_inertia=1e-4).reflected_inertia == pytest.approx(36e-4)
+
+
+def test_largest_torque_without_efficiency_is_at_most_that_of_a_gear_without_losses() -> None:
+    """Reference: 0.1 N m/A x 6 x 30 A = 18 N m. The bound alone is no torque that a motor exerts."""
+    bare = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0, current_limit=30.0)
+    assert bare.largest_torque is None
+    assert replace(bare, peak_torque=30.0).largest_torque == (
+        pytest.approx(18.0),
+        "current_limit",
+    )
+    assert replace(bare, peak_torque=10.0).largest_torque == (10.0, "peak_torque")
 
 
 def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:

@@ -72,6 +72,39 @@ def test_stated_speed_without_load_limits_the_region() -> None:
     assert replace(slow, stall_torque=20.0).compute_available_torque(1.0) == 20.0
 
 
+def test_friction_of_a_driving_motor_reduces_its_torque() -> None:
+    """Reference: MuJoCo's ``dcmotor`` at a joint with dry and viscous friction, at full voltage.
+
+    The acceleration times the inertia is the torque that remains for a load. At rest and while the
+    motor brakes, friction supports the motor, and is not counted.
+    """
+    rough = replace(MOTOR, coulomb_friction=2.0, viscous_friction=0.1)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option gravity="0 0 0"><flag eulerdamp="disable"/></option><worldbody><body>
+        <joint name="hinge" axis="0 1 0" damping="0.1" frictionloss="2" solreffriction="0.002 1"/>
+        <geom size=".05" mass="1" pos=".2 0 0"/></body></worldbody>
+        <actuator>{make_dcmotor_element(MOTOR, "hinge")}</actuator></mujoco>"""
+    )
+    data, mass = mujoco.MjData(model), np.zeros((1, 1))
+    data.ctrl[0] = 24.0
+    for speed in (1.0, 10.0, 20.0, 30.0):
+        data.qvel[0] = speed
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        remaining = mass[0, 0] * data.qacc[0]
+        assert rough.compute_available_torque(speed) == pytest.approx(max(remaining, 0.0), abs=1e-6)
+    assert rough.compute_available_torque(0.0) == MOTOR.compute_available_torque(0.0)
+    assert rough.compute_available_torque(-5.0) == MOTOR.compute_available_torque(-5.0)
+    stuck = replace(MOTOR, coulomb_friction=17.0)
+    (share,) = compute_region_utilisation(stuck, [1.0], [38.0])
+    assert share == np.inf
+    # The speed of a data sheet is measured with friction: 24 V / 40 rad/s.
+    stated = replace(rough, torque_constant=None, gear_ratio=None, no_load_speed=40.0)
+    stated = replace(stated, output_torque_constant=0.6)
+    expected = pytest.approx(MOTOR.compute_available_torque(10.0), rel=1e-12)
+    assert stated.compute_available_torque(10.0) == expected
+
+
 def test_joints_without_motor_have_no_utilisation() -> None:
     torques, speeds = np.array([[1.0, 2.0], [3.0, 4.0]]), np.zeros((2, 2))
     shares = compute_motor_utilisation({"b": MOTOR}, ("a", "b"), torques, speeds)

@@ -131,6 +131,16 @@ def test_unknown_thermal_numbers_are_listed() -> None:
         compute_continuous_torque(replace(MOTOR, limit_temperature=None))
 
 
+def test_resistance_that_is_negative_in_cold_air_is_refused() -> None:
+    """Reference: 1 + 0.05 (-20 - 25) < 0; the winding would cool by its loss."""
+    motor = replace(MOTOR, resistance_rise=0.05)
+    with pytest.raises(ModelError, match=r"not positive at the ambient temperature of -20 degC"):
+        ThermalNetwork.of_motor(motor, 8.0, ambient=-20.0)
+    with pytest.raises(ModelError, match="copper has"):
+        compute_continuous_torque(motor, ambient=-20.0)
+    assert ThermalNetwork.of_motor(motor, 1.0).compute_loss(20.0) > 0
+
+
 def compile_motor(
     motor: Motor, joint: str, timestep: float, *, eulerdamp: str = "disable"
 ) -> mujoco.MjModel:
@@ -214,6 +224,31 @@ def test_gear_of_a_motor_after_an_actuator_with_several_outputs_is_its_own() -> 
     <dcmotor joint="j" motorconst="0.1" resistance="1" gear="7"/>
     </actuator></mujoco>""")
     assert list_dcmotors(model, "bench")["j"].gear_ratio == 7.0
+
+
+@pytest.mark.parametrize(
+    ("attributes", "numbers"),
+    [
+        ('gear="0"', {"gear_ratio": None}),
+        ('gear="-7"', {"gear_ratio": 7.0}),
+        ('ctrlrange="0 24"', {"supply_voltage": None}),
+        ('ctrlrange="-6 24"', {"supply_voltage": 6.0}),
+        ('saturation="0.4 0 0"', {"current_limit": 4.0}),
+    ],
+)
+def test_one_sided_or_zero_limits_of_a_dcmotor_are_not_read_as_torque(
+    attributes: str, numbers: dict[str, float | None]
+) -> None:
+    """Reference: the element. A motor that only pulls holds no load in the other direction."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody><actuator>'
+        f'<dcmotor joint="j" motorconst="0.1" resistance="2" {attributes}/></actuator></mujoco>'
+    )
+    motor = list_dcmotors(model, "bench")["j"]
+    assert {name: getattr(motor, name) for name in numbers} == pytest.approx(numbers)
+    if numbers.get("gear_ratio", 1) is None:
+        with pytest.raises(ModelError, match="gear_ratio"):
+            motor.compute_current(1.0)
 
 
 def test_motors_with_several_controls_or_none_are_all_read() -> None:

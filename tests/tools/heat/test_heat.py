@@ -170,6 +170,30 @@ def test_data_sheet_decides_if_thermal_numbers_are_unknown() -> None:
 
 
 @pytest.mark.slow
+def test_motor_without_resistance_is_unknown_or_too_weak() -> None:
+    """Reference: the numbers of the maker, and the statics (0.47 N m): torque per current known.
+
+    No source states the resistance of the motor: loss and temperature are unknown, the current and
+    the largest torque are known.
+    """
+    motor = find_motor("unitree-go-m8010-6")
+    study = make_study(motor)
+    assert not study.passed
+    assert not study.weak
+    assert {"resistance", "winding_resistance"} <= set(study.first.unknown)
+    assert (study.loss, study.battery_current, study.first.cold_loss) == (None, None, None)
+    assert study.first.current == pytest.approx(abs(study.first.torque) / 0.63895)
+    document = heat_document(study)
+    assert getattr(document.verdict, "en", "") == "UNKNOWN"
+    assert not any("cannot exert" in line.en for line in document.findings)
+    weak = make_study(replace(motor, peak_torque=0.4))
+    assert getattr(heat_document(weak).verdict, "en", "") == "TOO WEAK"
+    unknown = make_study(replace(motor, output_torque_constant=None))
+    assert unknown.first.current is None
+    assert "output_torque_constant" in unknown.first.unknown
+
+
+@pytest.mark.slow
 def test_data_sheet_decides_if_only_the_limit_temperature_is_unknown() -> None:
     """Reference: the continuous torque of the data sheet, compared with the statics (0.47 N m)."""
     motor = Motor(
@@ -207,6 +231,12 @@ def test_invalid_requests_are_refused(options: dict[str, float], words: str) -> 
     motor = find_motor("dephy-actpack")
     with pytest.raises(ConfigurationError, match=words):
         study_heat(load("v3"), pa.StandTask(), motors_of(motor), **options)
+
+
+def test_misspelt_motor_of_a_continuous_torque_lists_the_known_motors() -> None:
+    with pytest.raises(pa.UnknownNameError, match="dephy-actpack"):
+        parse_continuous_torques(("*_3=dephy-actpak",), load("v3"))
+    assert parse_continuous_torques(("*_1=1e-3",), load("v3"))[0]["leg_front_r_1"] == 1e-3
 
 
 @pytest.mark.slow
