@@ -216,7 +216,7 @@ def test_largest_torque_is_the_smallest_known_limit() -> None:
 
 
 def test_largest_torque_without_efficiency_is_at_most_that_of_a_gear_without_losses() -> None:
-    """Reference: 0.1 N m/A x 6 x 30 A = 18 N m. The bound alone is no torque that a motor exerts."""
+    """Reference: 0.1 N m/A x 6 x 30 A = 18 N m. A bound alone is no torque of a motor."""
     bare = Motor("test", "bench", torque_constant=0.1, gear_ratio=6.0, current_limit=30.0)
     assert bare.largest_torque is None
     assert replace(bare, peak_torque=30.0).largest_torque == (

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import shlex
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -25,6 +29,7 @@ from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.study import Study, read_study
 from pupper_analysis.tools.study.write import write_design
 from tests.support import slips
+from tests.support.commands import run_command
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
@@ -300,3 +305,156 @@ def study_design(study: Study, number: int, folder: Path) -> Any:
         study.source, study.task, study.point, study.motors, study.present_motor
     )
     return builder.design(codes)
+
+
+CATALOGUE = {
+    "present": {"peak_torque": "3 N m", "continuous_torque": "1 N m", "mass": "140 g"},
+    "stiff": {
+        **{"peak_torque": "4 N m", "continuous_torque": "1 N m", "mass": "200 g"},
+        **{"rotor_inertia": "2e-5 kg m^2", "no_load_speed": "20 rad/s"},
+        **{"kp": "14 N m/rad", "kd": "0.2 N m s/rad"},
+    },
+    "warm": {
+        **{"peak_torque": "5 N m", "mass": "110 g", "no_load_speed": "35 rad/s"},
+        **{"rotor_inertia": "1e-5 kg m^2", "resistance_temperature": "25 degC"},
+        **{"resistance_rise": "0.00393 1/K", "winding_resistance": "20 K/W"},
+        **{"winding_capacity": "40 J/K", "ambient_temperature": "25 degC"},
+        "limit_temperature": "60 degC",
+    },
+}
+"""{motor: numbers}. Each motor has 0.5 N m/A at the output, a gear of 10 and 1 ohm."""
+
+CATALOGUE_STUDY = """robot = "v3"
+present_motor = "present.toml"
+measure = ["continuous_utilisation", "time_until_hot", "stands"]
+[vary]
+leg_scale = [1.2]
+motor = ["present.toml", "stiff.toml", "warm.toml"]
+payload = [1.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
+    folder = tmp_path_factory.mktemp("catalogue")
+    for name, numbers in CATALOGUE.items():
+        texts = {"name": name, "source": "bench", "output_torque_constant": "0.5 N m/A"}
+        texts |= {"resistance": "1 ohm", **numbers}
+        lines = [f'{key} = "{text}"' for key, text in texts.items()]
+        (folder / f"{name}.toml").write_text("\n".join([*lines, "gear_ratio = 10"]))
+    (folder / "study.toml").write_text(CATALOGUE_STUDY)
+    study = Study.read(folder / "study.toml")
+    with ThreadPoolExecutor(1) as executor:
+        study.execute(folder / "results", executor=executor)
+    return study, folder / "results"
+
+
+@pytest.mark.slow
+def test_written_files_alone_contain_the_numbers_of_the_motors(
+    catalogue: tuple[Study, Path],
+) -> None:
+    """References: the motor files; bare MuJoCo and Pinocchio, from the written files alone.
+
+    The files contain no payload: the masses differ by 12 motors only. Rotor inertia x gear^2 is the
+    armature. A motor without rotor inertia, speed or gains keeps the numbers of the robot.
+    """
+    study, folder = catalogue
+    own = load("v3")
+    masses = {}
+    for number, (name, numbers) in enumerate(CATALOGUE.items(), start=1):
+        written = write_design(study, number, folder)
+        model = mujoco.MjModel.from_xml_path(str(written.mjcf))
+        pin_model = pin.buildModelFromUrdf(str(written.urdf), pin.JointModelFreeFlyer())
+        masses[name] = float(model.body_mass.sum())
+        assert pin.computeTotalMass(pin_model) == pytest.approx(masses[name], rel=1e-9)
+        effort = float(numbers["peak_torque"].split()[0])
+        speed = float(numbers["no_load_speed"].split()[0]) if "no_load_speed" in numbers else None
+        inertia = float(numbers["rotor_inertia"].split()[0]) if "rotor_inertia" in numbers else None
+        for index, joint in enumerate(own.joint_names):
+            actuator = next(
+                number for number in range(model.nu)
+                if model.actuator_trnid[number, 0] == model.joint(joint).id
+            )  # fmt: skip
+            before = own.mj_convention.actuator_index[index]
+            old = own.mj_model.actuator_gainprm[before, 0], own.mj_model.actuator_biasprm[before, 2]
+            kp, bias = (14.0, -0.2) if name == "stiff" else old
+            assert model.actuator_gainprm[actuator, 0] == pytest.approx(kp)
+            assert model.actuator_biasprm[actuator, 1:3] == pytest.approx([-kp, bias])
+            np.testing.assert_allclose(model.actuator_forcerange[actuator], [-effort, effort])
+            assert model.actuator_forcelimited[actuator]
+            armature = own.mj_model.joint(joint).dofadr[0]
+            armature = own.mj_model.dof_armature[armature] if inertia is None else 100 * inertia
+            assert model.dof_armature[model.joint(joint).dofadr[0]] == pytest.approx(armature)
+            column = pin_model.joints[pin_model.getJointId(joint)].idx_v
+            assert pin_model.effortLimit[column] == pytest.approx(effort)
+            kept = own.pin_model.velocityLimit[own.pin_convention.v_index[index]]
+            assert pin_model.velocityLimit[column] == pytest.approx(speed or kept)
+    assert masses["stiff"] - masses["present"] == pytest.approx(12 * 0.060, rel=1e-6)
+    assert masses["warm"] - masses["present"] == pytest.approx(-12 * 0.030, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_three_designs_and_their_minutes_agree_with_bare_mujoco(
+    catalogue: tuple[Study, Path],
+) -> None:
+    """References: bare MuJoCo from the written files with 1 kg; the closed form of one node.
+
+    The robot stands for 3 s. The largest torque of MuJoCo at rest, divided by 0.5 N m/A, is the
+    current i. The winding reaches the limit after C / s ln(dT_inf / (dT_inf - dT_limit)) with
+    s = 1 / R_th - i^2 R alpha and dT_inf = i^2 R / s (ambient temperature = that of R).
+    """
+    study, folder = catalogue
+    table = study.table(folder)
+    hottest = []
+    for number, name in enumerate(CATALOGUE, start=1):
+        written = write_design(study, number, folder)
+        row, design = table.iloc[number - 1], study_design(study, number, folder)
+        spec = mujoco.MjSpec.from_file(str(written.mjcf))
+        base = next(body for body in spec.bodies if list(body.joints))
+        weight = base.add_body(name="weight", pos=np.asarray(design.point[-3:], dtype=float))
+        weight.mass, weight.inertia, weight.explicitinertial = 1.0, [1e-9] * 3, True
+        stand = design.simulated_stand
+        torques = stand_statics(design.robot, stand).joint_torques
+        kp = 14.0 if name == "stiff" else float(design.robot.mj_model.actuator_gainprm[0, 0])
+        held = simulate(spec.compile(), design, stand.qpos[7:] + torques / kp)
+        joints = held.qpos[design.robot.mj_convention.qpos_index[7:]]
+        np.testing.assert_allclose(joints, stand.qpos[7:], atol=1e-3)
+        largest = float(np.abs(held.actuator_force).max())
+        hottest.append(largest)
+        if name == "warm":
+            loss = (largest / 0.5) ** 2
+            slope = 1 / 20 - loss * 0.00393
+            final = loss / slope
+            time = 40 / slope * math.log(final / (final - 35))
+            assert row["time_until_hot"] == pytest.approx(time, rel=0.02)
+            permanent = 0.5 * math.sqrt(35 / 20 / (1 + 0.00393 * 35))
+            assert row["continuous_utilisation"] == pytest.approx(largest / permanent, rel=0.01)
+        else:
+            assert row["time_until_hot"] == math.inf
+            assert row["continuous_utilisation"] == pytest.approx(largest / 1.0, rel=0.01)
+        assert row["stands"] == 1.0
+    assert hottest[1] > hottest[0] > hottest[2]  # the heavier the motors, the larger the torque
+
+
+@pytest.mark.slow
+def test_payload_is_added_once_to_the_written_files(
+    catalogue: tuple[Study, Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The printed command adds 1 kg to the written files. Reference: the row of the study.
+
+    If the files contained the payload, the torque would be that of 2 kg.
+    """
+    study, folder = catalogue
+    written = write_design(study, 3, folder)
+    program, command, *options = shlex.split(written.command)
+    assert (program, command) == ("pupper-analysis", "stand")
+    motor = str(folder.parent / "warm.toml")
+    _, out, _ = run_command(capfd, "heat", *options, "--motor", motor, "--json", "-")
+    found = json.loads(out)
+    hottest = max(abs(motor["torque"]) for motor in found["motors"])
+    permanent = 0.5 * math.sqrt(35 / 20 / (1 + 0.00393 * 35))
+    used = study.table(folder)["continuous_utilisation"][2]
+    assert hottest / permanent == pytest.approx(used, rel=1e-6)
+    times = [motor["time_to_limit"] for motor in found["motors"] if motor["time_to_limit"]]
+    assert min(times) == pytest.approx(study.table(folder)["time_until_hot"][2], rel=1e-6)
+    assert run_command(capfd, command, *options)[0] == 0
