@@ -25,6 +25,7 @@ from pupper_analysis.models.spec_tree import SpecTree, set_inertia, write_joint_
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import resolve_servo_gains
@@ -125,8 +126,8 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     - Velocity limit: speed of the motor without load.
     - Armature: inertia of the rotor at the output.
     - Servo gains: gains that the motor states.
-    - Mass of the parent link: the mass difference to the motor ``present`` is added as a point mass
-      at the origin of the joint.
+    - Mass of the parent link, or of the heaviest link that is fixed to the parent link: the mass
+      difference to the motor ``present`` is added as a point mass at the origin of the joint.
 
     If the motor states no speed, gain, rotor inertia or gear ratio, the corresponding number of the
     files is kept.
@@ -178,18 +179,27 @@ def _add_masses(
 ) -> None:
     """Add point masses [kg], which may be negative, at joints to the parent links, in place.
 
+    A parent link may be a frame without mass, fixed to the body that contains the motor. Therefore
+    the heaviest of the links that are fixed to each other gets the mass.
+
     Args:
         robot: Robot of the trees.
         trees: Trees of the URDF and of the MJCF.
-        differences: {joint: mass [kg] that is added to the parent link at the origin of the joint}.
+        differences: {joint: mass [kg] that is added at the origin of the joint}.
     """
     urdf, mjcf = trees
+    config, data = Configuration(robot, robot.neutral()), robot.compute_kinematics()
     by_link: dict[tuple[ModelTree, str], list[tuple[float, Array]]] = {}
     for joint, mass in differences.items():
         element = urdf.joints[joint]
         place = find_tool(robot, element.parent).translated(element.origin.translation)
-        body, at_body = place.locate_in_mjcf(robot)
-        by_link.setdefault((urdf, element.parent), []).append((mass, place.offset))
+        world = place.position(config)
+        link = _find_heaviest_link(urdf, element.parent)
+        at_link = config.frame_rotation(link).T @ (world - config.frame_position(link))
+        body = _find_heaviest_link(mjcf, place.locate_in_mjcf(robot)[0])
+        number = robot.mj_model.body(body).id
+        at_body = data.xmat[number].reshape(3, 3).T @ (world - data.xpos[number])
+        by_link.setdefault((urdf, link), []).append((mass, at_link))
         by_link.setdefault((mjcf, body), []).append((mass, at_body))
     for (tree, link), masses in by_link.items():
         total = _add_point_masses(link, _read_inertia(tree, link), masses)
@@ -197,6 +207,18 @@ def _add_masses(
             tree.links[link].set_inertia(total)
         else:
             set_inertia(tree.spec.body(link), total)
+
+
+def _find_heaviest_link(tree: ModelTree, link: str) -> str:
+    """Return the heaviest of the links that are fixed to a link, or the link itself."""
+    root = link
+    while not tree.movers(root):
+        parent = tree.parent(root)
+        if parent is None:
+            break
+        root = parent
+    group = tree.fixed_group(root)
+    return max([link, *group], key=tree.link_mass)
 
 
 def _read_inertia(tree: ModelTree, link: str) -> pin.Inertia:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -16,6 +17,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
@@ -30,6 +32,7 @@ from pupper_analysis.tools.study.study import Study, read_study
 from pupper_analysis.tools.study.write import write_design
 from tests.support import slips
 from tests.support.commands import run_command
+from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
@@ -83,6 +86,45 @@ def test_mass_matrices_of_both_engines_agree_with_other_motors() -> None:
     from pupper_analysis.tools.crosscheck.crosscheck import cross_check
 
     assert cross_check(robot).passed
+
+
+def test_motor_at_a_frame_without_mass_belongs_to_the_body_that_carries_the_frame(
+    tmp_path: Path,
+) -> None:
+    """Reference: a point mass of -0.1 kg at the axis of the joint, added to MuJoCo's CoM.
+
+    A published A1 has this form: the base of both files has no mass, and the trunk is fixed to the
+    base.
+    """
+    pair = quadruped(tmp_path)
+    mount = (
+        '<link name="mount"/><joint name="weld" type="fixed"><parent link="trunk"/>'
+        '<child link="mount"/><origin xyz="0.2 0 0" rpy="0 0 0.5"/></joint>'
+    )
+    inertial = re.search(r"<inertial[^>]*/>", pair.mjcf.read_text())[0]  # type: ignore[index]
+    shell = f'<body name="shell" pos="0.1 0 0" euler="0 0 0.5">{inertial}</body>'
+    text = pair.mjcf.read_text().replace('type="box"', 'type="box" mass="0"')
+    pair.mjcf.write_text(text.replace(inertial, shell, 1))
+    text = pair.urdf.read_text()
+    trunk = re.search(r'<link name="trunk">.*?</link>', text, re.DOTALL)[0]  # type: ignore[index]
+    moved = (
+        f'<link name="trunk"/>{trunk.replace("trunk", "shell")}'
+        '<joint name="shell_weld" type="fixed"><parent link="trunk"/><child link="shell"/>'
+        f'<origin xyz="0.1 0 0" rpy="0 0 0.5"/></joint>{mount}'
+    )
+    pair.urdf.write_text(text.replace(trunk, moved, 1))
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    light = replace(OTHER, mass=0.04, kp=None, kd=None)
+    found = with_motors(robot, {"FL_roll": light}, PRESENT)
+    assert found.total_mass == pytest.approx(robot.total_mass - 0.1, rel=1e-9)
+    assert found.mj_model.body_mass.sum() == pytest.approx(found.total_mass, rel=1e-9)
+    data, after = robot.compute_kinematics(), found.compute_kinematics()
+    base = robot.mj_model.body(robot.mj_base).id
+    anchor = data.xanchor[robot.mj_model.joint("FL_roll").id]
+    expected = (robot.total_mass * data.subtree_com[base] - 0.1 * anchor) / found.total_mass
+    np.testing.assert_allclose(after.subtree_com[base], expected, atol=1e-9)
+    config = Configuration(found, found.neutral())
+    np.testing.assert_allclose(config.center_of_mass(), expected, atol=1e-9)
 
 
 def test_motors_that_no_robot_can_have_are_refused() -> None:
@@ -305,6 +347,30 @@ def study_design(study: Study, number: int, folder: Path) -> Any:
         study.source, study.task, study.point, study.motors, study.present_motor
     )
     return builder.design(codes)
+
+
+@pytest.mark.slow
+def test_study_whose_designs_all_fail_states_the_reason_instead_of_a_front(tmp_path: Path) -> None:
+    """No robot can have the motor. Reference: no row has a value of the objective."""
+    light = Motor("light", "bench", mass=1e-3, peak_torque=1.0)
+    (tmp_path / "light.toml").write_text(
+        'name = "light"\nsource = "bench"\nmass = "1 g"\npeak_torque = "1 N m"\n'
+    )
+    heavy = replace(light, name="heavy", mass=3.0)
+    study = Study(
+        "v3",
+        {"motor": [str(tmp_path / "light.toml")]},
+        ["motor_mass"],
+        present_motor=heavy,
+        minimise="motor_mass",
+    )
+    with ThreadPoolExecutor(1) as executor:
+        study.execute(tmp_path / "results", executor=executor)
+    outcome = study_outcome(study, tmp_path / "results")
+    assert outcome.objectives == {"motor_mass": "min"}
+    assert outcome.front.empty
+    assert "is present_motor the motor of the files" in str(outcome.table["reason"][0])
+    assert "NONE" in study_document(outcome).verdict.en  # type: ignore[union-attr]
 
 
 CATALOGUE = {
