@@ -184,7 +184,7 @@ def study_outcome(
         failures=_group_failures(table),
         objectives=objectives,
         front=pareto_front(select_standing_designs(feasible), objectives)
-        if objectives
+        if objectives and set(objectives) <= set(table)  # no column if no design has a value
         else table.iloc[:0],
         requirements={item.text: int(item.is_met(table).sum()) for item in study.requirements},
         feasible=len(feasible),
