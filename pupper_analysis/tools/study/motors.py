@@ -94,7 +94,8 @@ def assign_motors(
 ) -> dict[str, Motor]:
     """Select the motor of each joint in a design, from the values of the motor variables.
 
-    A variable ``motor:PATTERN`` has priority over ``motor``.
+    A variable ``motor:PATTERN`` has priority over ``motor``. Two patterns must not select the same
+    joint.
 
     Args:
         robot: Robot of the design.
@@ -105,14 +106,21 @@ def assign_motors(
         {joint: motor}; empty without motor variables.
 
     Raises:
-        ConfigurationError: If a selected joint cannot have a motor, for example a slide.
+        ConfigurationError: If a selected joint cannot have a motor, for example a slide, or if two
+            patterns select the same joint.
         UnknownNameError: If a pattern matches no joint.
     """
     assigned: dict[str, Motor] = {}
+    owners: dict[str, str] = {}
     for name in sorted(filter(is_motor_variable, numbers), key=lambda name: ":" in name):
         pattern = VariablePattern.parse(name)
         joints = robot.joint_names if pattern is None else find_moving_joints(robot, pattern)
         check_motor_joints(robot, joints, f"vary[{name!r}]")
+        if pattern is not None:
+            for joint in joints:
+                if owners.setdefault(joint, name) != name:
+                    problem = diagnose("motors-overlap", joint=joint, first=owners[joint])
+                    raise ConfigurationError(f"vary[{name!r}]", problem)
         assigned |= dict.fromkeys(joints, motors[numbers[name]])
     return assigned
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -54,16 +55,20 @@ class Requirement:
                 number requires exactly this value. True requires 1, and False requires 0.
 
         Raises:
-            ConfigurationError: If the value has another form.
+            ConfigurationError: If the value has another form, or the number is not finite.
         """
-        if isinstance(text, bool | int | float):
-            return cls(column, "=", float(text))
         match = _REQUIREMENT.match(text) if isinstance(text, str) else None
         try:
-            return cls(column, match[1], float(match[2]))  # type: ignore[index]
-        except (TypeError, ValueError) as error:
+            if isinstance(text, bool | int | float):
+                found = cls(column, "=", float(text))
+            else:
+                found = cls(column, match[1], float(match[2]))  # type: ignore[index]
+        except (TypeError, ValueError, OverflowError):
+            found = None
+        if found is None or not math.isfinite(found.limit):
             problem = diagnose("requirement-not-valid", given=repr(text))
-            raise ConfigurationError(f"require[{column!r}]", problem) from error
+            raise ConfigurationError(f"require[{column!r}]", problem)
+        return found
 
     @property
     def text(self) -> str:

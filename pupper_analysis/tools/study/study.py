@@ -60,6 +60,7 @@ from pupper_analysis.tools.study.measures import (
     resolve_metric_file,
 )
 from pupper_analysis.tools.study.motors import (
+    assign_motors,
     encode_motor,
     is_motor_variable,
     make_motor_variable,
@@ -257,7 +258,8 @@ class Study:
         """Check the ranges and patterns of all variables against the robot and the stand task.
 
         Raises:
-            ConfigurationError: If a value is out of range, or a variable contradicts the task.
+            ConfigurationError: If a value is out of range, a variable contradicts the task, or a
+                joint cannot have the motors that the variables assign.
             UnknownNameError: If a pattern matches no joint, body or contact.
             ModelError: If servo gains are varied, and the robot has no position servos.
         """
@@ -284,6 +286,10 @@ class Study:
                 find_moving_joints(self.base, pattern)
             if pattern is not None and pattern.kind in JOINT_STANCE_KINDS:
                 resolve_posture(self.base, {pattern.pattern: 0.0})
+        motors = filter(is_motor_variable, self.variables)
+        assign_motors(
+            self.base, {name: self.variables[name].range[0] for name in motors}, self.motors
+        )
         servo_kinds = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}
         if servo_kinds:
             from pupper_analysis.robot.servos import resolve_servo_gains

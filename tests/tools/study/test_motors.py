@@ -146,6 +146,13 @@ STUDY: dict[str, Any] = {"robot": "v3", "measure": ["motor_mass"], "present_moto
         ({"vary": {"motor": [1.0]}}, ConfigurationError, "no list of names or files"),
         ({"vary": {"motor": ["dephy-actpak"]}}, UnknownNameError, "dephy-actpack"),
         ({"vary": {"motor:*_9": ["dephy-actpack"]}}, UnknownNameError, "leg_front_r_1"),
+        (
+            {"vary": {"motor:*_3": ["t-motor-ak80-6"], "motor:leg_back*": ["lk-tech-mg4005-10"]}},
+            ConfigurationError,
+            r"motor:leg_back\*'\]: leg_back_r_3 has a motor by 'motor:\*_3' already",
+        ),
+        ({"require": {"motor_mass": "< 1e999"}}, ConfigurationError, "< 1e999' is not true"),
+        ({"require": {"motor_mass": float("nan")}}, ConfigurationError, "nan is not true"),
         ({"vary": {"kp": [5.0]}}, ConfigurationError, "no motor is varied"),
         ({"present_motor": None}, ConfigurationError, "present_motor = "),
         ({"present_motor": "dynamixel-mx-64"}, ModelError, "needed: mass"),
