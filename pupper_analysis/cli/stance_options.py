@@ -620,16 +620,9 @@ def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float
 def _names_motor(text: str) -> bool:
     """Return True if a text of ``--continuous`` names a motor instead of a torque.
 
-    The text is the name of a known motor, a file with the suffix ``.toml`` or ``.json``, or begins
-    with two words that a hyphen joins, such as a misspelt name.
+    A text that begins with a digit, a sign or a point, or that is ``inf`` or ``nan``, is a torque.
     """
-    if text.lower().endswith((".toml", ".json")) or re.match(r"[a-z]+-[a-z0-9]", text.lower()):
-        return True
-    if not any(letter.isalpha() for letter in text):
-        return False
-    from pupper_analysis.models.motors.reading import list_motors
-
-    return text in list_motors()
+    return re.match(r"[\d.+-]|(inf|nan)\b|$", text, re.IGNORECASE) is None
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:

@@ -321,7 +321,7 @@ def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path
     with pytest.raises(UnknownNameError, match=r"xacro argument 'leg'.*arm"):
         read_model(file, None, {"leg": "true"})
     for model in (tmp_path / "rex.urdf", "v3", URDF):
-        with pytest.raises(ConfigurationError, match=r"no xacro file|robot of your own"):
+        with pytest.raises(ConfigurationError, match=r"no xacro file|files only, not to a variant"):
             load_robot(model, xacro=True, xacro_args={"arm": "true"})
 
 
