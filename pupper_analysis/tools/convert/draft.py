@@ -372,9 +372,10 @@ refuses a range from 0 to 0. Chosen, not tuned: below `MIN_EFFORT`, so it is rea
 def _limit_servos_without_torque(
     additions: Iterable[Addition], robot: Robot
 ) -> tuple[Addition, ...]:
-    """Give servos of motors without torque a range of `WRITTEN_ZERO_EFFORT`.
+    """Give servos of joints with an effort limit of zero a range of `WRITTEN_ZERO_EFFORT`.
 
-    Without a range, the servo of a joint with effort 0 is unlimited in MuJoCo.
+    Without a range, such a servo is unlimited in MuJoCo. Servos of joints with a negative limit get
+    no range.
     """
     null = {limit.joint for limit in robot.efforts if limit.code is EffortCode.ZERO}
     limits = (-WRITTEN_ZERO_EFFORT, WRITTEN_ZERO_EFFORT)

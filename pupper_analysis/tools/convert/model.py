@@ -286,8 +286,8 @@ def _make_converted_robot(
 ) -> Robot:
     """Return the robot of source and new file, with a free base if the MJCF has one.
 
-    The base of the robot is fixed in two cases: a new MJCF with a fixed base; or a new URDF whose
-    robot cannot be prepared with a free base, for example without feet.
+    The base of the robot is fixed if the base of the MJCF is fixed, or if the robot of a new URDF
+    cannot be prepared with a free base, for example without feet.
     """
     if draft.urdf is None:
         with contextlib.suppress(ModelError):

@@ -155,8 +155,8 @@ class ToolPayload(Result):
             posture has a limit.
         worst_posture_joint: Joint of the motor that limits the mass in all postures; "" if this
             mass is infinite or NaN.
-        posture: (nu,) posture with the smallest limit (rad or m); the given posture if there was no
-            search.
+        posture: (nu,) posture with the smallest limit (rad or m); the given posture if ``code`` is
+            not ``stated``.
         code: ``zero`` if a motor that may bear the mass has a limit of zero; else ``unknown`` if
             such a motor has an unknown limit; else ``stated``.
         unknown: Joints that may bear the mass, and whose effort limit no file states.
