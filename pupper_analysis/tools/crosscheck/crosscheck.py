@@ -134,9 +134,10 @@ def compare_models(
         packages: {ROS package: folder}, for ``package://`` paths.
         feet: Frames that count as feet, named as in the MJCF; by default all frames in both files.
         tolerances: Largest accepted differences; the default is for files with 5 to 6 digits.
-        strict_names: Report as differences: joints that are matched by structure, damping and
-            friction that the URDF does not state, and a fixed base that is tilted against the URDF.
-            Otherwise the assumptions are reported in ``guessed``, ``notes`` and ``mount``.
+        strict_names: If True, these count as disagreement: different joint names that ``names``
+            does not contain, damping and friction that the URDF does not state, and a fixed base
+            that is tilted against the URDF. Otherwise the assumptions are reported in ``guessed``,
+            ``notes`` and ``mount``.
         configurations: Number of random configurations of the cross-check.
         seed: Seed of the random numbers, at least 0.
         xacro: True to expand a xacro file, which evaluates the Python expressions in the file.
