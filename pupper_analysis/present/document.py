@@ -587,6 +587,27 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
     return Number(text, shown, mark)
 
 
+def widen_format(form: str, values: Iterable[float]) -> str:
+    """Return a fixed-point format with which the largest of several values has two digits.
+
+    The result is ``form`` if this is so already, and if no value is finite and other than zero.
+    Reason: torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would print 0.00.
+
+    Args:
+        form: Format specification such as ``"+.4f"``.
+        values: Numbers in the displayed unit.
+    """
+    start, decimals = form[:-1].split(".")
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    needed = 1 - math.floor(math.log10(largest)) if largest > 0 else 0
+    return f"{start}.{min(max(int(decimals), needed), _MAX_DECIMALS)}f"
+
+
+_MAX_DECIMALS = 9
+"""Largest number of decimals of a fixed-point format with more digits for small values [1]. Chosen,
+not tuned: smaller torques than 1e-8 N m are rounding errors."""
+
+
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
     """Create two table cells with numbers to compare, with enough digits to show the difference.
 

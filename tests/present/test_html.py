@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 import subprocess
 import sys
@@ -38,6 +39,7 @@ from pupper_analysis.present.document import (
     diagnostic_text,
 )
 from pupper_analysis.present.documents import registry, sources
+from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
@@ -655,3 +657,27 @@ def test_polygon_of_points_in_a_line_is_the_line(count: int) -> None:
 )
 def test_ticks_are_round_numbers(low: float, high: float, expected: list[float]) -> None:
     assert plots.round_ticks(low, high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("form", "values", "expected"),
+    [
+        (".2f", [1.98, -0.4], ".2f"),
+        (".2f", [0.1], ".2f"),
+        (".2f", [0.00198], ".4f"),
+        ("+.4f", [0.0, -0.00042], "+.5f"),
+        ("+.4f", [0.0, math.nan, math.inf], "+.4f"),
+        (".2f", [1e-30], ".9f"),
+    ],
+)
+def test_small_torques_have_two_digits(form: str, values: list[float], expected: str) -> None:
+    """By hand: 0.00198 N m is printed as 0.0020, not as 0.00."""
+    assert document.widen_format(form, values) == expected
+
+
+@pytest.mark.parametrize(
+    ("mass", "expected"),
+    [(0.0, "0.00 kg"), (0.00849, "0.0084 kg"), (0.0999, "0.099 kg"), (0.1, "0.10 kg")],
+)
+def test_small_payloads_have_two_digits_and_are_rounded_down(mass: float, expected: str) -> None:
+    assert mass_text(mass).en == expected

@@ -64,7 +64,7 @@ def limit_cell(limit: float, form: str = "g") -> doc.Cell:
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Format the largest payload mass [kg], rounded down to 0.01 kg.
+    """Format the largest payload mass [kg], rounded down to 0.01 kg, below 0.1 kg to two digits.
 
     A mass that is rounded up might be too heavy for the robot. NaN is formatted as "unknown",
     infinity as "no limit".
@@ -73,6 +73,8 @@ def mass_text(mass: float) -> doc.Words:
         return text("limit-unknown")
     if math.isinf(mass):
         return text("no-limit")
+    if 0 < mass < 0.1:
+        return doc.Name(f"{format_number(round_mass_down(mass), '.2g')} kg")
     return doc.Name(f"{_floor(100 * mass) / 100:.2f} kg")
 
 
@@ -193,14 +195,15 @@ def torque_table(
         limits: Effort limits, shape (nu,) [N m; of slides N].
         more: Further columns, {column: values of shape (nu,)}.
     """
+    form = doc.widen_format("+.4f", statics.joint_torques.tolist())
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
-            doc.number_cell(statics.joint_torques[index], "+.4f"),
+            doc.number_cell(statics.joint_torques[index], form),
             limit_cell(limits[index]),
             utilisation_cell(float(statics.motor_utilisation[index]), limits[index]),
             *(
-                doc.number_cell(values[index], "+.2f" if column.unit == "°" else "+.4f")
+                doc.number_cell(values[index], "+.2f" if column.unit == "°" else form)
                 for column, values in more.items()
             ),
         )
@@ -283,10 +286,11 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
         },
         **{name: (wrench[:3], None) for name, wrench in statics.weld_wrenches.items()},
     }
+    form = doc.widen_format("+.3f", (value for force, _ in loads.values() for value in force))
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
-            *(doc.number_cell(value, "+.3f") for value in force),
+            *(doc.number_cell(value, form) for value in force),
             doc.number_cell(share, ".1f", scale=100),
         )
         for name, (force, share) in loads.items()

@@ -197,11 +197,12 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     statics = analysis.statics
     most = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[most])
+    torque = abs(float(statics.joint_torques[most]))
     yield text(
         "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
         ground=ground_word(analysis.stand.depths.values()),
-        torque=f"{abs(statics.joint_torques[most]):.3f}",
+        torque=format(torque, doc.widen_format(".3f", [torque])),
         unit=statics.torque_units[most],
         share=f"{100 * share:.1f}" if math.isfinite(share) else "",
         zero="0" if math.isinf(share) else "",

@@ -184,11 +184,12 @@ def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
 
 def _make_table(study: HeatStudy) -> doc.Table:
     """Create the table of torque, current, loss, temperature and time to the limit per motor."""
+    form = doc.widen_format("+.3f", [motor.torque for motor in study.motors])
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(motor.joint),
             doc.Name(motor.motor),
-            doc.number_cell(motor.torque, "+.3f"),
+            doc.number_cell(motor.torque, form),
             doc.number_cell(motor.continuous_torque, ".3g"),
             doc.number_cell(motor.largest_torque, ".3g"),
             doc.number_cell(motor.current, ".3g"),

@@ -300,9 +300,10 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     statics = stance.statics
     peak = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[peak])
+    torque = abs(float(statics.joint_torques[peak]))
     yield text(
         "load-of-motors",
-        torque=f"{abs(float(statics.joint_torques[peak])):.2f}",
+        torque=format(torque, doc.widen_format(".2f", [torque])),
         unit=statics.torque_units[peak],
         share=f"{100 * share:.0f}" if math.isfinite(share) else "",
         zero="0" if math.isinf(share) else "",

@@ -204,11 +204,12 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
     limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))
     hardest = int(np.argmax(rms / limits))
+    form = doc.widen_format(".2f", [float(rms[hardest])])
     return text(
         "walk-torque-line",
         joint=doc.Name(walk.joints[hardest]),
-        rms=f"{rms[hardest]:.2f}",
-        peak=f"{peak[hardest]:.2f}",
+        rms=format(rms[hardest], form),
+        peak=format(peak[hardest], form),
         unit=walk.torque_units[hardest],
         limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
         share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
@@ -252,7 +253,7 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
         yield text(
             "walk-limits-unknown",
             count=len(unknown),
-            peak=f"{peak[largest]:.2f}",
+            peak=format(peak[largest], doc.widen_format(".2f", [float(peak[largest])])),
             unit=walk.torque_units[largest],
             joint=doc.Name(walk.joints[largest]),
         )
@@ -286,13 +287,14 @@ def _make_motor_table(walk: Walk) -> doc.Table:
         for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
     )
     static = walk.gaits[0].static
+    form = doc.widen_format(".2f", rms.tolist())
     rows = tuple(
         (
             doc.Name(joint),
-            doc.number_cell(rms[index], ".2f"),
-            doc.number_cell(peak[index], ".2f"),
-            doc.number_cell(None if static is None else static[index], ".2f"),
-            limit_cell(float(walk.limits[index]), ".2f"),
+            doc.number_cell(rms[index], form),
+            doc.number_cell(peak[index], form),
+            doc.number_cell(None if static is None else static[index], form),
+            limit_cell(float(walk.limits[index]), form),
             doc.number_cell(
                 100 * share[index] if np.isfinite(share[index]) else None,
                 ".1f",
