@@ -680,4 +680,4 @@ def test_small_torques_have_two_digits(form: str, values: list[float], expected:
     [(0.0, "0.00 kg"), (0.00849, "0.0084 kg"), (0.0999, "0.099 kg"), (0.1, "0.10 kg")],
 )
 def test_small_payloads_have_two_digits_and_are_rounded_down(mass: float, expected: str) -> None:
-    assert mass_text(mass).en == expected
+    assert mass_text(mass) == document.Name(expected)
