@@ -16,6 +16,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import (
     describe_frictionless_feet,
     describe_impossible_inertias,
@@ -26,9 +27,11 @@ from pupper_analysis.prepare.judge import (
 from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.prepare.self_check import report_ties
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, Ending, VerdictCode
+from pupper_analysis.simulation.trial import Failure, NudgeTrial
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, Ending, Outcome, VerdictCode
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
 from tests.prepare.test_imported import four_legs, verdict_of
@@ -474,3 +477,89 @@ def test_unknown_torque_limits_matter_as_soon_as_the_robot_carries_more(tmp_path
     found = [judge_stand(model, pa.solve_stand(model)) for model in (robot, loaded)]
     assert [verdict.code for verdict in found] == [VerdictCode.HOLDS, VerdictCode.LIMITS_UNKNOWN]
     assert [verdict.passed for verdict in found] == [True, False]
+
+
+def _make_outcome(**values: Any) -> Outcome:
+    """Return the result of a simulation of 12 s that passed, unless ``values`` state otherwise."""
+    return Outcome(**{"passed": True, "failures": (), "duration": 12.0, "stays": True, **values})
+
+
+def test_stand_that_a_nudge_upsets_does_not_count_as_standing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A robot that tips after 3 s has fallen, whatever the simulation without nudge shows."""
+    tipped = NudgeTrial(
+        survived=False,
+        failure=Failure.TIPPING,
+        failing_parts=("FL",),
+        time=3.0,
+        failed_nudges=2,
+        nudges=12,
+        duration=12.0,
+        simulated=144.0,
+        shaking_speed=None,
+        shaking_unit="m/s",
+    )
+    rest: Any = (SimpleNamespace(), SimpleNamespace())
+    found = judge._fail_if_upset(
+        rest[0], rest[1], _make_outcome(), rest[0], tipped, None, None, fragile=False
+    )
+    assert not found.passed
+    assert not found.stays
+    (failure,) = found.failures
+    assert failure.code == "upset-by-nudge"
+    assert failure.values["fell"] == 2
+    # A stand that is not near a limit gets all nudges only if it fails without feed-forward.
+    robot: Any = SimpleNamespace(is_base_fixed=False)
+    statics: Any = SimpleNamespace(com_margin=0.1)
+    calls: list[str] = []
+    survived = replace(tipped, survived=True, failure=None)
+    monkeypatch.setattr(judge, "solve_stand_as_simulated", lambda *_: None)
+    monkeypatch.setattr(judge, "is_near_limit", lambda *_: False)
+    monkeypatch.setattr(judge, "saturates_after_nudge", lambda *_: False)
+    for name in ("simulate_nudges", "simulate_large_nudges"):
+        monkeypatch.setattr(
+            judge, name, lambda *_, name=name, **__: (calls.append(name), survived)[1]
+        )
+    for fragile in (False, True):
+        judge._fail_if_upset(
+            robot, rest[1], _make_outcome(), statics, None, None, None, fragile=fragile
+        )
+    assert calls == ["simulate_large_nudges", "simulate_nudges"]
+
+
+@pytest.mark.parametrize(("ratio", "buried"), [(0.9, False), (1.1, True), (1.9, True)])
+def test_foot_that_sinks_by_more_than_its_radius_is_reported(ratio: float, buried: bool) -> None:
+    """Reference: the force at which the penetration is a multiple of the radius, by bisection."""
+    robot = pa.load_variant("v3")
+    stand = pa.solve_stand(robot)
+    foot = robot.contact_points[0]
+    law, radius = GroundLaw.of_contact(robot, foot), robot.contact_radius[foot]
+    low, high = 0.0, 1e9
+    for _ in range(200):
+        force = (low + high) / 2
+        low, high = (force, high) if law.depth(force) < ratio * radius else (low, force)
+    assert law.depth(high) == pytest.approx(ratio * radius, rel=1e-6)
+    statics: Any = SimpleNamespace(contact_forces={foot: high * stand.normals[foot]})
+    messages = judge._report_buried_foot(robot, stand, statics)
+    assert [message.code for message in messages] == ["foot-buried"] * buried
+
+
+@pytest.mark.parametrize(("joints", "first"), [(6, False), (7, True)])
+def test_motors_without_torque_are_the_first_cause_if_most_joints_have_one(
+    monkeypatch: pytest.MonkeyPatch, joints: int, first: bool
+) -> None:
+    """A failed simulation of a robot with 12 joints, none of which loads such a motor."""
+    names = tuple(f"j{number}" for number in range(joints))
+    null = SimpleNamespace(values={"joints": names})
+    monkeypatch.setattr(judge, "describe_zero_torque_limits", lambda _: null)
+    monkeypatch.setattr(judge, "loads_motor_without_torque", lambda *_: False)
+    other: Any = SimpleNamespace()
+    fed = _make_outcome(passed=False, failures=(other,))
+    robot: Any = SimpleNamespace(nu=12)
+    found, alone, message = judge._apply_zero_torque_limits(robot, fed, None, other)
+    assert found.failures == ((null, other) if first else (other, null))
+    assert alone is None
+    assert message is None
+    fed = _make_outcome()
+    assert judge._apply_zero_torque_limits(robot, fed, None, other) == (fed, None, null)

@@ -697,3 +697,40 @@ def test_heights_without_ground_below_count_from_the_level_plane(tmp_path: Path)
         )
         settles_in_place(model, robot, robot.home)
     assert known == [pytest.approx(0.8)]
+
+
+@pytest.mark.parametrize(("com", "base", "travel"), [(0.4, 0.0, 0.0), (0.1, 0.4, 0.1)])
+def test_travel_of_a_stance_is_that_of_the_com_or_base_that_moves_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, com: float, base: float, travel: float
+) -> None:
+    """An arm moves the CoM alone, and a base that leans moves the base alone: no step."""
+    robot = pa.load_robot(mjcf=standing(tmp_path).mjcf)
+    model = robot.compute_once(own_run_module.get_published_model)
+    assert model is not None
+
+    def simulate(_: object, start: mujoco.MjData, *__: object) -> tuple[BodyMotion, mujoco.MjData]:
+        end = copy(start)
+        end.qpos[0] += base
+        return BodyMotion(5.0, 0.3, 0.3, 0.0, com, False), end
+
+    monkeypatch.setattr(own_run_module, "simulate_keyframe", simulate)
+    run = own_run_module._simulate_key(PublishedModel.from_model(model, robot), robot, 0)
+    assert run.away == com
+    assert run.stance_travel == pytest.approx(travel)
+
+
+@pytest.mark.parametrize(("speed", "rests"), [(4e-3, True), (6e-3, False), (-6e-3, False)])
+def test_model_is_at_rest_below_five_millimetres_per_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: float, rests: bool
+) -> None:
+    """Feet that creep move at 1e-3 m/s or rad/s, joints that shake at 2e-2 or more."""
+    robot = pa.load_robot(mjcf=standing(tmp_path).mjcf)
+    model = robot.compute_once(own_run_module.get_published_model)
+    assert model is not None
+
+    def simulate(_: object, data: mujoco.MjData, *__: object, **___: object) -> None:
+        data.qvel[-1] = speed
+
+    monkeypatch.setattr(own_run_module, "nudge_velocity", lambda model: np.zeros(model.nv))
+    monkeypatch.setattr(own_run_module, "simulate_published", simulate)
+    assert settles_in_place(model, robot, robot.home) is rests
