@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.stance.sag import equilibrium
+from pupper_analysis.base.errors import ConfigurationError, NoStiffnessError
+from pupper_analysis.stance.sag import equilibrium, stiffness
+from pupper_analysis.stance.sag.equilibrium import EquilibriumScales
 from pupper_analysis.stance.sag.steady_state import find_sag_failure
 from pupper_analysis.stance.sag.stiffness import (
     _StiffnessSearch,
@@ -49,6 +50,18 @@ def test_invalid_ratios_are_refused(ratios: np.ndarray) -> None:
     stand = pa.solve_stand(robot, pa.StandTask())
     with pytest.raises(ConfigurationError, match="12 finite ratios"):
         minimum_stiffness(robot, stand, ratios=ratios)
+
+
+@pytest.mark.slow
+def test_creep_that_ends_each_equilibrium_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No kp holds the stand; the search ends at the documented bound of 2500 times the unit."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask())
+    monkeypatch.setattr(stiffness, "simulate_creep", lambda *_: 5.0)
+    with pytest.raises(NoStiffnessError, match="creep") as caught:
+        minimum_stiffness(robot, stand)
+    unit = EquilibriumScales.from_stand(robot, stand).stiffness
+    assert 1250 * unit < caught.value.kp <= 2500 * unit
 
 
 @pytest.mark.slow
