@@ -734,3 +734,34 @@ def test_model_is_at_rest_below_five_millimetres_per_second(
     monkeypatch.setattr(own_run_module, "nudge_velocity", lambda model: np.zeros(model.nv))
     monkeypatch.setattr(own_run_module, "simulate_published", simulate)
     assert settles_in_place(model, robot, robot.home) is rests
+
+
+@pytest.mark.parametrize(("gear", "ctrl", "expected"), [(1.0, 0.6, 0.5), (2.0, 0.6, 0.2)])
+def test_commanded_position_of_a_geared_servo_is_ctrl_over_gear(
+    gear: float, ctrl: float, expected: float
+) -> None:
+    """By hand: kp (ctrl - gear q) is zero at q = ctrl / gear; the joint is at 0.1 rad."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="knee"/><geom size="0.1"/></body></worldbody>'
+        f'<actuator><position joint="knee" kp="10" gear="{gear}"/></actuator></mujoco>'
+    )
+    published = SimpleNamespace(model=model)
+    offset = own_run_module._command_offset(published, "knee", np.array([ctrl]), 0.1)  # type: ignore[arg-type]
+    assert offset == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("servos", "found"), [(6, []), (7, ["j11"])])
+def test_joint_without_servo_gives_way_only_if_most_joints_have_servos(
+    servos: int, found: list[str]
+) -> None:
+    """Twelve joints, of which the last is displaced by 0.3 rad. A file with torque motors at half
+    of its joints leaves them to a controller."""
+    robot = SimpleNamespace(description=SimpleNamespace(made_servos=()))
+    joints = [
+        JointOff(
+            f"j{number}", 0.3 * (number == 11), Drive.SERVO if number < servos else Drive.MOTOR
+        )
+        for number in range(12)
+    ]
+    unheld = own_run_module._unheld_joints(SimpleNamespace(), robot, joints)  # type: ignore[arg-type]
+    assert [joint.joint for joint in unheld] == found
