@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -301,3 +303,42 @@ def test_servo_that_a_small_deviation_saturates_counts_as_near_a_limit(tmp_path:
     mujoco.mj_step(model, data, nstep=round(20 / model.opt.timestep))
     assert data.qpos[3] < 0.99  # tilted by more than 16 deg
     assert "upset-by-nudge" in {failure.code for failure in pa.judge_stand(weak, stand).failures}
+
+
+@pytest.mark.parametrize(
+    ("change", "near"),
+    [
+        ({}, False),
+        ({"motor_utilisation": np.array([0.1, 0.91])}, True),
+        ({"motor_utilisation": np.array([0.1, 0.89])}, False),
+        ({"friction_utilisation": {"FL": 0.91}}, True),
+        ({"friction_utilisation": {"FL": 0.89}}, False),
+        ({"loads": (10.0, 10.0, 10.0, 0.14)}, True),  # 2 % of the mean load is 0.151 N
+        ({"loads": (10.0, 10.0, 10.0, 0.16)}, False),
+        ({"com_margin": 0.0053}, True),
+        ({"com_margin": 0.0083}, False),
+        ({"com_margin": None, "loads": (10.0, 0.0, 0.0, 0.0)}, False),
+    ],
+)
+def test_stand_is_near_a_limit_by_any_of_its_criteria(
+    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], near: bool
+) -> None:
+    """By hand: a nudge of 10 mm/s moves the CoM at 0.16 m by 10 sqrt(0.16 / 9.81) = 1.3 mm; the
+    least margin is five times as large, 6.4 mm."""
+    robot, stand = load("v3"), stand_of("v3")
+    monkeypatch.setattr(trial_module, "saturates_after_nudge", lambda *_: False)
+    monkeypatch.setattr(trial_module, "com_height_above_contacts", lambda *_: 0.16)
+    change = dict(change)
+    loads = change.pop("loads", (10.0,) * 4)
+    feet = {
+        foot: SimpleNamespace(force=newtons * stand.normals[points[0]])
+        for (foot, points), newtons in zip(robot.feet.items(), loads, strict=True)
+    }
+    values = {
+        "com_margin": 0.05,
+        "foot_loads": feet,
+        "motor_utilisation": np.array([0.1, 0.2]),
+        "friction_utilisation": {},
+    }
+    statics: Any = SimpleNamespace(**{**values, **change})
+    assert is_near_limit(robot, stand, statics) is near
