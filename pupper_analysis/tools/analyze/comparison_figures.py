@@ -86,8 +86,9 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         for row, (_, joints) in enumerate(rows):
             offsets = np.linspace(-0.24, 0.24, len(joints)) if len(joints) > 1 else np.zeros(1)
             for leg, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
-                colour, place = _get_leg_colour(leg) if len(joints) > 1 else "0.3", row + offset
-                axes.plot(percent[joint] * predicted[joint], place, "o", color=colour, ms=5)
+                style = _get_leg_style(leg) if len(joints) > 1 else {"color": "0.3", "marker": "o"}
+                place = row + offset
+                axes.plot(percent[joint] * predicted[joint], place, ls="", ms=5, **style)
                 axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
             peak = max(joints, key=lambda joint: predicted[joint])
             share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
@@ -255,13 +256,19 @@ def _join_common_parts(names: Sequence[str]) -> str:
     return "_".join(shared) or names[0]
 
 
-def _get_leg_colour(leg: int) -> str:
-    """Return the colour of the leg with index ``leg``; the colours repeat after the last one."""
-    return drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
+_LEG_MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚"}
+"""{marker of a leg in Matplotlib: the same shape as a character, for the names of the feet}."""
+
+
+def _get_leg_style(leg: int) -> dict[str, str]:
+    """Return colour and marker of the leg with index ``leg``; both repeat after the last one."""
+    markers = tuple(_LEG_MARKERS)
+    colour = drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
+    return {"color": colour, "marker": markers[leg % len(markers)]}
 
 
 def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
-    """Write the names of the feet above a panel, right-aligned, each in the colour of the leg.
+    """Write the names of the feet above a panel, right-aligned, with colour and marker of the leg.
 
     Nothing is written for a single foot, or for more feet than there are colours.
     """
@@ -269,11 +276,13 @@ def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
         return
     right = 0.0
     for leg in reversed(range(len(feet))):
-        axes.annotate(feet[leg], (1, 1), xycoords="axes fraction", xytext=(-right, 4),
+        style = _get_leg_style(leg)
+        name = f"{_LEG_MARKERS[style['marker']]} {feet[leg]}"
+        axes.annotate(name, (1, 1), xycoords="axes fraction", xytext=(-right, 4),
                       textcoords="offset points", ha="right", va="bottom", weight="bold",
-                      size=drawing.FONT_SIZE - 1, color=_get_leg_colour(leg),
+                      size=drawing.FONT_SIZE - 1, color=style["color"],
                       parse_math=False)  # fmt: skip
-        right += (len(feet[leg]) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
+        right += (len(name) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
 
 
 _LETTER_WIDTH = 0.72
@@ -396,8 +405,10 @@ def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
     rows, columns = np.isclose(sweep.kp, kp), np.isclose(sweep.kd, kd)
     for row in np.flatnonzero(rows):
         for column in np.flatnonzero(columns):
-            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False,
-                                     edgecolor=drawing.RED_COLOUR, lw=2, zorder=3))  # fmt: skip
+            # The white line is visible on dark cells, the red line on light cells.
+            for colour, width in (("white", 4), (drawing.RED_COLOUR, 2)):
+                axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False,
+                                         edgecolor=colour, lw=width, zorder=3))  # fmt: skip
 
 
 def _save_with_legend(figure: Figure, handles: Sequence[Any], path: str | Path) -> None:

@@ -144,14 +144,17 @@ def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
     ]
     FIGURES["torques.png"]([change_analysis(analysis, joints=limits)], Path("unused.png"))
     (axes,) = panels(figures[0])
-    for marker, torques in (
-        ("o", analysis.statics.joint_torques),
+    for markers, torques in (
+        ("os^D", analysis.statics.joint_torques),
         ("|", analysis.verification.joint_torques),
     ):
         drawn = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines
-                 if line.get_marker() == marker]  # fmt: skip
+                 if line.get_marker() in markers]  # fmt: skip
         np.testing.assert_allclose(sorted(drawn), sorted(100 * np.abs(torques) / efforts))
     assert [label.get_text() for label in axes.get_yticklabels()] == ["leg_1", "leg_2", "leg_3"]
+    # Legs differ without colours.
+    names = {text.get_text() for text in axes.texts}
+    assert {"● FL", "■ FR", "▲ RL", "◆ RR"} <= names
 
 
 def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[Figure]) -> None:
