@@ -8,7 +8,7 @@ services.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
@@ -68,18 +68,26 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 def _select_next_step(contract: Contract) -> doc.NextStep:
     """Return the command to suggest next; the first case that applies is used.
 
-    - The sources disagree, and the model is a variant, or a source is a URDF besides the model:
-      `crosscheck` of URDF and MJCF.
+    - URDF and MJCF of the robot disagree: `crosscheck` of both.
     - Otherwise: `stand` of the model, or `hold` for a fixed base.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
-    if is_variant(contract.model) and contract.findings:
+    others = {source.path for source in contract.sources if source.role != Role.MODEL}
+    differ = any(_is_between_models(finding, others) for finding in contract.findings)
+    if differ and is_variant(contract.model):
         return doc.NextStep("crosscheck", (contract.model,), robot_typed=False)
-    if contract.findings and urdfs and contract.model not in urdfs:
+    if differ and urdfs and contract.model not in urdfs:
         return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
     command = "stand" if contract.floating else "hold"
     return doc.NextStep(command, (contract.model,), robot_typed=False)
+
+
+def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
+    """Return True if a finding compares the URDF with the MJCF; ``others`` are further sources."""
+    files = {place.rpartition(":")[0] for place in finding.places}
+    urdfs = {file for file in files if file.lower().endswith(".urdf")}
+    return bool(urdfs) and urdfs < files and files.isdisjoint(others)
 
 
 def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:

@@ -87,3 +87,18 @@ def test_agreement_states_the_comparison_and_the_next_command(tmp_path: Path) ->
     assert lines[1].startswith("  compared: lower limit, upper limit, effort, ")
     assert lines[1].endswith("; nothing simulated")
     assert lines[2].startswith("  next: pupper-analysis stand ")
+
+
+def test_next_command_is_crosscheck_only_if_urdf_and_mjcf_differ(tmp_path: Path) -> None:
+    """After a difference between policy and model, crosscheck of v3 has nothing to report."""
+    sources = write_all(tmp_path)
+    lines = run(tmp_path, URDF, MJCF, sources["policy.json"]).stdout.splitlines()
+    assert lines[1] == (
+        "  most severe: kd of joint leg_front_r_1 0.25 N m s/rad against 0.1 N m s/rad"
+    )
+    assert lines[2].startswith("  next: pupper-analysis stand ")
+    other = tmp_path / "robot.urdf"
+    other.write_text(URDF.read_text().replace('effort="3"', 'effort="4"', 1))
+    lines = run(tmp_path, other, MJCF).stdout.splitlines()
+    assert "effort of joint leg_front_r_1" in lines[1]
+    assert lines[2] == f"  next: pupper-analysis crosscheck {other} {MJCF}"
