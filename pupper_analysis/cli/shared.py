@@ -25,7 +25,12 @@ from click.core import ParameterSource
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
-from pupper_analysis.base.errors import ConfigurationError, OutputError, StanceUnreachableError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    ModelError,
+    OutputError,
+    StanceUnreachableError,
+)
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import ensure_run, register_input
@@ -161,6 +166,11 @@ A report prints this number below the results."""
 _FIXED_BASE_CODE = "base-is-fixed"
 """Code of the error that a command about stands raises for a robot with a fixed base.
 `Command.invoke` adds the command line of `hold` for this robot to the error."""
+
+
+_AUDITED_CODES = ("mjcf-not-compiled", "inertia-refused", "link-without-mass", "robot-without-mass")
+"""Codes of errors of models that MuJoCo refuses. `Command.invoke` adds the command line of `audit`,
+which names the elements and proposes repairs."""
 
 
 class Command(click.Command):
@@ -366,6 +376,13 @@ class Command(click.Command):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)
                 raise named from error
+            raise
+        except ModelError as error:
+            if error.cause.code in _AUDITED_CODES and self.name != "audit":
+                from pupper_analysis.cli.next_step import complete_command
+                from pupper_analysis.present.document import NextStep
+
+                error.add_note(complete_command(NextStep("audit")))
             raise
         except StanceUnreachableError as error:
             from pupper_analysis.cli.next_step import complete_relaxed_command

@@ -187,11 +187,14 @@ def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
     Args:
         model: MuJoCo model.
         geom: Id of a geom.
-        ground: Id of the other geom, for example the floor; None for a plane with MuJoCo's default
-            bits.
+        ground: Id of the other geom, for example the floor; None for a plane of the world with
+            MuJoCo's default bits.
     """
     if ground is None:
-        return bool((model.geom_contype[geom] | model.geom_conaffinity[geom]) & 1)
+        do_bits_match = bool((model.geom_contype[geom] | model.geom_conaffinity[geom]) & 1)
+        return do_bits_match and frozenset((int(model.geom_bodyid[geom]), 0)) not in excluded_pairs(
+            model
+        )
     for first, second in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if {first, second} == {geom, ground}:
             return True

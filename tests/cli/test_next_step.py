@@ -158,6 +158,21 @@ def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
     assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path} --payload 1kg"
 
 
+@pytest.mark.parametrize("command", ["stand", "hold"])
+def test_refusal_of_an_mjcf_by_mujoco_prints_audit(
+    command: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Moments of 1, 1 and 3 kg m^2 violate A + B >= C, which MuJoCo 4.0.0 refuses."""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="rod"><joint name="turn"/><inertial pos="0 0 0" mass="2" '
+        'diaginertia="1 1 3"/></body></worldbody></mujoco>'
+    )
+    status, _, err = run_command(capfd, command, str(path))
+    assert status == 2
+    assert err.splitlines()[-1] == f"  next: pupper-analysis audit {path}"
+
+
 def list_next_lines(output: str) -> list[list[str]]:
     """Return the words of each suggested command line in the output of a command."""
     found = re.findall(r"^ *next: pupper-analysis (.+)$", output, flags=re.M)

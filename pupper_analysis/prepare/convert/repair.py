@@ -39,9 +39,9 @@ _MIN_INERTIA: Final = 1e-14
 ten times MuJoCo's bound."""
 
 _FLAT_MARGIN: Final = 1e-11
-"""Margin of A + B >= C, relative to the largest moment C, below which all moments of a flat body
-are enlarged by this part of C. Chosen above the rounding of eigenvalues (1e-15) and below the
-tolerance of comparisons (1e-9)."""
+"""Margin of A + B >= C, relative to the largest moment C. If the margin of a flat body is smaller,
+all moments are enlarged by this part of C. Chosen above the rounding of eigenvalues (1e-15) and
+below the tolerance of comparisons (1e-9)."""
 
 ADDED_MASS: Final = 1e-3
 """Mass [kg] of a moving link that has no mass in the URDF, if no link fixed to this link has a

@@ -321,8 +321,50 @@ def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterat
         return
     smallest, middle, largest = link.inertial.moments
     if smallest > 0 and smallest + middle >= largest * (1 - _TRIANGLE_RTOL):
+        wrong_axis = found.message.code == "inertia-about-wrong-axis"
+        ordered = list(_reorder_moments(robot, found.name)) if wrong_axis else []
         mirrored = list(_mirror_tensor(robot, found.name))
-        yield from mirrored or _fill_shapes(robot, found.name)
+        yield from mirrored or ordered or _fill_shapes(robot, found.name)
+
+
+MIN_MOMENT_RATIO = 1.1
+"""Smallest ratio between two moments of the box around the shapes with which the order of these
+moments decides the order of the stated moments. Chosen, not tuned."""
+
+
+def _reorder_moments(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
+    """Yield the nearly diagonal tensor of a link with its moments in the order of the shapes.
+
+    The largest stated moment belongs to the axis about which a solid box around the shapes has the
+    largest moment. Two axes of nearly equal boxes (`MIN_MOMENT_RATIO`) give two candidates, unless
+    the stated moments of both are equal. Nothing is proposed for a turned inertial frame.
+    """
+    link = robot.links[name]
+    element = _find_unique_child(robot, "link", name, "inertial/inertia")
+    points, _ = list_known_points(robot.fixed_group(name), link)
+    words = ("ixx", "iyy", "izz")
+    if element is None or points is None or any(element.get(word) is None for word in words):
+        return
+    if not np.allclose(robot.file.tree.links[name].inertial_rotation, np.eye(3), atol=1e-6):
+        return
+    moments = [float(str(element.get(word))) for word in words]
+    products = [float(element.get(word) or 0.0) for word in ("ixy", "ixz", "iyz")]
+    if np.abs(products).max() > 0.1 * max(moments):
+        return
+    squares = np.ptp(points, axis=0) ** 2
+    expected = squares.sum() - squares
+    texts = sorted((str(element.get(word)) for word in words), key=float)
+    orders = [np.argsort(expected).tolist()]
+    low, middle, high = sorted(expected.tolist())
+    for first, second, place in ((low, middle, 0), (middle, high, 1)):
+        if second < MIN_MOMENT_RATIO * first and texts[place] != texts[place + 1]:
+            swapped = [*orders[0]]
+            swapped[place], swapped[place + 1] = swapped[place + 1], swapped[place]
+            orders.append(swapped)
+    for order in orders:
+        new = {words[axis]: text for axis, text in zip(order, texts, strict=True)}
+        reason = diagnose("repair-axis-order")
+        yield from _make_urdf_repair(robot, "link", name, "inertial/inertia", new, reason)
 
 
 _TRIANGLE_RTOL = 1e-5
@@ -613,7 +655,11 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
-    if not isinstance(robot, UrdfModel) or link is None or twin is None:
+    if not isinstance(robot, UrdfModel) or link is None:
+        return
+    metres = list(_read_com_in_metres(robot, found))
+    if metres or twin is None:
+        yield from metres
         return
     wrong = [(link, twin)]
     if found.message.code == "mirror-com":
@@ -639,6 +685,31 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
                 [_make_change(robot, own.name, "inertial/origin", new, reason)]
             )
 
+
+def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the CoM of a finding in m if the stated CoM is in mm: a thousandth is in the shapes.
+
+    The stated CoM must be outside by more than `_MIN_MM_OFFSET` times the extent of the shapes.
+    """
+    link = robot.links[found.name]
+    element = _find_unique_child(robot, "link", link.name, "inertial/origin")
+    if found.message.code == "mirror-com" or element is None or link.inertial is None:
+        return
+    points, is_complete = list_known_points(robot.fixed_group(link.name), link)
+    ends = list_link_points(robot, link)
+    points = ends if points is None else np.concatenate([points, ends])
+    size, com = float(np.ptp(points, axis=0).max()), link.inertial.com
+    is_far = compute_hull_distance(points, com) > _MIN_MM_OFFSET * size > 0
+    if is_far and compute_hull_distance(points, com / 1000) <= 0.05 * size and is_complete:
+        texts = [float(text) / 1000 for text in str(element.get("xyz")).split()]
+        new = {"xyz": " ".join(_format_moved(value) for value in texts)}
+        reason = diagnose("repair-metres")
+        yield from _make_urdf_repair(robot, "link", link.name, "inertial/origin", new, reason)
+
+
+_MIN_MM_OFFSET = 5.0
+"""Smallest distance of a CoM from the shapes, relative to their extent, with which a CoM may be
+in mm. Chosen, not tuned."""
 
 MAX_DENSITY_RATIO = 3.0
 """Largest ratio between the density of a repaired link and the median density of the other links,
@@ -780,6 +851,64 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
     same = [prefix + file for file in files if file.lower() == name.lower()]
     other = [prefix + file for file in files if stem and Path(file).stem.lower() == stem.lower()]
     return same or other
+
+
+def _repair_axis_length(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the repair of a URDF axis that is not a unit vector: the same direction."""
+    if isinstance(robot, UrdfModel):
+        axis = robot.joints[found.name].raw_axis
+        new = {"xyz": _format_vector(axis / float(np.linalg.norm(axis)))}
+        reason = diagnose("repair-unit-vector")
+        yield from _make_urdf_repair(robot, "joint", found.name, "axis", new, reason)
+
+
+def _repair_mimic(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the repair of a <mimic> of a missing joint: the joint with the most similar name."""
+    alike = found.message.values["alike"]
+    if isinstance(robot, UrdfModel) and alike:
+        reason = diagnose("repair-similar-name")
+        new = {"joint": str(alike)}
+        yield from _make_urdf_repair(robot, "joint", found.name, "mimic", new, reason)
+
+
+def _repair_joint_type(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the repair of a fixed joint of a URDF: the type of the left or right partner.
+
+    Nothing is proposed if a type other than ``continuous`` would need a missing <limit>.
+    """
+    partner = str(found.message.values["other"])
+    if not isinstance(robot, UrdfModel):
+        return
+    kind = robot.file.tree.joints[partner].kind
+    has_limit = _find_unique_child(robot, "joint", found.name, "limit") is not None
+    if has_limit or kind == "continuous":
+        reason = diagnose("repair-of-twin", other=partner)
+        old, new = {"type": robot.file.tree.joints[found.name].kind}, {"type": kind}
+        yield ValueRepair(str(robot.file.path), "joint", found.name, "", old, new, reason)
+
+
+def _repair_mirrored_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield the repairs of tensors that differ from side to side: mirror images (`_mirror_tensor`).
+
+    `select_deviating_pairs` selects the wrong side: the magnitudes of the entries are compared, in
+    the link frame, with other limbs. If there are too few other limbs, both links are candidates.
+    """
+    link = robot.links.get(found.name)
+    twin = None if link is None else _find_twin(robot, found.name)
+    if not isinstance(robot, UrdfModel) or link is None or twin is None:
+        return
+    kind = strip_sides(link.name)
+    entries = {
+        name: np.abs(other.inertial.inertia).ravel()
+        for name, other in robot.links.items()
+        if other.inertial is not None and strip_sides(name) == kind
+    }
+    scale = max((float(values.max()) for values in entries.values()), default=0.0)
+    for own, _ in select_deviating_pairs(
+        [(link, twin), (twin, link)],
+        {name: values / scale for name, values in entries.items() if scale},
+    ):
+        yield from _mirror_tensor(robot, own.name)
 
 
 def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -960,6 +1089,10 @@ _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[Val
     "mesh-missing": _repair_mesh_path,
     "axis-zero": _repair_axis_of_zeros,
     "mirror-axis": _repair_axis_sense,
+    "axis-not-unit": _repair_axis_length,
+    "mimic-invalid": _repair_mimic,
+    "mirror-type": _repair_joint_type,
+    "mirror-inertia": _repair_mirrored_tensor,
     "mirror-position": _repair_joint_place,
     "joint-off-links": _repair_joint_place,
     "mirror-shapes": _repair_collision,

@@ -26,7 +26,7 @@ from tests.support.repository import ROOT
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "frob"], "no rule 'frob'"),
         (
             [str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "armature"],
-            "no rule 'armature'; did you mean armature-zero? audit --list-rules lists all",
+            "no rule 'armature'; did you mean armature-zero or armature-implausible? audit",
         ),
         ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=DIR"),
     ],

@@ -59,6 +59,10 @@ def repairs_of(audit: Audit, rule: str) -> list[dict[str, str]]:
         ('<link name="FL_calf">', 'value="0.05"', 'value="0"', "mass-not-positive"),
         ('<link name="RR_calf">', '"0 0 -0.055"', '"0 0 0.4"', "com-outside-shapes"),
         ('<link name="RR_calf">', '"0 0 -0.055"', '"0 0.007 -0.055"', "mirror-com"),
+        ('<link name="RR_calf">', '"0 0 -0.055"', '"0 0 -55"', "com-outside-shapes"),
+        ('<link name="FR_calf">', 'izz="2.9538', 'izz="18.9538', "mirror-inertia"),
+        ('<joint name="FL_HFE"', '"0 1 0"', '"0 3 0"', "axis-not-unit"),
+        ('<joint name="FL_HFE"', 'type="revolute"', 'type="fixed"', "mirror-type"),
         ('<joint name="RL_KFE"', '"0 1 0"', '"0 0 0"', "axis-zero"),
         ('<joint name="RR_HAA"', '"1 0 0"', '"-1 0 0"', "mirror-axis"),
         ('<joint name="RR_KFE"', '"0 0 -0.08"', '"0 0 -0.03"', "mirror-position"),
@@ -456,7 +460,41 @@ def write_arm(folder: Path, inertial: str, shape: str) -> Path:
 
 
 SPHERE = '<geometry><sphere radius="0.036"/></geometry>'
+BALL = '<inertia ixx="5e-4" ixy="0" ixz="0" iyy="5e-4" iyz="0" izz="5e-4"/>'
 TENSOR_OF_ZEROS = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+
+
+def test_moments_of_a_rod_about_wrong_axes_are_reordered(tmp_path: Path) -> None:
+    """A rod of 0.4 m along x, with radius 0.01 m: m L^2 / 12 about y and z. All mass within the
+    radius has at most m r^2 about x, 133 times less than stated."""
+    moment = 0.3 * 0.4**2 / 12
+    inertial = (
+        f'<origin xyz="0.2 0 0"/><mass value="0.3"/><inertia ixx="{moment}" iyy="{moment}" '
+        'izz="1.5e-05" ixy="0" ixz="0" iyz="0"/>'
+    )
+    shape = '<origin xyz="0.2 0 0"/><geometry><box size="0.4 0.02 0.02"/></geometry>'
+    audit = audit_model(write_arm(tmp_path, inertial, shape))
+    (found,) = (f for f in audit.findings if f.rule == "inertia-implausible")
+    assert found.diagnostic.code == "inertia-about-wrong-axis"
+    most = found.diagnostic.values["most"]
+    assert most.value == pytest.approx(0.3 * 2 * 0.01**2)  # a corner of the box
+    (repair,) = found.repairs
+    assert repair.new == {"ixx": "1.5e-05", "iyy": str(moment), "izz": str(moment)}
+
+
+@pytest.mark.parametrize("leader", ["turnn", "elsewhere"])
+def test_mimic_of_a_missing_joint_is_repaired_if_a_name_is_similar(
+    leader: str, tmp_path: Path
+) -> None:
+    path = write_arm(tmp_path, '<mass value="1"/>' + BALL, SPHERE)
+    text = path.read_text().replace(
+        "</robot>",
+        '<link name="tip"/><joint name="follow" type="continuous"><parent link="rod"/>'
+        f'<child link="tip"/><mimic joint="{leader}"/></joint></robot>',
+    )
+    path.write_text(text)
+    found = repairs_of(audit_model(path), "mimic-invalid")
+    assert found == ([{"joint": "turn"}] if leader == "turnn" else [])
 
 
 def test_tensor_of_zeros_becomes_that_of_the_solid_sphere(tmp_path: Path) -> None:

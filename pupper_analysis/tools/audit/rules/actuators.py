@@ -7,6 +7,7 @@ Source: MuJoCo documentation, "Computation: Actuation model".
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -144,6 +145,44 @@ largest difference from the joint's range after conversion from degrees, relativ
 the joint's range. The second bound is the magnitude that an end of the command range must exceed:
 12 rad are nearly two turns. Chosen, not tuned.
 """
+
+
+@rule
+def gear_sign_odd(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find the only negative gear among `MIN_SERVOS` or more positive gears."""
+    found = [drive for _, drive in _list_robot_drives(robot) if drive.gear]
+    negative = [drive for drive in found if drive.gear < 0]
+    if len(negative) == 1 and len(found) > MIN_SERVOS:
+        message = diagnose(
+            "gear-sign-odd",
+            gear=negative[0].gear,
+            joint=negative[0].joint_name,
+            others=len(found) - 1,
+        )
+        yield CheckFinding("actuator", negative[0].name, message)
+
+
+_NAME_PARTS = re.compile(
+    r"(^|[_\-/])(joint|motor|actuator|servo|act|pos|position|ctrl|torque)(?=$|[_\-/])"
+)
+"""Regular expression of the words in names of joints and actuators that do not name the joint."""
+
+
+@rule
+def actuator_of_another_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find actuators with the name of a joint that they do not drive.
+
+    Names are compared without words such as joint and motor. Joints with equal short names, and
+    actuators that share a name with their own joint, are skipped.
+    """
+    short: dict[str, list[str]] = {}
+    for name in robot.joints:
+        short.setdefault(_NAME_PARTS.sub("", name.lower()), []).append(name)
+    for model, drive in _list_robot_drives(robot):
+        named = short.get(_NAME_PARTS.sub("", model.actuator(drive.id).name.lower()), [])
+        if len(named) == 1 and named[0] != drive.joint_name:
+            message = diagnose("actuator-of-another-joint", joint=drive.joint_name, named=named[0])
+            yield CheckFinding("actuator", drive.name, message)
 
 
 @rule

@@ -7,6 +7,7 @@ from names, axes and lengths, for the rule that checks which stances the limits 
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -119,6 +120,58 @@ def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
     for joint in robot.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
             yield CheckFinding("joint", joint.name, diagnose("axis-zero"), "axis")
+
+
+MAX_AXIS_LENGTH_ERROR = 0.01
+"""Largest difference between the length of a URDF axis and 1 that is not reported: rounding of
+printed numbers, such as 0.707 0.707 0. Chosen, not tuned."""
+
+
+@rule
+def axis_not_unit(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find the axes of URDF joints whose length differs from 1 by over `MAX_AXIS_LENGTH_ERROR`.
+
+    Axes of zero are reported by another rule.
+    """
+    for joint in robot.joints.values():
+        length = float(np.linalg.norm(joint.raw_axis))
+        if joint.moves and length > 0 and abs(length - 1) > MAX_AXIS_LENGTH_ERROR:
+            message = diagnose(
+                "axis-not-unit", axis=Vector(tuple(joint.raw_axis), "1"), length=length
+            )
+            yield CheckFinding("joint", joint.name, message, "axis")
+
+
+@rule
+def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find joints of a URDF that mimic a missing joint, a fixed joint, or themselves.
+
+    A cycle of several joints counts as a joint that mimics itself.
+    """
+    leaders = {
+        name: str(mimic.get("joint"))
+        for name, joint in robot.file.tree.joints.items()
+        if (mimic := joint.element.find("mimic")) is not None
+    }
+    for name, leader in leaders.items():
+        chain, last = [leader], leader
+        while last in leaders and leaders[last] not in chain:
+            last = leaders[last]
+            chain.append(last)
+        followed = robot.joints.get(leader)
+        is_fixed = followed is not None and not followed.moves
+        if name in chain or followed is None or is_fixed:
+            others = [other for other in robot.joints if other != name]
+            alike = difflib.get_close_matches(leader, others, n=1, cutoff=0.8)
+            message = diagnose(
+                "mimic-invalid",
+                leader=leader,
+                itself=name in chain,
+                missing=followed is None,
+                fixed=is_fixed,
+                alike=alike[0] if followed is None and alike else None,
+            )
+            yield CheckFinding("joint", name, message, "mimic")
 
 
 @rule
@@ -388,6 +441,83 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
                     "limit-negative", what=Term(what), value=limit, size=Quantity(-value, unit)
                 )
                 yield CheckFinding("joint", joint.name, message, "limit")
+
+
+MAX_JOINT_SPEED = 105.0
+"""Largest velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Motors of robots
+with their gears reach at most 45 rad/s, drives of wheels about 100. Chosen, not tuned."""
+
+
+@rule
+def velocity_implausible(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find velocity limits of hinges above `MAX_JOINT_SPEED`; all such joints are one finding."""
+    fast = [
+        joint
+        for joint in robot.joints.values()
+        if joint.kind == HINGE_JOINT
+        and MAX_JOINT_SPEED < joint.stated.get("velocity", 0.0) < math.inf
+    ]
+    if fast:
+        first = max(fast, key=lambda joint: joint.stated["velocity"])
+        speed = first.stated["velocity"]
+        message = diagnose(
+            "velocity-implausible",
+            velocity=Quantity(speed, "rad/s"),
+            others=len(fast) - 1,
+            degrees=Quantity(math.radians(speed), "rad/s"),
+            turns=Quantity(speed * math.pi / 30, "rad/s"),
+        )
+        yield CheckFinding("joint", first.name, message, "limit")
+
+
+MIN_MOTOR_ACCELERATION = 10.0
+"""Smallest ratio of effort and armature [rad/s^2] that is not reported: the acceleration of the
+rotor alone. Motors of published robots reach 100 or more; below 10, a motor needs seconds to reach
+its speed. Chosen, not tuned."""
+
+
+@rule
+def armature_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Find hinges whose armature is too large for the effort; all such hinges are one finding.
+
+    The effort [N m] divided by the armature [kg m^2] must exceed `MIN_MOTOR_ACCELERATION`.
+    """
+    slow = [
+        joint
+        for joint in robot.joints.values()
+        if joint.kind == HINGE_JOINT
+        and 0 < joint.effort < MIN_MOTOR_ACCELERATION * joint.stated.get("armature", 0.0)
+    ]
+    if slow:
+        first = min(slow, key=lambda joint: joint.effort / joint.stated["armature"])
+        armature = first.stated["armature"]
+        message = diagnose(
+            "armature-implausible",
+            armature=Quantity(armature, "kg m^2"),
+            effort=Quantity(first.effort, "N m"),
+            acceleration=Quantity(first.effort / armature, "rad/s^2"),
+            others=len(slow) - 1,
+        )
+        yield CheckFinding("joint", first.name, message)
+
+
+@rule
+def friction_beyond_effort(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Find driven joints whose dry friction is at least the effort; all of them are one finding."""
+    stuck = [
+        joint
+        for joint in robot.joints.values()
+        if joint.moves and 0 < joint.effort <= joint.stated.get("friction", 0.0)
+    ]
+    if stuck:
+        first = stuck[0]
+        message = diagnose(
+            "friction-beyond-effort",
+            friction=Quantity(first.stated["friction"], first.units.effort),
+            effort=Quantity(first.effort, first.units.effort),
+            others=len(stuck) - 1,
+        )
+        yield CheckFinding("joint", first.name, message)
 
 
 @rule

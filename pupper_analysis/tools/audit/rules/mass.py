@@ -79,8 +79,14 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moving links without mass, or with less than 0.1 % of the mass that each link moves.
 
     Links fixed to the moving link are included. WARNING instead of ERROR if moving links with mass
-    are attached. In 1500 published links with mass, the smallest ratio is five thousandths.
+    are attached. In 1500 published links with mass, the smallest ratio is five thousandths. The
+    base of a robot with legs moves, too: without any mass of the base, the finding is an ERROR.
     """
+    if robot.format == "urdf" and robot.has_free_base and len(_list_legs(robot)) > 1:
+        group = robot.fixed_group(robot.base)
+        if robot.total_mass > 0 and not any(part.mass for part in group):
+            message = diagnose("base-without-mass", legs=_list_legs(robot))
+            yield CheckFinding(robot.link_tag, robot.base, message)
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
@@ -101,6 +107,19 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
         yield CheckFinding(
             robot.link_tag, body.name, message, severity=Severity.WARNING if carries else None
         )
+
+
+def _list_legs(robot: RobotModel) -> list[str]:
+    """Return the first moving links of the limbs at the base that contain a leg joint or link."""
+    legs = []
+    for part in robot.fixed_group(robot.base):
+        for child in robot.children(part.name):
+            limb = [child, *robot.descendants(child.name)] if child.moving else []
+            joints = [joint.name for link in limb for joint in link.joints if joint.moves]
+            names = joints + [link.name for link in limb]
+            if len(joints) > 1 and any(map(LEG_JOINT_NAME.search, names)):
+                legs.append(child.name)
+    return legs
 
 
 MIN_MASS_FRACTION = 1e-3
@@ -426,6 +445,14 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
                 gyration=Quantity(np.sqrt(greatest / inertial.mass), "m"),
                 reach=Quantity(reach, "m"),
             )
+        elif shaped and is_complete and (excess := _find_excess_axis(inertial, points)) is not None:
+            message = diagnose(
+                "inertia-about-wrong-axis",
+                axis=Vector(tuple(excess[0]), "1"),
+                moment=Quantity(excess[1], "kg m^2"),
+                most=Quantity(excess[2], "kg m^2"),
+                distance=Quantity(np.sqrt(excess[2] / inertial.mass), "m"),
+            )
         elif greatest < expected / MAX_INERTIA_FACTOR:
             message = diagnose(
                 "inertia-too-small",
@@ -437,6 +464,42 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
         else:
             continue
         yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_path("inertia"))
+
+
+MIN_AXIS_EXCESS = 3.0
+"""Smallest ratio of a moment about a principal axis of the shapes to m d^2 that is reported; d is
+the largest distance of the shapes from this axis through the CoM. A body inside its shapes has at
+most 1. Chosen: shapes may be simplified."""
+
+
+def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, float] | None:
+    """Find the axis about which the mass would have to be outside of the shapes.
+
+    The moment about an axis through the CoM is at most m d^2, with the largest distance d between
+    the shapes and the axis.
+
+    Args:
+        inertial: Inertial of a link, in the frame of the link.
+        points: Points that span the shapes, shape (n, 3) [m].
+
+    Returns:
+        Axis (3,), moment [kg m^2] and largest possible moment of the axis with the largest ratio of
+        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None.
+    """
+    arms = points - inertial.com
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    if len(axes) < 3:
+        return None
+    found = []
+    for axis in axes:
+        across = np.linalg.norm(arms - np.outer(arms @ axis, axis), axis=1).max()
+        moment = float(axis @ inertial.inertia @ axis)
+        most = inertial.mass * float(across) ** 2
+        if moment > MIN_AXIS_EXCESS * most > 0:
+            found.append((moment / most, axis, moment, most))
+    if not found:
+        return None
+    return max(found, key=lambda each: each[0])[1:]
 
 
 @rule

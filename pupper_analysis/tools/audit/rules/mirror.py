@@ -36,6 +36,7 @@ from pupper_analysis.models.stated.model import (
     Link,
     MjcfModel,
     RobotModel,
+    UrdfModel,
 )
 from pupper_analysis.robot.contact import ContactParameters, combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
@@ -634,8 +635,8 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
     The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
-    ranges agree. Pairs whose axes are no mirror images (cosine below 0.9), and copied limbs,
-    are skipped.
+    ranges agree, velocity limits of a URDF only if the efforts agree as well. Pairs whose axes are
+    no mirror images (cosine below 0.9), and copied limbs, are skipped.
     """
     for mirror, first, second in _list_mirrored_joints(robot):
         sense = _compute_axis_sense(mirror, first, second)
@@ -666,9 +667,42 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
                 describe_effort(first.effort, unit),
             )
             message = diagnose("mirror-effort", effort=effort, other=first.name, its=first_effort)
+        elif not _speeds_agree(first, second):
+            message = diagnose(
+                "mirror-velocity",
+                velocity=Quantity(second.stated["velocity"], second.units.velocity),
+                other=first.name,
+                its=Quantity(first.stated["velocity"], first.units.velocity),
+            )
         else:
             continue
         yield CheckFinding("joint", second.name, message, "limit")
+
+
+def _speeds_agree(first: Joint, second: Joint) -> bool:
+    """Return True if two joints state equal velocity limits within 1 %, or one states none."""
+    speed, other = (joint.stated.get("velocity") for joint in (first, second))
+    return speed is None or other is None or bool(np.isclose(speed, other, rtol=0.01))
+
+
+@rule
+def mirror_type(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find a fixed joint of a URDF whose left or right partner is a hinge or a slide.
+
+    Links of both joints must be pairs, too.
+    """
+    for fixed, moving in _list_unlike_joints(robot):
+        message = diagnose("mirror-type", other=moving.name, kind=Term(moving.kind))
+        yield CheckFinding("joint", fixed.name, message)
+
+
+def _list_unlike_joints(robot: RobotModel) -> Iterator[tuple[Joint, Joint]]:
+    """Yield the fixed and the moving joint of each left-right pair of which one side is fixed."""
+    pairs = set(map(frozenset, find_mirror_pairs(robot.links)))
+    for names in find_mirror_pairs(robot.joints):
+        first, second = (robot.joints[name] for name in names)
+        if first.moves != second.moves and frozenset((first.child, second.child)) in pairs:
+            yield (first, second) if second.moves else (second, first)
 
 
 @rule
@@ -720,10 +754,17 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
       more than `SHAPE_TOLERANCE` plus a tenth of the size (with meshes).
 
     The boxes are along the base axes, at zero angles, and include shapes of links fixed to the
-    link. Pairs at displaced positions, and copied limbs, are omitted. Boxes of shapes with unknown
-    size are not compared.
+    link. Pairs at displaced positions, copied limbs, and links whose child is fixed on one side
+    only (`mirror_type`) are omitted. Boxes of shapes with unknown size are not compared.
     """
+    unlike = {
+        robot.find_moving_body(joint.parent)
+        for joints in _list_unlike_joints(robot)
+        for joint in joints
+    }
     for mirror, first, second in _list_mirrored_pairs(robot):
+        if unlike & {first.name, second.name}:
+            continue
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
         if not any(pair):
             continue

@@ -7,6 +7,7 @@ URDF without inertial. No rule of this module simulates.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 import mujoco
@@ -23,6 +24,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import read_shape
+from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
@@ -201,10 +203,10 @@ def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
     mujoco.mj_kinematics(model, data)
     is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
     weld = model.body_weldid[model.geom_bodyid]
-    for foot in list_foot_geoms(robot):
+    for foot in _list_foot_spheres(robot, model):
         body = int(weld[foot])
         joint = int(model.body_jntadr[body])
-        if model.geom_type[foot] != mujoco.mjtGeom.mjGEOM_SPHERE or model.body_jntnum[body] != 1:
+        if model.body_jntnum[body] != 1:
             continue
         if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or not may_touch(
             model, foot, ground
@@ -267,6 +269,108 @@ def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Arra
 def _round_depth(depth: float) -> Quantity:
     """Round a depth [m] to three significant digits."""
     return Quantity(float(f"{depth:.3g}"), "m")
+
+
+@rule
+def feet_without_contact(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find floating robots whose feet cannot touch the ground, while other shapes can.
+
+    A foot is a body with geoms and with "foot" or "feet" in the name of the body, a geom or a site.
+    Without such a name, a foot is the end of a leg: a moving body without moving children whose
+    chain of joints contains a leg joint (`LEG_JOINT_NAME`). All bodies that are fixed to the foot
+    count. At least two feet are required, and none may touch (`_is_end_touching`). Files that do
+    not compile or lack meshes of shapes that can collide are skipped.
+    """
+    model = robot.mj_model
+    if model is None or robot.refusal is not None or robot.file.missing_collision_meshes:
+        return
+    ground = ground_geom(model)
+    touching = [
+        geom
+        for geom in range(model.ngeom)
+        if _has_free_root(model, geom) and may_touch(model, geom, ground)
+    ]
+    feet = _list_foot_bodies(robot, model)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ends = [_is_end_touching(model, data, body, touching) for body in feet]
+    if len(feet) >= MIN_UNTOUCHED_FEET and touching and not any(ends):
+        message = diagnose(
+            "feet-without-contact",
+            feet=[robot.body_names[body] for body in feet],
+            touching=robot.body_names[int(model.geom_bodyid[touching[0]])],
+        )
+        yield CheckFinding("body", robot.body_names[feet[0]], message, "geom")
+
+
+MAX_FOOT_GAP = 0.005
+"""Largest distance between the end of a foot and the end of the shapes of its body that can touch
+the ground [m]. With a larger distance, the foot itself has no contact. Chosen, not tuned."""
+
+
+def _is_end_touching(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, touching: Sequence[int]
+) -> bool:
+    """Return True if a geom of ``touching`` is at the end of a foot.
+
+    All geoms that are fixed to ``body`` count. The end is evaluated in the direction from the last
+    joint to the geoms with "foot" in their name; without such geoms, every geom is at the end.
+    """
+    weld = model.body_weldid[model.geom_bodyid]
+    own = np.flatnonzero(weld == body).tolist()
+    named = [geom for geom in own if _FOOT_NAME.search(model.geom(geom).name)]
+    able = [geom for geom in own if geom in touching]
+    if not named or not able or not model.body_jntnum[body]:
+        return bool(able)
+    down = data.geom_xpos[named[0]] - data.xanchor[int(model.body_jntadr[body])]
+    down /= max(float(np.linalg.norm(down)), 1e-12)
+    ends = []
+    for geoms in (named, able):
+        points = [read_shape(model, geom, data).support(down[None]) for geom in geoms]
+        ends.append(max((float(point[0]) for point in points if point is not None), default=0.0))
+    return ends[1] >= ends[0] - MAX_FOOT_GAP
+
+
+MIN_UNTOUCHED_FEET = 2
+"""Smallest number of feet that must be unable to touch the ground for `feet_without_contact`. A
+single foot without contact is a difference between left and right. Chosen, not tuned."""
+
+
+def _list_foot_bodies(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
+    """Return the ids of the moving bodies that carry feet, see `feet_without_contact`."""
+    weld = model.body_weldid
+    names: dict[int, str] = {}
+    for body in range(1, model.nbody):
+        names[int(weld[body])] = f"{names.get(int(weld[body]), '')} {robot.body_names[body]}"
+    for geom in range(model.ngeom):
+        body = int(weld[model.geom_bodyid[geom]])
+        names[body] = f"{names.get(body, '')} {model.geom(geom).name}"
+    for site in range(model.nsite):
+        body = int(weld[model.site_bodyid[site]])
+        names[body] = f"{names.get(body, '')} {model.site(site).name}"
+    drawn = {int(weld[model.geom_bodyid[geom]]) for geom in range(model.ngeom)}
+    named = [body for body, text in names.items() if body in drawn and _FOOT_NAME.search(text)]
+    named = [body for body in named if body]
+    if named:
+        return named
+    parents = {int(weld[model.body_parentid[b]]) for b in range(1, model.nbody) if weld[b] == b}
+    ends = [body for body in range(1, model.nbody) if weld[body] == body and body not in parents]
+    return [body for body in ends if body in drawn and _has_leg_joint(model, body)]
+
+
+_FOOT_NAME = re.compile(r"foot|feet", re.IGNORECASE)
+"""Regular expression that finds a foot in the name of a body, a geom or a site."""
+
+
+def _has_leg_joint(model: mujoco.MjModel, body: int) -> bool:
+    """Return True if a joint between the world and a body has the name of a leg joint."""
+    while body:
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            if LEG_JOINT_NAME.search(model.joint(joint).name):
+                return True
+        body = int(model.body_parentid[body])
+    return False
 
 
 @rule

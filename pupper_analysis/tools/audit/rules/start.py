@@ -181,6 +181,41 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
             yield CheckFinding("key", name, message, severity=None if has_ctrl else Severity.NOTE)
 
 
+@rule
+def keyframe_incomplete(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find keyframes whose qpos or ctrl has fewer numbers than the model; MuJoCo fills the rest.
+
+    At most `MAX_KEYFRAMES` keyframes are checked.
+    """
+    model = robot.mj_model
+    if model is None or robot.refusal is not None:
+        return
+    for attributes, place in list(robot.file.elements("key"))[:MAX_KEYFRAMES]:
+        for word, size in (("qpos", model.nq), ("ctrl", model.nu)):
+            count = len(attributes.get(word, "").split())
+            if 0 < count < size:
+                message = diagnose("keyframe-incomplete", what=word, count=count, size=size)
+                yield CheckFinding("key", attributes.get("name", ""), message, place=place)
+
+
+@rule
+def keyframe_base_half_turn(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find keyframes with the base quaternion (0, 0, 0, 1): the identity in the order x, y, z, w.
+
+    In MuJoCo's order w, x, y, z, this is half a turn about z.
+    """
+    model = robot.mj_model
+    if model is None or robot.refusal is not None or not model.njnt:
+        return
+    free = np.flatnonzero(model.jnt_type == JointKind.FREE)
+    if len(free) != 1:
+        return
+    address = int(model.jnt_qposadr[free[0]])
+    for key in range(min(model.nkey, MAX_KEYFRAMES)):
+        if np.array_equal(model.key_qpos[key, address + 3 : address + 7], (0.0, 0.0, 0.0, 1.0)):
+            yield CheckFinding("key", model.key(key).name, diagnose("keyframe-base-half-turn"))
+
+
 MIN_EQUAL_COMMANDS = 3
 """Smallest number of joint angles other than zero from which a keyframe is reported whose torque
 commands all equal the joint angles. Chosen: torques do not equal angles by chance."""
