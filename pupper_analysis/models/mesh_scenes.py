@@ -6,9 +6,11 @@ describe large meshes, are refused before they are read (`mesh_limits`).
 
 from __future__ import annotations
 
+import contextlib
 import io
+import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lxml import etree
@@ -58,7 +60,8 @@ def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
         reason = _LIMIT_CHECKS[ending](data) if ending in _LIMIT_CHECKS else None
         if reason is not None:
             raise UnreadableError(reason)
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
+        with _no_trimesh_log():
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
         count = sum(
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
@@ -73,6 +76,18 @@ def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
         raise
     except Exception as error:  # the readers raise many types for broken files
         raise UnreadableError(diagnose("mesh-broken")) from error
+
+
+@contextlib.contextmanager
+def _no_trimesh_log() -> Iterator[None]:
+    """Suppress the log of trimesh, which prints tracebacks about textures that nobody reads."""
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _check_count(vertices: int, maximum: int) -> None:

@@ -20,12 +20,14 @@ from typing import Final
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.loading import CheckFinding
+from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.sides import find_mirror_pairs, strip_sides
 from pupper_analysis.models.stated.model import Link, MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.tools.audit.registry import (
@@ -37,6 +39,7 @@ from pupper_analysis.tools.audit.registry import (
 from pupper_analysis.tools.audit.rules.mirror import (
     MIN_SIBLINGS,
     POSITION_TOLERANCE,
+    MirrorPlane,
     find_mirror_plane,
     list_joint_pairs,
     select_deviating_pairs,
@@ -961,7 +964,8 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
     - Fewer joints in other limbs, or different origins: both joints are candidates.
 
     There is no repair if both positions are mirror images within `POSITION_TOLERANCE`. Then the
-    shapes or the axis are wrong, not the origin.
+    shapes or the axis are wrong, not the origin. If the rotation of a joint nearer to the base
+    explains the displacement (`_turn_ancestors`), this rotation is repaired instead.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -976,6 +980,10 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
         return
     places = [robot.joints[name].position for name in (found.name, partner)]
     if np.linalg.norm(mirror.reflect_point(places[0]) - places[1]) <= POSITION_TOLERANCE:
+        return
+    turned = _turn_ancestors(robot, mirror, found.name, partner)
+    if turned:
+        yield from turned
         return
     kind = strip_sides(found.name)
     origins = {
@@ -998,6 +1006,97 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
         reason = diagnose("repair-mirrored-place", other=other)
         new = {"xyz": _format_vector(local)}
         yield from _make_urdf_repair(robot, "joint", name, "origin", new, reason)
+
+
+def _turn_ancestors(
+    robot: UrdfModel, mirror: MirrorPlane, name: str, partner: str
+) -> list[ValueRepair]:
+    """List the rotations of joint origins that explain why two joints are no mirror images.
+
+    For each joint above ``name`` or ``partner``, the rotation is replaced by the rotation of its
+    own partner, with the signs of a mirror image or without. A repair puts all pairs of links below
+    this joint at mirrored positions. If at least `MIN_SIBLINGS` joints of other limbs have the
+    rotation of one side, up to signs, only the other side is returned.
+
+    Args:
+        robot: Model of a URDF.
+        mirror: Plane between left and right.
+        name: Displaced joint.
+        partner: Corresponding joint on the other side.
+
+    Returns:
+        Repairs of the ancestor that is nearest to the base; one, or a candidate for each side.
+        Empty if no rotation explains the displacement.
+    """
+    joints = robot.file.tree.joints
+    for below, beside in ((name, partner), (partner, name)):
+        if strip_sides(below) != strip_sides(beside):
+            return []
+    chains = [list(_list_joints_above(robot, each)) for each in (name, partner)]
+    if len(chains[0]) != len(chains[1]):
+        return []
+    for own, other in reversed(list(zip(*chains, strict=True))):
+        if own == other or strip_sides(own) != strip_sides(other):
+            continue
+        repairs = [
+            repair
+            for joint, twin in ((own, other), (other, own))
+            for repair in _turn_joint(robot, mirror, joint, twin)
+        ]
+        angles = {
+            joint: np.abs(pin.rpy.matrixToRpy(np.array(joints[joint].origin.rotation)))
+            for joint in joints
+            if strip_sides(joint) == strip_sides(own)
+        }
+        others = [value for joint, value in angles.items() if joint not in (own, other)]
+        if len(others) >= MIN_SIBLINGS:
+            repairs = [
+                repair
+                for repair in repairs
+                if not np.allclose(angles[repair.name], others[0], atol=1e-3)
+            ]
+        if repairs:
+            return repairs
+    return []
+
+
+def _list_joints_above(robot: UrdfModel, name: str) -> Iterator[str]:
+    """Yield the joints between a joint and the base, without this joint, the nearest first."""
+    above = {joint.child: joint_name for joint_name, joint in robot.joints.items()}
+    link = robot.joints[name].parent
+    while link in above:
+        yield above[link]
+        link = robot.joints[above[link]].parent
+
+
+def _turn_joint(
+    robot: UrdfModel, mirror: MirrorPlane, name: str, twin: str
+) -> Iterator[ValueRepair]:
+    """Yield the repair of a joint's rotation that mirrors all links below; at most one."""
+    joint, links = robot.file.tree.joints[name], robot.links
+    child = robot.joints[name].child
+    base = links[robot.joints[name].parent].pose
+    stated = np.array(robot.file.tree.joints[twin].origin.rotation)
+    below = {child, *(link.name for link in robot.descendants(child))}
+    pairs = [pair for pair in find_mirror_pairs(links) if below & {*pair}]
+    for rotation in (mirror.matrix @ stated @ mirror.matrix, stated):
+        if np.allclose(rotation, np.array(joint.origin.rotation), atol=1e-6):
+            continue
+        moved = base * Pose(joint.origin.translation, rotation) * links[child].pose.inverse()
+        gaps = []
+        for pair in pairs:
+            own, other = pair if pair[0] in below else pair[::-1]
+            place = (moved * links[own].pose).position
+            image = mirror.reflect_point(links[other].pose.position)
+            gaps.append(float(np.linalg.norm(place - image)))
+        if len(gaps) > 1 and max(gaps) <= POSITION_TOLERANCE:
+            angles = pin.rpy.matrixToRpy(rotation)
+            new = {"rpy": _format_vector(angles)}
+            reason = diagnose("repair-mirrored-rotation", other=twin)
+            origin = _find_unique_child(robot, "joint", name, "origin")
+            old = {"rpy": "" if origin is None else str(origin.get("rpy") or "")}
+            yield ValueRepair(str(robot.file.path), "joint", name, "origin", old, new, reason)
+            return
 
 
 def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:

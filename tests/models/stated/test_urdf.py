@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import sys
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import coal
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from pupper_analysis.models.mesh_scenes import read_merged_mesh
 from pupper_analysis.models.shapes import Mesh
 from pupper_analysis.models.stated import urdf as stated_urdf
 from pupper_analysis.models.stated.urdf import mesh_hull, read_mesh_file, read_urdf_model
@@ -78,6 +81,24 @@ def test_a_mesh_that_vanishes_after_its_path_was_found_is_no_mesh(tmp_path: Path
     dae = find_mesh_problem(tmp_path / "a.dae")
     assert dae is not None
     assert "No such file" in str(dae)
+
+
+def test_reading_of_a_mesh_prints_no_log_of_trimesh(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """trimesh logs a traceback for each texture that it does not find."""
+    original = trimesh.load_scene
+
+    def load_scene(*arguments: Any, **options: Any) -> Any:
+        logging.getLogger("trimesh").error("unable to load bumpmap")
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(trimesh, "load_scene", load_scene)
+    data = trimesh.creation.box((0.1, 0.2, 0.3)).export(file_type="ply")
+    level = logging.getLogger("trimesh").level
+    assert read_merged_mesh(data, ".ply").volume == pytest.approx(0.006)
+    assert not caplog.records
+    assert logging.getLogger("trimesh").level == level
 
 
 def test_collada_file_is_read_in_metres_with_all_parts(

@@ -96,6 +96,18 @@ def test_planted_number_is_repaired_to_the_original_bytes(
     assert audit_model(path).counts == audit_model(URDF).counts
 
 
+@pytest.mark.parametrize("angles", ["0.3 0 0", "0 0.3 0"])
+def test_turned_joint_is_repaired_if_its_child_is_displaced(angles: str, tmp_path: Path) -> None:
+    """A turn of the knee by 0.3 rad displaces the foot, whose own origin is right."""
+    path = plant_text(tmp_path, '<joint name="FR_KFE"', 'xyz="', f'rpy="{angles}" xyz="')
+    audit = audit_model(path)
+    assert repairs_of(audit, "mirror-position") == [{"rpy": "0 0 0"}]
+    documents, count = apply_repairs([audit])
+    assert count == 1
+    write_documents(documents)
+    assert audit_model(path).counts == audit_model(URDF).counts
+
+
 def test_command_range_in_degrees_becomes_the_range_of_the_joint(tmp_path: Path) -> None:
     name = '<general name="FL_HFE"'
     path = plant_text(tmp_path, name, "/>", ' ctrlrange="-103.1 68.75"/>', MJCF)
