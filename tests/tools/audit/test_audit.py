@@ -1468,6 +1468,37 @@ def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
     assert [finding.element for finding in found] == [f"link {name!r}" for name in names]
 
 
+@pytest.mark.parametrize(("mass", "names"), [("0.2", []), ("0.9", ["l3"])])
+def test_light_link_between_others_needs_no_collision_shape(
+    mass: str, names: list[str], tmp_path: Path
+) -> None:
+    """As the cross of a waist between pelvis and torso: 0.4 % of the mass, and 2 % for comparison."""
+    shape = '<box size="0.1 0.04 0.04"/>'
+    path = write_chain(tmp_path, {}, shape)
+    visual, solid = "</visual></link>", f"<collision><geometry>{shape}</geometry></collision>"
+    head, *links = path.read_text().replace('"0.1"', '"9"').split(visual)
+    text = head + "".join(
+        f"</visual>{'' if number == 3 else solid}</link>{link}" for number, link in enumerate(links)
+    )
+    start = text.index('<link name="l3">')
+    path.write_text(text[:start] + text[start:].replace('value="9"', f'value="{mass}"', 1))
+    found = find_findings(audit_model(path), "moving-link-without-collision")
+    assert [finding.element for finding in found] == [f"link {name!r}" for name in names]
+
+
+@pytest.mark.parametrize(("names", "count"), [("knee", 0), ("hip_yaw", 1)])
+def test_names_of_a_single_leg_are_no_evidence_in_another_base_frame(
+    names: str, count: int, tmp_path: Path
+) -> None:
+    """All hinges of the chain turn about y. In a file of one leg, y may point forwards."""
+    path = write_chain(tmp_path, {}, '<box size="0.1 0.04 0.04"/>')
+    text = path.read_text().replace('<axis xyz="0 1 0"', '<axis xyz="0 0 1"')
+    text = text.replace('<axis xyz="0 0 1"', '<axis xyz="0 0 1"').replace('"j2"', f'"{names}"')
+    path.write_text(text if not count else text.replace("0 0 1", "0 1 0").replace('"j3"', '"knee"'))
+    found = find_findings(audit_model(path), "axis-contradicts-name")
+    assert [finding.element for finding in found] == ["joint 'hip_yaw'"] * count
+
+
 def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
     """With another opposite axis, a second hinge at a link or two arms, the sign may be a choice.
 

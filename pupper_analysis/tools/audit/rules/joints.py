@@ -93,16 +93,24 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     `infer_axis_from_name` derives the axis (x, y or z of the base frame) from the joint name. A
     finding is a joint axis, at zero joint angles, at more than 60 degrees from the derived axis.
     The sign of the axis has no effect. A robot whose mirror plane is not parallel to the xz plane
-    of the base is skipped.
+    of the base is skipped. A robot without a mirror plane, such as a single leg, is skipped if less
+    than half of the named joints have the derived axis: x may not point forwards there.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
         return  # the base's y is not sideways: roll and pitch are about other axes
     names = set(robot.joints)
-    for joint in robot.joints.values():
-        axis = infer_axis_from_name(joint.name, names)
-        if axis is None or joint.kind != HINGE_JOINT or not joint.axis.any():
-            continue
+    named = [
+        (joint, axis)
+        for joint in robot.joints.values()
+        if (axis := infer_axis_from_name(joint.name, names)) is not None
+        and joint.kind == HINGE_JOINT
+        and joint.axis.any()
+    ]
+    agreeing = sum(bool(abs(joint.axis[axis]) >= 0.5) for joint, axis in named)
+    if mirror is None and 2 * agreeing < len(named):
+        return
+    for joint, axis in named:
         if abs(joint.axis[axis]) < 0.5:
             really = int(np.argmax(np.abs(joint.axis)))
             message = diagnose(

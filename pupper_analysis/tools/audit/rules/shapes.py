@@ -444,7 +444,7 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
     If a link has visual shapes itself, the link must have collision shapes itself, or a fixed link
     must have collision shapes at the same place. Otherwise, the shapes of all fixed links count.
-    Light rotors, for example of a lidar, need no collision shapes (`_is_light_rotor`). Robots with
+    Light rotors and light links between others need no collision shapes (`_is_light_part`). Robots with
     fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped. No link of 170 public URDFs
     is such an exception.
     """
@@ -456,7 +456,7 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
         ]
         shapes = own if any(not shape.collides for shape in own) else group
         is_drawn = any(not shape.collides for shape in shapes)
-        if body.moving and is_drawn and not _is_light_rotor(robot, body):
+        if body.moving and is_drawn and not _is_light_part(robot, body):
             collides[body.name] = any(shape.collides for shape in shapes) or (
                 _is_covered_by_fixed_link(robot, body)
             )
@@ -466,17 +466,22 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
         yield CheckFinding("link", bare[0], message)
 
 
-def _is_light_rotor(robot: UrdfModel, body: Link) -> bool:
-    """Return True for a light link (`MIN_MASS_FRACTION`) on a hinge without limits, at the end.
+def _is_light_part(robot: UrdfModel, body: Link) -> bool:
+    """Return True for a light rotor, or a light link between other links.
 
-    The mass includes all fixed links. At the end means that no link moves relative to the link.
+    Light means below `MIN_MASS_FRACTION` of the robot's mass. A rotor is a link on a hinge without
+    limits, and its mass includes all fixed links. A light link between moving links, such as the
+    cross of a waist, is inside of the neighbours; a fixed link with collision shapes and more than
+    half of the mass is a neighbour, too.
     """
     group = robot.fixed_group(body.name)
-    return (
-        all(joint.kind == HINGE_JOINT and np.isinf(joint.lower) for joint in body.joints)
-        and not any(child.moving for part in group for child in robot.children(part.name))
-        and sum(part.mass for part in group) < MIN_MASS_FRACTION * robot.total_mass
+    is_between = any(child.moving for part in group for child in robot.children(part.name))
+    is_rotor = all(joint.kind == HINGE_JOINT and np.isinf(joint.lower) for joint in body.joints)
+    mass, limit = sum(part.mass for part in group), MIN_MASS_FRACTION * robot.total_mass
+    is_carrier = any(
+        2 * part.mass > mass and any(shape.collides for shape in part.shapes) for part in group[1:]
     )
+    return (mass < limit and (is_rotor or is_between)) or (body.mass < limit and is_carrier)
 
 
 def _is_covered_by_fixed_link(robot: UrdfModel, body: Link) -> bool:
