@@ -1472,7 +1472,7 @@ def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
 def test_light_link_between_others_needs_no_collision_shape(
     mass: str, names: list[str], tmp_path: Path
 ) -> None:
-    """As the cross of a waist between pelvis and torso: 0.4 % of the mass, and 2 % for comparison."""
+    """As the cross of a waist: 0.4 % of the mass, and 2 % for comparison."""
     shape = '<box size="0.1 0.04 0.04"/>'
     path = write_chain(tmp_path, {}, shape)
     visual, solid = "</visual></link>", f"<collision><geometry>{shape}</geometry></collision>"

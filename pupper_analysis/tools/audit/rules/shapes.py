@@ -444,9 +444,9 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
     If a link has visual shapes itself, the link must have collision shapes itself, or a fixed link
     must have collision shapes at the same place. Otherwise, the shapes of all fixed links count.
-    Light rotors and light links between others need no collision shapes (`_is_light_part`). Robots with
-    fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped. No link of 170 public URDFs
-    is such an exception.
+    Light rotors and light links between others need no collision shapes (`_is_light_part`). Robots
+    with fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped. No link of 170 public
+    URDFs is such an exception.
     """
     collides: dict[str, bool] = {}
     for body in robot.links.values():
