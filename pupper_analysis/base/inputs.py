@@ -189,11 +189,16 @@ def read_text(path: Path) -> str:
 def decode_input(path: Path, data: bytes) -> str:
     """Decode the content of a file as UTF-8, with or without byte order mark.
 
+    Zero bytes behind the last element of an XML file are removed: C programs write the end of a
+    string.
+
     Raises:
         InputError: If the content is not UTF-8, or contains zero bytes; with the line, if known.
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, diagnose("encoded-in-utf-16"))
+    if data.endswith(b"\0") and data.rstrip(b"\0").rstrip().endswith(b">"):
+        data = data.rstrip(b"\0")
     if b"\0" in data:
         raise InputError(path, diagnose("file-is-binary"), _line_number(data, data.index(b"\0")))
     try:

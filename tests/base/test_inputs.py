@@ -80,6 +80,14 @@ def test_invalid_text_raises_with_its_line(data: bytes, code: str, line: int | N
     assert decode_input(Path("a.csv"), "\ufeffä".encode()) == "ä"
 
 
+@pytest.mark.parametrize(
+    ("data", "text"), [(b"<robot/>\r\n\0", "<robot/>\r\n"), (b"<robot/>\0\0", "<robot/>")]
+)
+def test_zero_bytes_behind_the_last_element_are_removed(data: bytes, text: str) -> None:
+    """As in humanoid.urdf of PyBullet, which MuJoCo 4.0.0 reads."""
+    assert decode_input(Path("a.urdf"), data) == text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", damaged.kinds(), ids=lambda kind: kind.name)
 def test_damaged_files_are_read_or_refused_in_one_line(

@@ -154,7 +154,9 @@ def axis_not_unit(robot: UrdfModel) -> Iterator[CheckFinding]:
 def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find joints of a URDF that mimic a missing joint, a fixed joint, or themselves.
 
-    A cycle of several joints counts as a joint that mimics itself.
+    A cycle of several joints counts as a joint that mimics itself. WARNING instead of ERROR if the
+    leading joint is fixed: all engines read such a file, and the following joint is fixed, too, or
+    free.
     """
     leaders = {
         name: str(mimic.get("joint"))
@@ -179,7 +181,8 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
                 fixed=is_fixed,
                 alike=alike[0] if followed is None and alike else None,
             )
-            yield CheckFinding("joint", name, message, "mimic")
+            severity = Severity.WARNING if is_fixed else None
+            yield CheckFinding("joint", name, message, "mimic", severity=severity)
 
 
 @rule
