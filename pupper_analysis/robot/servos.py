@@ -109,6 +109,36 @@ class Servos:
         return ctrl
 
 
+def integrate_servo_damping(
+    model: mujoco.MjModel, kd: Array, torques: Array, speeds: Array, limits: Array
+) -> Array:
+    """Return the servo torques with which MuJoCo integrates n steps, shape (n, nu) [N m, N].
+
+    With the integrators ``implicit`` and ``implicitfast``, the damping of a servo that does not
+    saturate acts on the velocity at the end of a step; ``qfrc_actuator`` contains the velocity at
+    the start.
+
+    Args:
+        model: MuJoCo model, with its integrator.
+        kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m].
+        torques: Torques with the velocity at the start of each step, shape (n, nu) [N m, N].
+        speeds: Speeds of the joints at the start of each step and at the end of the last step,
+            shape (n + 1, nu) [rad/s, m/s].
+        limits: Largest |torque| of each servo, shape (nu,) [N m, N]; infinite without a limit.
+    """
+    integrators = mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if model.opt.integrator not in {integrator.value for integrator in integrators}:
+        return torques
+    saturated = np.abs(torques) >= limits * (1 - _SATURATION_RTOL)
+    integrated: Array = torques - np.where(saturated, 0.0, kd * np.diff(speeds, axis=0))
+    return integrated
+
+
+_SATURATION_RTOL = 1e-12
+"""Relative tolerance [1] below a force limit from which a servo counts as saturated (rounding).
+Chosen, not tuned."""
+
+
 def make_position_commands(robot: Robot, positions: Array) -> Array:
     """Compute MuJoCo's ctrl with which the servos of the MJCF hold given joint positions.
 

@@ -88,6 +88,7 @@ def run(shift: float, *, passed: bool) -> Stub:
         contact_sag=0.002889 + shift,
         tilt=math.radians(0.6666) + shift,
         foot_slip={"FR": 0.0000777, "RL": 0.0001888 + shift},
+        energy=None,
         joint_error=9.1e-5 + shift,
         joint_error_unit="rad",
         joint_torques=np.array([0.3333, -0.4444]),
@@ -246,8 +247,8 @@ def pushes(shift: float) -> Stub:
 
 
 KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None,
-         "torque_units": ("N m", "N m"), "motors": {}, "region_peaks": None, "beyond_times": None,
-         "within_region": True}  # fmt: skip
+         "torque_units": ("N m", "N m"), "motors": {}, "region_peaks": None,
+         "beyond_times": None, "energy": None, "within_region": True}  # fmt: skip
 """Fields of a push result with known torque limits."""
 
 
@@ -377,6 +378,7 @@ def make_path_result(**changes: Any) -> Any:
         height_error=0.0067,
         orientation_error=0.089,
         foot_slip={"FR": 0.0011, "RL": 0.0023},
+        energy=None,
         passed=True,
         failures=(),
         joint_error_unit="rad",

@@ -416,5 +416,11 @@ class Motor:
         return available
 
 
+def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
+    """Return the numbers that an error of `Motor` reports as unknown; empty for other errors."""
+    numbers = error.cause.values.get("numbers", ())
+    return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
+
+
 NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
 """{field of `Motor` that contains a number: kind of quantity, a key of ``UNIT_KINDS``}."""

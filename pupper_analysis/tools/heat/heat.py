@@ -17,7 +17,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
 from pupper_analysis.models.motors.thermal import (
     ThermalNetwork,
     compute_continuous_torque,
@@ -305,11 +305,11 @@ def _compute_motor_heat(
     try:
         current = motor.compute_current(torque)
     except ModelError as error:
-        unknown.extend(_read_unknown_numbers(error))
+        unknown.extend(list_unknown_numbers(error))
     try:
         ohms = motor.winding_ohms
     except ModelError as error:
-        unknown.extend(_read_unknown_numbers(error))
+        unknown.extend(list_unknown_numbers(error))
     if current is not None and not unknown:
         network = ThermalNetwork.of_motor(motor, current, ambient)
     highest = motor.limit_temperature if limit is None else limit
@@ -358,13 +358,6 @@ def _compute_motor_heat(
         time_to_limit=None,
         unknown=(),
     )
-
-
-def _read_unknown_numbers(error: ModelError) -> list[str]:
-    """Return the names of the motor numbers that an error of `Motor` reports as unknown."""
-    numbers = error.cause.values["numbers"]
-    assert isinstance(numbers, tuple | list)
-    return [str(number) for number in numbers]
 
 
 def _compute_cold_loss(

@@ -12,6 +12,7 @@ from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
 from pupper_analysis.present.verdict import judged_document, select_step_after_failure
@@ -64,7 +65,11 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
-        details=(task_text(there.stand.task), *_describe_motor_regions(path)),
+        details=(
+            task_text(there.stand.task),
+            *_describe_motor_regions(path),
+            *describe_motor_energy(tracking.energy),
+        ),
         notes=robot_notes(robot),
         next_step=doc.NextStep("payload")
         if there.passed

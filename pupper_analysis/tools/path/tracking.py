@@ -27,6 +27,7 @@ from pupper_analysis.base.units import (
     POSITION_UNIT,
     STIFFNESS_UNIT,
 )
+from pupper_analysis.models.motors.energy import MotorEnergy, compute_motor_energy
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
@@ -300,8 +301,9 @@ def study_path(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the gains of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,). Default: the gains of the
             model.
-        motors: {joint: motor}, for the utilisation in the torque-speed region of the motors. The
-            simulation limits torques by the effort limits of the robot only.
+        motors: {joint: motor}, for the utilisation in the torque-speed region of the motors and
+            the electrical energy. The simulation limits torques by the effort limits of the robot
+            only.
 
     Returns:
         Stand at the end, path, tracking and verdict. The verdict passes only if the simulation
@@ -321,7 +323,7 @@ def study_path(
     """
     stand = solve_stand(robot, task)
     path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)
-    tracking = track_path(robot, path, kp=kp, kd=kd)
+    tracking = track_path(robot, path, kp=kp, kd=kd, motors=motors)
     # An instability of the final stand can need more time to develop than the path takes.
     held = solve_stand_as_simulated(robot, stand)
     stability = stand_stability(robot, held, kp=kp, kd=kd)
@@ -418,6 +420,8 @@ class PathTracking(Result):
         foot_slip: {contact point: largest distance, along the ground, between the centre of the
             foot and the path, while the foot is loaded}. Rolling that differs from the path counts
             as well as sliding.
+        energy: Electrical energy of the motors in the simulation; None without motors, or if the
+            simulation diverged.
     """
 
     passed: bool
@@ -432,6 +436,7 @@ class PathTracking(Result):
     orientation_error: float = field(metadata={"unit": "rad"})
     torque_error: float = field(metadata={"unit": "1"})
     foot_slip: dict[str, float] = field(metadata={"unit": "m"})
+    energy: MotorEnergy | None = None
 
 
 @check_arguments
@@ -443,6 +448,7 @@ def track_path(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
     timestep: float | None = None,
+    motors: Mapping[str, Motor] | None = None,
 ) -> PathTracking:
     """Simulate a path on the free base, with servo commands q* + (tau + kd dq*/dt) / kp.
 
@@ -469,6 +475,7 @@ def track_path(
         kd: Servo damping [N m s/rad, N s/m]. Default: the gains of the model.
         integrator: Integrator of MuJoCo. Default: the integrator of the model.
         timestep: Time step of the simulation [s]. Default: see ``_select_timestep``.
+        motors: {joint: motor}, for the electrical energy.
 
     Raises:
         ConfigurationError: If an argument is out of range, the path belongs to another robot, or
@@ -491,13 +498,19 @@ def track_path(
     interval = min(max(float(path.time[-1]) / _NUM_CHECKED_STATES, 1e-3), 0.02)
     step = max(1, round(interval / timestep))
     evaluations = np.arange(step - 1, len(states), step)
+    energy: MotorEnergy | None = None
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
     if monitor.has_diverged(states, timestep):
         failures = [monitor.describe_divergence(plan.drive.integrator, timestep)]
     else:
         failures, tilt, slip = _check_states(plan, states, evaluations)
-        saturated, torque_error = _compare_torques(plan, states)
+        torques = _compute_torques(plan, states)
+        saturated, torque_error = _compare_torques(plan, *torques)
         failures += saturated
+        if motors:
+            dofs = 1 + model.nq + robot.mj_convention.qvel_index[robot.nv - robot.nu :]
+            speeds = np.vstack([plan.start, states])[:, dofs]
+            energy = compute_motor_energy(motors, robot.joint_names, torques[0], speeds, timestep)
     if path.peak_utilisation > 1:
         share = _as_finite(path.peak_utilisation)
         motor = path.motors.get(path.peak_joint, "")
@@ -522,22 +535,19 @@ def track_path(
         orientation_error=tilt,
         torque_error=torque_error,
         foot_slip=slip,
+        energy=energy,
     )
 
 
-def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
-    """Compare the simulated torques with the planned torques: saturated motors and largest error.
+def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, Array]:
+    """Compute the simulated torques by the servo law, shape (n, nu) [N m, or N for a slide].
 
-    The error is |simulated torque - planned torque of the extended legs| / largest planned torque
-    of the path on rigid ground [1], over all joints and time steps. ``states`` are the full physics
-    states of MuJoCo at the end of each step, shape (n, size).
-
-    Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
-    velocity at the end of the step, but ``qfrc_actuator`` of MuJoCo contains the velocity at the
-    start.
+    ``states`` are the full physics states of MuJoCo at the end of each step, shape (n, size). With
+    an implicit integrator, damping acts on the velocity at the end of the step, but
+    ``qfrc_actuator`` of MuJoCo contains the velocity at the start.
 
     Returns:
-        A diagnostic per saturated motor, and the largest error [1].
+        Torques, and torques without the limits of the motors.
     """
     drive, robot, model = plan.drive, plan.robot, plan.drive.model
     public = robot.mj_convention
@@ -551,8 +561,26 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
     limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
     ranges = model.actuator_forcerange[public.actuator_index] * drive.gear[:, None]
     ranges = np.where(limited[:, None], ranges, [-np.inf, np.inf])
-    torques = np.clip(unlimited, ranges.min(axis=1), ranges.max(axis=1))
-    events = []
+    return np.clip(unlimited, ranges.min(axis=1), ranges.max(axis=1)), unlimited
+
+
+def _compare_torques(
+    plan: PathCommands, torques: Array, unlimited: Array
+) -> tuple[list[Diagnostic], float]:
+    """Compare the simulated torques with the planned torques: saturated motors and largest error.
+
+    The error is |simulated torque - planned torque of the extended legs| / largest planned torque
+    of the path on rigid ground [1], over all joints and time steps.
+
+    Args:
+        plan: Commands of the path.
+        torques: Simulated torques, shape (n, nu) [N m, or N for a slide].
+        unlimited: Simulated torques without the limits of the motors, same shape.
+
+    Returns:
+        A diagnostic per saturated motor, and the largest error [1].
+    """
+    robot, events = plan.robot, []
     is_saturated = torques != unlimited
     for column in np.flatnonzero(is_saturated.any(axis=0)):
         moment = Quantity(plan.time[int(np.argmax(is_saturated[:, column]))], "s")

@@ -23,6 +23,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import integrate_servo_damping
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.clearance import ClearanceBounds
@@ -132,11 +133,14 @@ class MotorSamples(NamedTuple):
     Attributes:
         torques: Motor torques at the joints, shape (n, nu) [N m; N of a slide].
         speeds: Speeds of the joints, shape (n, nu) [rad/s; m/s of a slide].
+        integrated: Torques with which MuJoCo integrates the n - 1 steps between the samples
+            (`integrate_servo_damping`), shape (n - 1, nu) [N m; N of a slide].
         period: Time between two samples [s].
     """
 
     torques: Array
     speeds: Array
+    integrated: Array
     period: float
 
 
@@ -492,7 +496,7 @@ class PushBench:
     def simulate_motors(self, direction: int, impulse: float) -> MotorSamples:
         """Simulate a push for ``duration``, and return torques and speeds of the joints.
 
-        The result has a sample per time step.
+        The result has a sample at the start, and after each time step.
 
         Args:
             direction: Index of the push direction in ``axes``.
@@ -501,11 +505,21 @@ class PushBench:
         (states,) = self.simulate_pushes(np.array([direction]), np.array([impulse]))
         dofs = self.robot.mj_convention.qvel_index[-self.robot.nu :]
         torques, speeds = [], []
-        for state in states:
+        for state in (self.start, *states):
             self.watcher.sample(state, self.ctrl)
             torques.append(self.watcher.data.qfrc_actuator[dofs])
             speeds.append(self.watcher.data.qvel[dofs])
-        return MotorSamples(np.array(torques), np.array(speeds), self.timestep)
+        drive, actuators = self.drive, self.robot.mj_convention.actuator_index
+        limited = drive.model.actuator_forcelimited[actuators].astype(bool)
+        ranges = np.abs(drive.model.actuator_forcerange[actuators]).min(axis=1)
+        integrated = integrate_servo_damping(
+            drive.model,
+            drive.kd,
+            np.array(torques[:-1]),
+            np.array(speeds),
+            np.where(limited, ranges * np.abs(drive.gear), np.inf),
+        )
+        return MotorSamples(np.array(torques), np.array(speeds), integrated, self.timestep)
 
     def find_push_point(self) -> Array:
         """Return the push point, the CoM of the base body in the world frame, shape (3,) [m]."""

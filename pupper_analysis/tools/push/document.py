@@ -17,6 +17,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, text
 from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document, compare_results
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -55,6 +56,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
         number_first=bool(unpushed),
         details=(
             *(region if pushed.within_region else ()),
+            *describe_motor_energy(pushed.energy),
             task_text(pushed.stand.task),
             ground_text(pushed.stand.depths.values()),
         ),

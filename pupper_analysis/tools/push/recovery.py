@@ -24,6 +24,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
+from pupper_analysis.models.motors.energy import MotorEnergy, compute_motor_energy
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.prepare.judge import judge_simulation
@@ -79,6 +80,8 @@ class PushedStance(Result):
         beyond_times: (nu,) time during the weakest push in which the ratio exceeds 1: the motor is
             beyond the torque-speed region [s]. 0 for a joint without motor. None if
             ``region_peaks`` is None.
+        energy: Electrical energy of the motors during the weakest push of ``recovery``. None
+            without motors, or if the robot does not stand without a push.
     """
 
     name: str
@@ -94,6 +97,7 @@ class PushedStance(Result):
     motors: dict[str, str] = field(default_factory=dict)
     region_peaks: Array | None = field(default=None, metadata={"unit": "1"})
     beyond_times: Array | None = field(default=None, metadata={"unit": "s"})
+    energy: MotorEnergy | None = None
 
     @property
     def within_region(self) -> bool:
@@ -179,7 +183,7 @@ def study_pushes(
         if any(limit.without_torque for limit in list_driven_limits(robot)):
             code = EffortCode.ZERO
         assigned = (motors or {}).get(robot.name, {})
-        region_peaks, beyond_times = None, None
+        region_peaks, beyond_times, energy = None, None, None
         if unknown_limits:
             code, impulse = EffortCode.UNKNOWN, math.nan
         if (unknown_limits or assigned) and not recovery.failures_without_push:
@@ -199,6 +203,8 @@ def study_pushes(
                 peaks = np.abs(samples.torques).max(axis=0)
             if assigned:
                 region_peaks, beyond_times = _compare_with_regions(robot, samples, assigned)
+                series = samples.integrated, samples.speeds, samples.period
+                energy = compute_motor_energy(assigned, robot.joint_names, *series)
         results[robot.name] = PushedStance(
             name=robot.name,
             joint_names=robot.joint_names,
@@ -213,6 +219,7 @@ def study_pushes(
             motors={joint: motor.name for joint, motor in assigned.items()},
             region_peaks=region_peaks,
             beyond_times=beyond_times,
+            energy=energy,
         )
     return results
 

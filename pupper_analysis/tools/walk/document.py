@@ -20,6 +20,7 @@ from pupper_analysis.base.units import find_common_units
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import limit_cell
+from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.robot.robot import Robot
@@ -73,6 +74,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             *(() if fallen else _report_zero_torque_limits(walk)),
             torque,
             *(_describe_region(walk) if walk.within_region else ()),
+            *describe_motor_energy(walk.gaits[0].energy),
             *_list_warnings(walk),
             *(() if fallen else causes),
         ),

@@ -23,6 +23,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EFFORT_UNIT, VELOCITY_UNIT
+from pupper_analysis.models.motors.energy import MotorEnergy, compute_motor_energy
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.models.transmission import read_gears
@@ -31,6 +32,7 @@ from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.joints import list_force_units
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import integrate_servo_damping
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
 from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.tools.contract.contract import SIMULATED
@@ -134,6 +136,8 @@ class Gait(Result):
         motion: Recorded configurations, shape (m, nq).
         torque_time: Times of the recorded torques, in the last second, shape (k,).
         torques: Recorded motor torques, shape (k, nu).
+        energy: Electrical energy of the motors after the warm-up; None without motors, or if the
+            run has a single state.
     """
 
     command: Array = field(metadata={"unit": "m/s or rad/s"})
@@ -162,6 +166,7 @@ class Gait(Result):
     motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     torque_time: Array = field(metadata={"unit": "s"})
     torques: Array = field(metadata={"unit": EFFORT_UNIT})
+    energy: MotorEnergy | None = None
 
 
 @dataclass(frozen=True)
@@ -561,6 +566,7 @@ def measure_gait(
         beyond_region=np.where(assigned, (regions > 1.0 + _REGION_RTOL).mean(axis=0), np.nan),
         speed_peak=np.abs(known_rates).max(axis=0),
         power=power,
+        energy=_compute_run_energy(stage, torques, run.states[first:], motors or {}),
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,
@@ -576,6 +582,36 @@ def measure_gait(
         torque_time=times[-torque_samples:].copy(),
         torques=np.round(torques[-torque_samples:], 5),
     )
+
+
+def _compute_run_energy(
+    stage: Stage, torques: Array, states: Array, motors: Mapping[str, Motor]
+) -> MotorEnergy | None:
+    """Compute the electrical energy of the motors in n steps; None without motors or steps.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        torques: Torques at the start of each step, shape (n, nu) [N m, N for slides].
+        states: Full physics states of MuJoCo, shape (n + 1, size); the energy is computed up to the
+            first state that is not finite.
+        motors: {joint: motor}.
+    """
+    finite = np.isfinite(states).all(axis=1)
+    count = len(states) if finite.all() else int(np.argmin(finite))
+    if not motors or count < 2:
+        return None
+    robot, model, convention = stage.robot, stage.model, stage.robot.mj_convention
+    speeds = states[:count, 1 + model.nq + convention.qvel_index[6:]]
+    driven = convention.actuator_index >= 0
+    actuators = convention.actuator_index[driven]
+    gear = read_gears(model, actuators)
+    kd, limits = np.zeros(robot.nu), np.full(robot.nu, np.inf)
+    kd[driven] = -model.actuator_biasprm[actuators, 2] * gear**2
+    ranges = np.abs(model.actuator_forcerange[actuators]).min(axis=1) * np.abs(gear)
+    limited = model.actuator_forcelimited[actuators].astype(bool)
+    limits[driven] = np.where(limited, ranges, np.inf)
+    applied = integrate_servo_damping(model, kd, torques[: count - 1], speeds, limits)
+    return compute_motor_energy(motors, robot.joint_names, applied, speeds, stage.timestep)
 
 
 def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
