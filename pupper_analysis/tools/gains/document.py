@@ -152,8 +152,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
         "gains-controller-implicit" if implicit else "gains-controller",
         rate=f"{1 / study.period:.4g}",
         delay=f"{1e3 * study.delay:.3g}",
-        joints=join_words([doc.Name(name) for name in study.largest_kd.joints[:1]])
-        or doc.Name("-"),
+        joints=join_words([doc.Name(name) for name in study.largest_kd.joints[:1]]),
         frequency=format_number(study.largest_kd.frequency, ".3g"),
         integrator=doc.Name(study.integrator),
     )

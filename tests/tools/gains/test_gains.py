@@ -105,6 +105,19 @@ def test_gains_beyond_the_bounds_do_not_pass() -> None:
 
 
 @pytest.mark.slow
+def test_damping_of_zero_has_no_upper_bound_and_no_oscillating_joint() -> None:
+    """Reference: multiples of zero. The joints of v3 have damping of their own: bare MuJoCo decays
+    from 0.04 to 6e-6 rad/s within 6 s with kp 5 and kd 0."""
+    study = study_gains(load("v3"), stand_of("v3"), kp=5.0, kd=0.0)
+    assert study.passed
+    assert study.largest_kd.factor is None
+    words = " ".join(get_english(line) for line in gains_document(study).findings)
+    assert "no upper bound" in words
+    assert "oscillates" not in words
+    assert "controller" in words
+
+
+@pytest.mark.slow
 def test_scaled_start_gains_give_equal_bounds() -> None:
     """Reference: the bounds [N m s/rad] do not depend on the present gains."""
     robot, stand = load("original"), stand_of("original")
