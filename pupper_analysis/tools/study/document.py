@@ -334,6 +334,13 @@ def _format_share(value: float) -> doc.Number:
     return doc.Number(f"{value:.1%}", 100 * value, bar_fraction=min(max(value, 0.0), 1.0))
 
 
+def _make_metric_cell(value: float, form: str) -> doc.Number:
+    """Return a table cell of a metric: "∞" for an infinite value, such as a time; "-" for NaN."""
+    if math.isinf(value):
+        return doc.Number("∞" if value > 0 else "-∞", math.nan)
+    return doc.number_cell(None if math.isnan(value) else value, form)
+
+
 def _make_design_table(outcome: StudyOutcome) -> doc.Table:
     """Create the table of the first `MAX_TABLE_ROWS` designs, with a note about other designs."""
     measured = [summary.metric for summary in outcome.measured]
@@ -366,7 +373,7 @@ def _make_row_table(
                 cells.append(doc.Name(row[name]))
                 continue
             value = _find_shown_unit(name, outcome.units)[0] * float(row[name])
-            cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
+            cells.append(_make_metric_cell(value, ".5g"))
         if has_failures:
             kind = row["failure"]
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
@@ -433,11 +440,8 @@ def written_document(written: WrittenDesign, robot: Robot) -> doc.Document:
     rows = tuple(
         (
             doc.Name(format_column_label(name, find_column_unit(name, robot))),
-            doc.number_cell(value, ".6g"),
-            doc.number_cell(
-                written.file_values[name] if math.isfinite(written.file_values[name]) else None,
-                ".6g",
-            ),
+            _make_metric_cell(value, ".6g"),
+            _make_metric_cell(written.file_values[name], ".6g"),
         )
         for name, value in written.study_values.items()
     )

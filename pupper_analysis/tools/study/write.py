@@ -138,7 +138,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     measured = {
         str(name): float(value)
         for name, value in row.items()
-        if str(name).partition(".")[0] in metric_names and _is_finite_number(value)
+        if str(name).partition(".")[0] in metric_names and _is_number(value)
     }
     remeasured = {name: remeasured.get(name, math.nan) for name in measured}
     options = ["pupper-analysis", "stand", str(urdf), str(mjcf), *options, "--stance", str(stance)]
@@ -213,6 +213,8 @@ def _list_changed_metrics(
 ) -> Iterator[Diagnostic]:
     """Yield a finding for each metric whose values differ by more than `_METRIC_RTOL`, relative.
 
+    Equal infinite values agree.
+
     Args:
         number: Row of the table.
         measured: {metric: value in the table}.
@@ -220,7 +222,8 @@ def _list_changed_metrics(
     """
     for name, value in remeasured.items():
         expected = measured[name]
-        if not abs(value - expected) <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL):
+        tolerance = _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
+        if not (value == expected or (abs(value - expected) <= tolerance < math.inf)):
             yield diagnose(
                 "written-design-differs", number=number, metric=name, found=value, measured=expected
             )
@@ -247,9 +250,12 @@ def format_place(point: FramePoint) -> str:
     return f"{frame},{numbers}" if frame else numbers
 
 
-def _is_finite_number(value: Any) -> bool:
-    """Return True if the value of a table cell is a finite number; False for None."""
-    return value is not None and bool(np.isfinite(float(value)))
+def _is_number(value: Any) -> bool:
+    """Return True if the value of a table cell is a number, which may be infinite; False for None.
+
+    An infinite metric is for example the time until a winding is hot that never becomes hot.
+    """
+    return value is not None and not bool(np.isnan(float(value)))
 
 
 def _has_content(path: Path, content: bytes) -> bool:

@@ -33,6 +33,7 @@ from pupper_analysis.tools.study.write import write_design
 from tests.support import slips
 from tests.support.commands import run_command
 from tests.support.legged import quadruped
+from tests.support.printing import printed
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
@@ -275,6 +276,7 @@ def test_lightest_motor_that_meets_the_requirements_is_the_best(
     assert (outcome.table["time_until_hot"][1:] == np.inf).all()
     document = study_document(outcome)
     assert "2 of 3 designs meet all requirements" in document.findings[0].en
+    assert "∞" in printed(document)
     assert "best: design 2, motor lk-tech-mg4005-10" in document.findings[0].en
     pd.testing.assert_frame_equal(read_study(folder), outcome.table)
 
@@ -481,7 +483,9 @@ def test_three_designs_and_their_minutes_agree_with_bare_mujoco(
     hottest = []
     for number, name in enumerate(CATALOGUE, start=1):
         written = write_design(study, number, folder)
+        assert written.passed
         row, design = table.iloc[number - 1], study_design(study, number, folder)
+        assert written.file_values["time_until_hot"] == pytest.approx(row["time_until_hot"])
         spec = mujoco.MjSpec.from_file(str(written.mjcf))
         base = next(body for body in spec.bodies if list(body.joints))
         weight = base.add_body(name="weight", pos=np.asarray(design.point[-3:], dtype=float))

@@ -17,7 +17,12 @@ import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task, read_stance_file
 from pupper_analysis.tools.study.design import DesignBuilder
-from pupper_analysis.tools.study.write import WrittenDesign, format_stance, write_design
+from pupper_analysis.tools.study.write import (
+    WrittenDesign,
+    _list_changed_metrics,
+    format_stance,
+    write_design,
+)
 from tests.support.commands import answer
 from tests.support.legged import quadruped
 
@@ -37,6 +42,26 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
     """Write a v3 with longer legs, heavier hips and stiffer servos: the second of two designs."""
     vary = {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}
     return write_studied_design("v3", vary, tmp_path_factory.mktemp("study"), 2)
+
+
+@pytest.mark.parametrize(
+    ("measured", "found", "agrees"),
+    [
+        (1.0, 1.0 + 1e-7, True),
+        (1.0, 1.001, False),
+        (math.inf, math.inf, True),
+        (math.inf, 300.0, False),
+        (300.0, math.inf, False),
+        (math.inf, -math.inf, False),
+        (1.0, math.nan, False),
+    ],
+)
+def test_changed_metrics_of_a_written_design_are_found(
+    measured: float, found: float, agrees: bool
+) -> None:
+    """An infinite time agrees with an infinite time only. Reference: comparison by hand."""
+    changes = list(_list_changed_metrics(1, {"time": measured}, {"time": found}))
+    assert [change.code for change in changes] == ([] if agrees else ["written-design-differs"])
 
 
 @pytest.mark.slow
