@@ -260,7 +260,7 @@ _LEG_MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P":
 """{marker of a leg in Matplotlib: the same shape as a character, for the names of the feet}."""
 
 
-def _get_leg_style(leg: int) -> dict[str, str]:
+def _get_leg_style(leg: int) -> dict[str, Any]:
     """Return colour and marker of the leg with index ``leg``; both repeat after the last one."""
     markers = tuple(_LEG_MARKERS)
     colour = drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
