@@ -8,6 +8,7 @@ are summarised in a note.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -95,8 +96,8 @@ def read_deployment(
             robot, if a file contains several configurations and no name is passed, or if a source
             is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
             the only list of such a quantity has another length than the joint order of its file,
-            or if two deployments list the joints in different orders. Also if ``policy``, an ONNX
-            file or JSON, cannot be read or states nothing.
+            or if two deployments list the joints in different orders. Also if a file of ``sources``
+            is a robot model. If ``policy`` cannot be read, its metadata are left out.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -105,6 +106,8 @@ def read_deployment(
     if errors:
         raise errors[0]
     for source in read:
+        if source.role not in _PRECEDENCE:
+            raise ModelError(source.path, diagnose("deployment-is-model", robot=robot.name))
         _check_numbers(source)
         peers = [one.name for one in read if (one.path, one.role) == (source.path, source.role)]
         if len(peers) > 1:
@@ -113,7 +116,8 @@ def read_deployment(
             raise ModelError(source.path, message)
     if policy is not None and policy.suffix.lower() in (".onnx", ".json"):
         extra, _ = split_arguments([policy])
-        read += read_sources(extra)[0]
+        with suppress(ModelError):  # the reader of the network reports why it cannot be read
+            read += read_sources(extra)[0]
     read = make_names_distinct(read)
     joints = RobotJoints.from_robot(robot, names)
     placed = [

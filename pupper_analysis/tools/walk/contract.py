@@ -369,7 +369,7 @@ class _MergedValues:
     def make_error(self, key: str, problem: Diagnostic) -> ModelError:
         """Return the error for a contract key, with the file that states it, or the policy file."""
         problem = diagnose("contract-key", key=key, problem=problem)
-        return ModelError(self.places.get(key.partition(":")[0], str(self.path)), problem)
+        return ModelError(self.places.get(key.partition(":")[0]) or str(self.path), problem)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.contract.deployment import read_deployment
-from pupper_analysis.tools.walk.contract import ObservationTerm
+from pupper_analysis.tools.walk.contract import ObservationTerm, Statements, make_contract
 from pupper_analysis.tools.walk.document import make_key_table, walk_document
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
@@ -563,3 +563,33 @@ def test_two_deployments_with_different_joint_orders_are_refused(tmp_path: Path)
             read_deployment(load("v3"), files)
     second.write_text(make_deploy())
     assert read_deployment(load("v3"), [first, second]).joints == tuple(JOINTS)
+
+
+def test_model_among_the_files_of_a_deployment_is_refused(tmp_path: Path) -> None:
+    """It ended in a ValueError of Python."""
+    model = tmp_path / "model.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="leg_front_r_1"/><geom size="1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    with pytest.raises(ModelError, match=r"model\.xml: the file is a robot model, and v3 is"):
+        read_deployment(load("v3"), [model])
+
+
+@pytest.mark.parametrize("content", ['{"layers": []}', "{", None])
+def test_deployment_is_read_if_the_policy_states_nothing(
+    tmp_path: Path, content: str | None
+) -> None:
+    """The reader of the network reports its error; the deployment does not depend on it."""
+    deploy, policy = tmp_path / "deploy.yaml", tmp_path / "policy.json"
+    deploy.write_text(make_deploy())
+    if content is not None:
+        policy.write_text(content)
+    assert read_deployment(load("v3"), [deploy], policy).joints == tuple(JOINTS)
+
+
+def test_missing_key_names_the_policy_file(tmp_path: Path) -> None:
+    """The message began with a colon, since a key without a place named no file."""
+    stated = {"observation": ["joint-positions"], "default": 0.0, "action-scale": 0.5}
+    with pytest.raises(ModelError, match=r"^p\.onnx: .*rate"):
+        make_contract(Path("p.onnx"), [Statements("x.toml", stated)], 12, 12)
