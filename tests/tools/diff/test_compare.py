@@ -139,6 +139,11 @@ def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
         "link base: mass 6 kg in the old file, 9 kg in the new file (+50 %)"
     )
     assert diff.mass[1] - diff.mass[0] == pytest.approx(3.0, abs=1e-12)
+    lines = answer("diff", *(str(tmp_path / f"{version}.urdf") for version in ("old", "new")))
+    first, second, *_ = lines.stdout.splitlines()  # short names, and both masses
+    assert first.startswith("DIFFERENT old.urdf and new.urdf: 1 change")
+    old, new = diff.mass
+    assert second.startswith(f"  total mass {old:.6g} -> {new:.6g} kg (+")
     back = diff_of(tmp_path, other, ROBOT, "urdf")
     assert back.mass == diff.mass[::-1]
 

@@ -16,9 +16,14 @@ def test_answer_states_gains_with_both_bounds(tmp_path: Path) -> None:
     figure, data = tmp_path / "gains.png", tmp_path / "gains.json"
     result = answer("gains", "v3", "--figure", str(figure), "--json", str(data))
     assert result.returncode == 0
-    first, second, *_ = result.stdout.splitlines()
+    first, second, third, *_ = result.stdout.splitlines()
     assert first == ("STABLE v3: kp 5 N m/rad (at least 2.44), kd 0.1 N m s/rad (at most 2.6)")
     assert "500 Hz" in second
+    # The next command sets the recommended gains.
+    recommended = json.loads(data.read_text())["classes"][0]
+    kp, kd = (f"{recommended[f'recommended_{gain}']:.3g}" for gain in ("kp", "kd"))
+    assert second.endswith(f"; recommended kp {kp}, kd {kd}")
+    assert third == f"  next: pupper-analysis stand v3 --kp {kp} --kd {kd}"
     assert figure.stat().st_size > 10_000
     assert json.loads(data.read_text())["largest_kd"]["frequency"] == pytest.approx(250.0)
 
