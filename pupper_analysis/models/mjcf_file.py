@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -540,39 +541,63 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
         pending.extend(reversed(node.children))
 
 
+_INDIRECT_SECTION_TAGS: Final = ("equality", "sensor")
+"""Sections of an MJCF whose tags are not kinds of elements: ``<equality><joint name="a"/>`` is an
+equality, and no joint with the name ``a``."""
+
+
+def name_unnamed_joint(body: str, number: int) -> str:
+    """Return the substitute for the name of a joint without name: "(BODY)", "(BODY #2)" ...
+
+    Args:
+        body: Name of the body.
+        number: Number of the joint among the joints of the body without a name, from 1.
+    """
+    return f"({body})" if number == 1 else f"({body} #{number})"
+
+
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return an index of the elements of an MJCF: {(tag, name): element}.
 
     - Elements of the sections `_SECTION_TAGS` also have the key (section, name), such as
-      ("actuator", name), because their tags vary (``motor``, ``position`` ...).
+      ("actuator", name), because their tags vary (``motor``, ``position`` ...). Elements of the
+      sections `_INDIRECT_SECTION_TAGS` have only this key.
     - The name of a default is its class. The name of a mesh, texture or height field without name
       is the file name without suffix.
     - A ``freejoint`` also has a key with the tag ``joint``.
     - If several elements have the same key, the first in the file is listed.
-    - If no other element has the key, an actuator is also listed by its attribute ``joint``, and a
-      joint without name by the name of its parent element, usually a body.
+    - If no other element has the key, an actuator is also listed by its attribute ``joint``. A
+      joint without name is also listed by its substitute name (`name_unnamed_joint`), and the first
+      of a body by the name of the body. Joints of a ``<composite>`` are not listed.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
-    pending: list[tuple[XmlNode, XmlNode]] = [(child, root) for child in reversed(root.children)]
+    numbers: Counter[str] = Counter()
+    # (element, parent, name of the body around the element)
+    pending = [(child, root, "") for child in reversed(root.children)]
     while pending:
-        node, parent = pending.pop()
-        pending.extend((child, node) for child in reversed(node.children))
+        node, parent, body = pending.pop()
         name = node.attributes.get("class" if node.tag == "default" else "name")
-        kinds = [node.tag]
+        inner = node.attributes.get("name", "") if node.tag == "body" else body
+        inner = inner if node.tag in ("body", "frame", "replicate") else ""
+        pending.extend((child, node, inner) for child in reversed(node.children))
+        kinds = [] if parent.tag in _INDIRECT_SECTION_TAGS else [node.tag]
         if parent.tag in _SECTION_TAGS:
             kinds.append(parent.tag)
         if node.tag == "freejoint":
             kinds.append("joint")
         if not name and node.tag in ("mesh", "texture", "hfield"):
             name = Path(node.attributes.get("file", "")).stem
+        if not name and body and "joint" in kinds:
+            numbers[body] += 1
+            for substitute in (name_unnamed_joint(body, numbers[body]), body):
+                for kind in kinds:
+                    fallback.setdefault((kind, substitute), node)
         for kind in kinds:
             if name:
                 index.setdefault((kind, name), node)
             if parent.tag == "actuator" and "joint" in node.attributes:
                 fallback.setdefault((kind, node.attributes["joint"]), node)
-            if not name and kind in ("joint", "freejoint") and "name" in parent.attributes:
-                fallback.setdefault((kind, parent.attributes["name"]), node)
     return fallback | index
 
 
@@ -690,8 +715,8 @@ class MjcfFile:
             kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
                 ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``,
                 ``"deformable"``.
-            name: Name of the element. Alternatives: joint of an actuator, class of a default, body
-                of a joint without a name.
+            name: Name of the element. Alternatives: joint of an actuator, class of a default,
+                substitute name (`name_unnamed_joint`) or body of a joint without a name.
             child: Path below the element (``"inertial"``); the innermost existing element counts.
         """
         node = self._index.get((kind, name))

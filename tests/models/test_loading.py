@@ -19,6 +19,7 @@ from pupper_analysis.models.conversion import pinocchio_from_urdf
 from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf, read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from tests.support import corpus
 from tests.support.corpus import (
@@ -323,6 +324,32 @@ def test_mjcf_elements_have_line_numbers(tmp_path: Path) -> None:
     assert model.place("key", "home") == Place(path, 9)
     assert model.place("site", "x") == Place(path)
     assert model.model.nv == 8
+
+
+def test_place_of_a_joint_ignores_equalities_sensors_and_parts_of_tendons(tmp_path: Path) -> None:
+    """Tags in these sections also name joints, tendons and contacts; lines are counted by hand."""
+    path = tmp_path / "r.xml"
+    lines = (
+        "<mujoco>",
+        '<equality><joint name="k" joint1="k" joint2="j"/>',
+        '<tendon name="c" tendon1="c"/></equality>',
+        '<tendon><fixed name="c"><joint joint="k" coef="1"/></fixed></tendon>',
+        '<worldbody><body name="c"><geom size="1"/>',
+        '<frame name="f"><joint axis="1 0 0"/></frame>',
+        '<joint name="k" type="slide"/>',
+        '<joint name="j" axis="0 1 0"/>',
+        '<joint axis="0 0 1"/></body></worldbody></mujoco>',
+    )
+    path.write_text("\n".join(lines))
+    file = read_mjcf(path)
+    assert file.place("joint", "k") == Place(path, 7)
+    assert file.place("equality", "k") == Place(path, 2)
+    assert file.place("equality", "c") == Place(path, 3)
+    assert file.place("tendon", "c") == Place(path, 4)
+    assert file.place("joint", "c") == file.place("joint", "(c)") == Place(path, 6)
+    assert file.place("joint", "(c #2)") == Place(path, 9)
+    assert file.place("joint", "f") == Place(path)
+    assert [joint_name(file.model, joint) for joint in range(4)] == ["(c)", "k", "j", "(c #2)"]
 
 
 def test_include_beside_the_main_file_precedes_that_beside_the_including_file(

@@ -26,7 +26,7 @@ from pupper_analysis.models.attributes import (
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import EffortStatement, null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf import JointKind
-from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.mjcf_file import MjcfFile, name_unnamed_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import Pose, Shape, read_shape
 from pupper_analysis.models.stated.model import (
@@ -133,9 +133,16 @@ def body_names(model: mujoco.MjModel) -> list[str]:
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return the name of a joint; without a name, the name of its body in parentheses: "(BODY)"."""
+    """Return the name of a joint; without a name, the substitute `name_unnamed_joint`: "(BODY)".
+
+    A body without a name is written as "#3", with the id of the body.
+    """
+    if name := str(model.joint(joint).name):
+        return name
     body = int(model.jnt_bodyid[joint])
-    return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
+    earlier = range(int(model.body_jntadr[body]), joint)
+    number = 1 + sum(not model.joint(index).name for index in earlier)
+    return name_unnamed_joint(model.body(body).name or f"#{body}", number)
 
 
 def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
@@ -228,7 +235,7 @@ def _make_joint(
         if kind in (HINGE_JOINT, SLIDE_JOINT)
         else np.zeros(3),
         raw_axis=np.array(model.jnt_axis[joint] if spec_joint is None else spec_joint.axis),
-        stated=_stated_values(file, model, joint, names[body], spec_joint, limits),
+        stated=_stated_values(file, model, joint, spec_joint, limits),
         **limits,
     )
 
@@ -237,15 +244,13 @@ def _stated_values(
     file: MjcfFile,
     model: mujoco.MjModel,
     joint: int,
-    body: str,
     spec_joint: mujoco.MjsJoint | None,
     limits: Mapping[str, float],
 ) -> dict[str, float]:
     """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
-    Values of default classes are included. ``joint`` is the id of the joint in the compiled model,
-    and ``body`` the name of its body. ``limits`` is {field of `TreeJoint`: limit}. If
-    ``spec_joint`` is None, only the limits are returned. Infinite limits are omitted. Another
+    Values of default classes are included. ``joint`` is the id of the joint in the compiled model.
+    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are returned. Infinite limits are omitted. Another
     parameter is omitted if its value is 0, and neither the joint nor a default class contains the
     attribute.
     """
@@ -257,16 +262,14 @@ def _stated_values(
     values = {kind: value for kind, value in values.items() if math.isfinite(value)}
     if spec_joint is None:
         return values
+    name = joint_name(model, joint)
     for attribute in COMPILED_ATTRIBUTES:
         main_word, *other_words = attribute.mjcf
         value = float(np.atleast_1d(getattr(spec_joint, main_word))[0])
         # springdamper has priority over stiffness and damping
         if any(np.any(getattr(spec_joint, word)) for word in other_words):
             value = attribute.read_compiled_value(model, joint)
-        if (
-            value
-            or file.find_attribute("joint", spec_joint.name or body, attribute.mjcf) is not None
-        ):
+        if value or file.find_attribute("joint", name, attribute.mjcf) is not None:
             values[attribute.kind] = value
     return values
 

@@ -201,9 +201,10 @@ class RobotModel:
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """Joints of the file as ``{name: joint}``; of several with one name, only the last.
+        """Joints of the file as ``{name: joint}``.
 
-        Several joints of an MJCF body without names have the same name, "(BODY)".
+        Joints of an MJCF without names have the names "(BODY)", "(BODY #2)" ... If several joints
+        have the same name, only the last is contained.
         """
         return {joint.name: joint for body in self.links.values() for joint in body.joints}
 

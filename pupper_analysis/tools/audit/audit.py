@@ -182,7 +182,7 @@ def _make_finding(
     """Create the reported finding from the result of a check: add place, severity and texts."""
     place = found.place
     if place is None and found.name:
-        place = file.place(found.kind, found.name.strip("()"), found.child)
+        place = file.place(found.kind, found.name, found.child)
     if place is None:
         place = Place(file.path)
     if place.line == NO_LINE:  # of an expanded or converted text

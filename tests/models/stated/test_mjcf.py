@@ -30,3 +30,17 @@ def test_base_is_the_heaviest_free_body_with_joints(tmp_path: Path) -> None:
     assert base_of(tmp_path, held, light) == "light"
     assert base_of(tmp_path, held) == "held"
     assert base_of(tmp_path, CRATE) == "crate"
+
+
+def test_unnamed_joints_of_a_body_are_different_joints(tmp_path: Path) -> None:
+    """The parameters of each joint are those of its own line."""
+    file = tmp_path / "r.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="b"><geom size="0.1"/><joint axis="1 0 0" damping="0"/>'
+        '<joint name="k" axis="0 1 0"/><joint axis="0 0 1" damping="3"/><joint type="slide"/>'
+        "</body></worldbody></mujoco>"
+    )
+    joints = read_mjcf_model(read_mjcf(file)).joints
+    stated = {name: joint.stated.get("damping") for name, joint in joints.items()}
+    assert stated == {"(b)": 0.0, "k": None, "(b #2)": 3.0, "(b #3)": None}
+    assert joints["(b #3)"].kind == "slide"
