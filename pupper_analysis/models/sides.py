@@ -25,6 +25,13 @@ _OPPOSITE_SIDE = {a: b for left, right in _SIDE_WORDS for a, b in ((left, right)
 _FULL_WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
 """Pattern of a written-out side, which has priority over abbreviations."""
 
+_OTHER_WORD = re.compile(
+    r"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))"
+    "(?i:(?:up|b|f|w|a|al|out|down|forth|birth|copy|eye|play|wheel)right"
+    "|right(?:ing|ful|eous)|cleft|leftover)"
+)
+"""Pattern of words that contain ``left`` or ``right``, but name no side, at the start of a word."""
+
 _SIDE_PATTERN = re.compile(
     rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
@@ -60,37 +67,56 @@ armatures differ by a factor of at most 13."""
 def mirror_name(name: str) -> str:
     """Return a name with left and right exchanged, for example ``FR_knee`` for ``FL_knee``.
 
-    Abbreviations are exchanged only if the name contains no written-out side. A name without a side
-    is returned unchanged.
+    Abbreviations are exchanged only if the name contains no written-out side. Words such as
+    ``upright`` contain no side (``_OTHER_WORD``). A name without a side is returned unchanged.
     """
-    pattern = _FULL_WORD if _FULL_WORD.search(name) else _SIDE_PATTERN
-    return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
+    others = [match.span() for match in _OTHER_WORD.finditer(name)]
+
+    def exchange(match: re.Match[str]) -> str:
+        """Return the opposite side of a match, unless the match is part of another word."""
+        inside = any(start <= match.start() and match.end() <= end for start, end in others)
+        return match[0] if inside else _OPPOSITE_SIDE[match[0]]
+
+    exchanged = _FULL_WORD.sub(exchange, name)
+    return exchanged if exchanged != name else _SIDE_PATTERN.sub(exchange, name)
+
+
+def _list_mirror_names(name: str) -> tuple[str, str]:
+    """Return the possible names of the partner of a link or joint, the most probable first.
+
+    The second exchanges each ``left`` and ``right``, also in ``fright_wheel``: front right.
+    """
+    return mirror_name(name), _FULL_WORD.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 
 
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in the word for left or right.
 
     A name such as ``foot`` of a planar walker is paired with ``foot_left`` or ``foot_right``,
-    unless both exist. These pairs come last. The other pairs are in the given order. Names of
-    grippers, fingers, cameras, IMUs and sensors are excluded (``ASYMMETRIC_PART_NAME``).
+    unless both exist, or one of the names has another partner. These pairs come last. The other
+    pairs are in the given order. Names of grippers, fingers, cameras, IMUs and sensors are excluded
+    (``ASYMMETRIC_PART_NAME``).
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
+    paired: set[str] = set()
     for name in names_in_order:
-        mirrored = mirror_name(name)
-        if (
-            mirrored != name
-            and mirrored in names_in_order
-            and mirrored not in pairs
-            and not ASYMMETRIC_PART_NAME.search(name)
-        ):
-            pairs[name] = mirrored
+        for mirrored in _list_mirror_names(name):
+            if (
+                mirrored != name
+                and mirrored in names_in_order
+                and not paired & {name, mirrored}
+                and not ASYMMETRIC_PART_NAME.search(name)
+            ):
+                pairs[name] = mirrored
+                paired |= {name, mirrored}
     for name in names_in_order:
         for side, other in (("left", "right"), ("right", "left")):
             sided = f"{name}_{side}"
             is_paired = sided in names_in_order and f"{name}_{other}" not in names_in_order
-            if is_paired and not ASYMMETRIC_PART_NAME.search(name):
+            if is_paired and not paired & {name, sided} and not ASYMMETRIC_PART_NAME.search(name):
                 pairs[name] = sided
+                paired |= {name, sided}
     return list(pairs.items())
 
 

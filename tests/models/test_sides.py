@@ -20,6 +20,11 @@ from pupper_analysis.models.sides import find_mirror_pairs, mirror_name
         ("LHipYaw", "RHipYaw"),
         ("fl.hx", "fr.hx"),
         ("fl_caster_l_wheel", "fr_caster_r_wheel"),
+        ("leftshin", "rightshin"),
+        ("frontleft_hip", "frontright_hip"),
+        ("FL_upright_link", "FR_upright_link"),
+        ("LeftUpright", "RightUpright"),
+        ("upright_left", "upright_right"),
     ],
 )
 def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
@@ -29,6 +34,22 @@ def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
     assert find_mirror_pairs([left, "base", right]) == [(left, right)]
 
 
-@pytest.mark.parametrize("name", ["base", "roll", "floor", "world", "RRR", "calf"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("base", "roll", "floor", "world", "RRR", "calf"),
+        *("upright_link", "bright", "Upright", "mastUpright", "UPRIGHT", "cleft", "self_righting"),
+    ],
+)
 def test_name_without_a_side_is_its_own_mirror_name(name: str) -> None:
     assert mirror_name(name) == name
+
+
+def test_each_name_has_at_most_one_partner() -> None:
+    """A planar walker has ``foot`` and ``foot_left``; here both feet have their own names."""
+    assert find_mirror_pairs(["foot", "foot_left"]) == [("foot", "foot_left")]
+    assert find_mirror_pairs(["L_foot", "R_foot", "L_foot_left"]) == [("L_foot", "R_foot")]
+
+
+def test_short_name_of_a_wheel_is_paired_although_it_is_a_word() -> None:
+    assert find_mirror_pairs(["fright_wheel", "fleft_wheel"]) == [("fright_wheel", "fleft_wheel")]
