@@ -392,7 +392,6 @@ class PostureUnreachableError(PupperAnalysisError):
 class Infeasibility(StrEnum):
     """Reason why no contact forces balance the robot."""
 
-    NO_CONTACT = "no contact"
     COM_OUTSIDE = "com outside the support polygon"
     ZMP_OUTSIDE = "zero-moment point outside the support polygon"
     FRICTION = "friction too low"
