@@ -60,3 +60,26 @@ def test_deviation_of_a_slide_is_reported_in_millimetres(
     names = {"stand": "s1", "joint": "b_slide", "worst": "b_slide", "times": 5.0}
     assert "12" in (message := str(diagnose(code, **names, **others, **quantities)))
     assert " mm" in message
+
+
+def test_stands_of_one_name_that_differ_get_different_names() -> None:
+    """Rows 0 and 4 are repeated readings. The other rows differ from row 0 in the foot in the air,
+    the heading or the mass; the file already contains the name ``a #2``.
+    """
+    count = 6
+    loads = np.zeros((count, 4))
+    loads[3, 0] = 0.5
+    stands = MeasuredStands(
+        "plan.csv",
+        ("a", "a", "a", "a", "a", "a #2"),
+        ("hip",),
+        np.zeros((count, 1)),
+        np.arange(count)[:, None] * 1e-4,
+        swing=((), ("FL",), (), (), (), ()),
+        heading=np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+        added={"base": loads},
+    ).make_names_unique()
+    assert stands.names == ("a", "a #3", "a #4", "a #5", "a", "a #2")
+    averaged = stands.average_repeats()
+    assert averaged.names == ("a", "a #3", "a #4", "a #5", "a #2")
+    assert averaged.position[0, 0] == pytest.approx(2e-4)

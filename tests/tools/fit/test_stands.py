@@ -331,6 +331,18 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
 
 
+@pytest.mark.slow
+def test_stands_of_one_name_keep_their_own_residuals(robot: Robot, stands: MeasuredStands) -> None:
+    """The reference is the same measurement with a name per stand."""
+    named = fit_stands(robot, stands, priors=["kp=0"])
+    heading = np.arange(len(stands)) * 1e-9
+    alike = replace(stands, names=("s",) * len(stands), heading=heading)
+    fit = fit_stands(robot, alike, priors=["kp=0"])
+    assert len(fit.residuals) == fit.stands == len(stands)
+    assert list(fit.residuals.values()) == pytest.approx(list(named.residuals.values()), rel=1e-3)
+    assert len({residual.stand for residual in fit.joint_residuals}) == len(stands)
+
+
 def compute_com(one: Robot) -> Array:
     """Return Pinocchio's CoM in the base frame at the nominal joint positions [m]."""
     model = one.structure.model

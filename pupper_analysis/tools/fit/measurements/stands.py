@@ -6,6 +6,7 @@ methods of `MeasuredStands` check the stands for a robot and average repeated re
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
@@ -163,6 +164,31 @@ class MeasuredStands:
             )
             raise MeasurementError(self.source, finding)
 
+    def _group_repeats(self) -> list[IntArray]:
+        """Return the rows of each stand: name, feet in the air, heading and masses are equal."""
+        loads = np.column_stack([self.heading, *self.added.values()]).tolist()
+        keys = list(zip(self.names, self.swing, map(tuple, loads), strict=True))
+        return [
+            np.flatnonzero([other_key == key for other_key in keys]) for key in dict.fromkeys(keys)
+        ]
+
+    def make_names_unique(self) -> MeasuredStands:
+        """Return the measured stands with a different name for each stand.
+
+        Stands of one name that differ in feet in the air, heading or added masses become ``NAME``,
+        ``NAME #2`` ..., in the order of the rows. Repeated readings keep a common name.
+        """
+        names, used = list(self.names), set[str]()
+        for rows in self._group_repeats():
+            name = unique_name = self.names[rows[0]]
+            numbers = itertools.count(2)
+            while unique_name in used or (unique_name in self.names and unique_name != name):
+                unique_name = f"{name} #{next(numbers)}"
+            used.add(unique_name)
+            for row in rows:
+                names[row] = unique_name
+        return replace(self, names=tuple(names))
+
     def average_repeats(self) -> MeasuredStands:
         """Average the commands and positions of repeated readings of a stand.
 
@@ -173,12 +199,8 @@ class MeasuredStands:
             MeasurementError: If repeated positions differ by more than `_MAX_REPEAT_RANGE`, so that
                 the robot moved.
         """
-        loads = np.column_stack([self.heading, *self.added.values()]).tolist()
-        keys = list(zip(self.names, self.swing, map(tuple, loads), strict=True))
-        groups = [
-            np.flatnonzero([other_key == key for other_key in keys]) for key in dict.fromkeys(keys)
-        ]
-        if len(groups) == len(keys):
+        groups = self._group_repeats()
+        if len(groups) == len(self):
             return self
         for rows in groups:
             ranges = np.ptp(self.position[rows], axis=0)

@@ -553,7 +553,7 @@ def fit_stands(
             raise ConfigurationError(name, diagnose("not-positive", value=value))
     robot.check_floating()
     robot.check_tree("fit")
-    ordered = stands.order_joints(robot)
+    ordered = stands.order_joints(robot).make_names_unique()
 
     def fit(ordered: MeasuredStands) -> StandFit:
         """Fit the parameters to stands, with the priors and options of the caller."""
