@@ -122,6 +122,7 @@ def test_ticks_of_angles_are_parts_of_a_turn() -> None:
     assert round_ticks(0.0, 360.0, 6, degrees=True) == [0.0, 90.0, 180.0, 270.0, 360.0]
     assert round_ticks(-40.0, 44.0, 6, degrees=True) == [-30.0, -15.0, 0.0, 15.0, 30.0]
     assert round_ticks(0.0, 4.0, 6, degrees=True) == round_ticks(0.0, 4.0, 6)
+    assert round_ticks(0.0, 1000.0, 5, degrees=True) == [0.0, 270.0, 540.0, 810.0]
 
 
 def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:

@@ -108,14 +108,15 @@ def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = Fals
     """Choose about ``count`` round tick values of an axis from ``low`` to ``high``, ascending.
 
     The values are multiples of 1, 2 or 5 times a power of 10. If ``degrees`` is True and the range
-    is large, the values are multiples of 15, 30, 45 or 90.
+    is large, the values are multiples of 15, 30, 45, or a multiple of 90.
     """
     span = max(high - low, 1e-12)
     power = 10.0 ** math.floor(math.log10(span / count))
     steps = (size * power for size in (1, 2, 5, 10))
     if degrees and span > _MIN_SPAN_OF_ANGLES:
         steps = (float(size) for size in (15, 30, 45, 90))
-    step = next((size for size in steps if size * count >= span), 90.0)
+    turns = 90.0 * math.ceil(span / (90.0 * count))
+    step = next((size for size in steps if size * count >= span), turns)
     first = math.ceil(low / step - 1e-9)
     return [round(index * step, 12) for index in range(first, math.floor(high / step + 1e-9) + 1)]
 
