@@ -71,7 +71,7 @@ class MujocoBehaviour:
         carriers = [body for body, _ in places]
         positions = np.array([position for _, position in places])
         public = self._convention.qvel_index
-        weights = np.where(self._is_robot_body, self._reference.model.body_mass, 0.0)
+        weights = np.where(self._is_robot_body, model.body_mass, 0.0)
         full = np.zeros((model.nv, model.nv))
         rows: dict[str, list[Array]] = {}
         states = zip(self._states.qpos, self._states.qvel, self._states.torques, strict=True)
