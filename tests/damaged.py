@@ -72,33 +72,6 @@ def _csv(separator: str) -> bytes:
     return "\n".join([header, *rows]).encode()
 
 
-def _bag(ending: str) -> bytes:
-    """Return the file of a ROS 2 bag with joint states and commands."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_JAZZY)
-    kinds = {"/state": "sensor_msgs/msg/JointState", "/command": "std_msgs/msg/Float64MultiArray"}
-    stamp = store.types["builtin_interfaces/msg/Time"]
-    plugin = StoragePlugin.MCAP if ending == "mcap" else StoragePlugin.SQLITE3
-    with tempfile.TemporaryDirectory() as folder:
-        with Writer(Path(folder) / "bag", version=9, storage_plugin=plugin) as writer:
-            topics = {
-                name: writer.add_connection(name, kind, typestore=store)
-                for name, kind in kinds.items()
-            }
-            for row in range(120):
-                header = store.types["std_msgs/msg/Header"](stamp(1, 5_000_000 * row), "")
-                values, none = np.array([0.1 * row, 0.2]), np.zeros(0)
-                state = store.types[kinds["/state"]](header, ["hip", "knee"], values, none, none)
-                layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-                array = store.types[kinds["/command"]](layout, values)
-                for name, message in (("/state", state), ("/command", array)):
-                    raw = store.serialize_cdr(message, kinds[name])
-                    writer.write(topics[name], 10**9 + 5_000_000 * row, raw)
-        return next((Path(folder) / "bag").glob(f"*.{ending}")).read_bytes()
-
-
 def _stl() -> bytes:
     """Return a binary STL of 20 random triangles."""
     corners = np.random.default_rng(0).normal(size=(20, 12)).astype("<f4")
@@ -171,15 +144,10 @@ def list_fit_kinds() -> tuple[Kind, ...]:
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 
-    def read_bag(path: Path) -> Any:
-        return read_log(path, joints=["hip", "knee"])
-
     return (
         Kind("log.csv", _csv(","), read_log),
         Kind("semicolons.csv", _csv(";"), read_log),
         Kind("stands.csv", _STANDS, read_stands),
-        Kind("log.mcap", _bag("mcap"), read_bag),
-        Kind("log.db3", _bag("db3"), read_bag),
     )
 
 

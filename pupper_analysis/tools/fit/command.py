@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -53,7 +52,7 @@ _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
     "--listen": {*_SHARED_OPTIONS, "listen", "bridge"} - {"priors", "kp"},
     "--stands": {*_SHARED_OPTIONS, "stands", "weight", "anyway"},
-    "--log": {*_SHARED_OPTIONS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
+    "--log": {*_SHARED_OPTIONS, "anyway", "logs", "hold_out", "kd"},
     "--plan": {*_SHARED_OPTIONS, "count", "added", "added_at"},
 }
 """{option that selects a mode: names of the parameters that the mode accepts}."""
@@ -68,22 +67,7 @@ _MODE_OPTIONS = {
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="CSV, MCAP or ROS bag of motions, the base held: time, positions, commands. Repeatable.",
-)
-@click.option(
-    "--topic",
-    "topics",
-    multiple=True,
-    metavar="ROLE=TOPIC",
-    help=(
-        "Topic of a bag for the state or the command, if there are several; e.g. "
-        "state=/joint_states. Repeatable."
-    ),
-)
-@click.option(
-    "--joints",
-    metavar="NAME,...",
-    help="Joints in the order of a bag's messages, if the messages contain no names.",
+    help="CSV of motions, the base held: time, positions, commands. Repeatable.",
 )
 @click.option(
     "--hold-out",
@@ -180,8 +164,6 @@ def command(
     stands: Path | None,
     logs: tuple[Path, ...],
     hold_out: tuple[str, ...],
-    topics: tuple[str, ...],
-    joints: str | None,
     count: int | None,
     added: str | None,
     added_at: str | None,
@@ -256,7 +238,7 @@ def command(
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
 
-        measured, held_out = _read_measurements(stands, logs, hold_out, topics, joints)
+        measured, held_out = _read_measurements(stands, logs, hold_out)
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(
                 robot,
@@ -291,11 +273,7 @@ def command(
 
 
 def _read_measurements(
-    stands: Path | None,
-    logs: tuple[Path, ...],
-    hold_out: tuple[str, ...],
-    topics: tuple[str, ...],
-    joints: str | None,
+    stands: Path | None, logs: tuple[Path, ...], hold_out: tuple[str, ...]
 ) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
     """Read the measurements of a fit, and select the held-out measurements.
 
@@ -303,26 +281,19 @@ def _read_measurements(
         stands: File of stands; None: ``logs`` are read.
         logs: Files of logs.
         hold_out: Values of ``--hold-out``: files of logs, or a single share.
-        topics: Values ``ROLE=TOPIC`` of ``--topic``, for bags.
-        joints: Names of the joints in bags, separated by commas; None: from the messages.
 
     Returns:
         Measurements: stands or logs. Held-out measurements: share of each log [1], or logs; None
         without ``--hold-out``.
 
     Raises:
-        ConfigurationError: If a value of ``--topic`` has another form, an unknown role or an
-            unsuitable topic, a share is 1 or more or not the only value, or topics or joints are
-            passed for a log that is not a bag.
+        ConfigurationError: If a share is 1 or more or not the only value.
         MeasurementError: If a file cannot be read, or is no list of stands or no log.
-        MissingPackageError: If a log is a bag, and rosbags is not installed.
     """
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 
-    topic_names = dict(shared.parse_assignment("--topic", topic_option) for topic_option in topics)
-    read = partial(read_log, topics=topic_names, joints=joints.split(",") if joints else ())
-    measured = list(map(read, logs)) if stands is None else read_stands(stands)
+    measured = list(map(read_log, logs)) if stands is None else read_stands(stands)
     shares = [float(value) for value in hold_out if value.replace(".", "", 1).isdecimal()]
     if shares and len(hold_out) > 1:
         finding = diagnose("hold-out-of-two-kinds", share=shares[0])
@@ -330,7 +301,7 @@ def _read_measurements(
     if shares and not shares[0] < 1:
         finding = diagnose("not-between", given=shares[0], low=0, high=1)
         raise ConfigurationError("--hold-out", finding)
-    return measured, shares[0] if shares else list(map(read, hold_out)) or None
+    return measured, shares[0] if shares else list(map(read_log, hold_out)) or None
 
 
 _MEASURING_OPTIONS = (

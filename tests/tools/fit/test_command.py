@@ -82,7 +82,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     times = max(1.0, written["fit"]["held_out"] / written["fit"]["fitted"])
     for one, own in zip(written["parameters"], written["fit"]["estimates"], strict=True):
         assert one["std"] == pytest.approx(times * own["std"])
-    check_refusal(capfd, tmp_path, (*given, "--topic", "state=/joint_states"), "bag")
+    check_refusal(capfd, tmp_path, (*given, "--hold-out", "leg.mcap"), "PlotJuggler")
     check_refusal(capfd, tmp_path, (*given, "--hold-out", "1.5"), "--hold-out: 1.5 is not")
     path.write_text(path.read_text().replace("command.turn [deg]", "torque.turn"))
     check_refusal(capfd, tmp_path, given, "fitted with the commanded positions")
@@ -145,13 +145,13 @@ MODES = {
     "--log": ("--log", "log.csv"),
 }
 VALUES = {
-    **{"topics": "state=/a", "priors": "mass=0", "weight": "3kg", "hold_out": "0.3"},
-    **{"joints": "a,b", "kp": "5", "kd": "1", "added": "0.5kg", "added_at": "0,0,1cm"},
+    **{"priors": "mass=0", "weight": "3kg", "hold_out": "0.3"},
+    **{"kp": "5", "kd": "1", "added": "0.5kg", "added_at": "0,0,1cm"},
     **{"style": "markdown", "report_path": "a.html"},
 }
 """{parameter with a special form: valid value}."""
 EXPECTED = {"--plan": {"added", "added_at"}, "--stands": {"weight"},
-            "--log": {"hold_out", "kd", "topics", "joints"}}  # fmt: skip
+            "--log": {"hold_out", "kd"}}  # fmt: skip
 """{mode: options that only this mode uses}."""
 
 

@@ -1,6 +1,6 @@
 """Logs of motions: joint commands and measured positions over time.
 
-A log is read from a CSV file or a ROS bag, and contains a row per sample. The times and the
+A log is read from a CSV file, and contains a row per sample. The times and the
 completeness of the columns are checked when a log is read. `inspect_log` checks whether a log fits
 a robot.
 """
@@ -17,15 +17,10 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import (
-    ConfigurationError,
-    InputError,
     MeasurementError,
     UnknownNameError,
 )
-from pupper_analysis.base.files import describe_os_error
-from pupper_analysis.base.inputs import check_input
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, read_bag
 from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
 _MIN_JUMP = 0.5
@@ -170,8 +165,6 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
         raise MeasurementError(source, error)
 
 
-# Files of logs: CSV, MCAP and ROS bags.
-
 LOG_COLUMNS = (
     MeasurementColumn("time", "time"),
     MeasurementColumn("command.*", "position"),
@@ -182,70 +175,28 @@ LOG_COLUMNS = (
 """Columns that a log may contain."""
 
 
-@check_arguments
-def read_log(
-    path: str | Path, *, topics: Mapping[str, str] | None = None, joints: Sequence[str] = ()
-) -> Log:
-    """Read a log of a motion from a CSV file, an ``.mcap`` file or a ROS bag.
+_BAG_SUFFIXES = (".mcap", ".bag", ".db3")
+"""Suffixes of MCAP files and ROS bags, which are refused with a hint."""
 
-    CSV columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
+
+@check_arguments
+def read_log(path: str | Path) -> Log:
+    """Read a log of a motion from a CSV file.
+
+    Columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
     ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets, for
     example ``time [ms]`` and ``position.FL_knee [deg]``. Empty cells are missing values.
-
-    Messages in a bag:
-
-    - States are ``sensor_msgs/JointState`` messages.
-    - Commands are ``std_msgs/Float64MultiArray`` messages, ``trajectory_msgs/JointTrajectory``
-      messages with a single point, or ``JointState`` messages of a topic that ``topics`` names.
-    - ``control_msgs/JointTrajectoryControllerState`` messages contain states and commands.
-
-    The times of a bag are read from the message headers. If a message has no time in the header,
-    the times of recording are used for all messages. The log has the sample times of the joint with
-    the most samples. Positions of other joints are interpolated unless samples are missing, and a
-    command holds until the next command.
-
-    Args:
-        path: File, or folder of a ROS 2 bag.
-        topics: Topics of a bag, {role: topic}, with the roles ``"state"`` and ``"command"``. For a
-            role without an entry, the bag must have a single topic of a suitable type.
-        joints: Joint names, in order, for messages of a bag that contain no joint names.
 
     Returns:
         The log. ``inspect_log`` checks the log for a robot.
 
     Raises:
-        ConfigurationError: If topics or joints are passed for a file that is not a bag, or a topic
-            has an unknown role or an unsuitable type.
         MeasurementError: If the file is not a log: for example columns are missing or unknown, a
             joint has no commands, a cell is not a number, time does not increase, or samples are
             too few.
-        MissingPackageError: If the file is a bag, and rosbags is not installed.
     """
-    if is_bag(Path(path)):
-        _check_files(Path(path))
-        time, kinds = read_bag(Path(path), topics or {}, joints)
-        return make_log(str(path), time, kinds, range(len(time)))
-    for name, given in (("topics", topics), ("joints", joints)):
-        if given:
-            raise ConfigurationError(name, diagnose("no-bag-has-no-topics", file=str(path)))
+    if Path(path).suffix.lower() in _BAG_SUFFIXES:
+        raise MeasurementError(str(path), diagnose("log-is-bag"))
     table = read_columns(path, LOG_COLUMNS)
     kinds = {kind: table.get_columns(kind) for kind in ("position", "command")}
     return make_log(table.source, table.numbers.get("time", np.zeros(0)), kinds, table.lines)
-
-
-def _check_files(bag: Path) -> None:
-    """Check that all files of a bag are accessible, regular and not too large.
-
-    A reader would wait forever for the end of a pipe, for example.
-
-    Raises:
-        MeasurementError: If a file is missing, not accessible, not regular or too large, or the
-            folder cannot be read.
-    """
-    try:
-        for file in bag.iterdir() if bag.is_dir() else (bag,):
-            check_input(file, MAX_BAG_BYTES)
-    except InputError as error:
-        raise MeasurementError(error.path, error.cause) from error
-    except OSError as error:
-        raise MeasurementError(str(bag), str(describe_os_error(error))) from error
