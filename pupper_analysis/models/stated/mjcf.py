@@ -250,9 +250,9 @@ def _stated_values(
     """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
     Values of default classes are included. ``joint`` is the id of the joint in the compiled model.
-    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are returned. Infinite limits are omitted. Another
-    parameter is omitted if its value is 0, and neither the joint nor a default class contains the
-    attribute.
+    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are
+    returned. Infinite limits are omitted. Another parameter is omitted if its value is 0, and
+    neither the joint nor a default class contains the attribute.
     """
     values = {
         attribute.kind: limits[attribute.field]
