@@ -138,15 +138,18 @@ def count_joints_to_base(robot: Robot, body: int) -> int:
 def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
     """Return the ids of the geoms of a body that can collide with the floor.
 
-    Two geoms can collide if the contype of either matches the conaffinity of the other.
+    Two geoms can collide if the contype of either matches the conaffinity of the other. The result
+    is empty without a floor: a floor without contacts is a visual geom, which a model may lack.
 
     Args:
-        model: Model with a floor.
+        model: Model.
         body: Id of the body.
         welded: True to include the geoms of bodies that are fixed to the body; ``body`` must then
             be a moving body. False: only the geoms of the body itself.
     """
     floor = ground_geom(model)
+    if floor is None:
+        return []
     floor_bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
     return [
         geom

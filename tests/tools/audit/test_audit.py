@@ -755,9 +755,11 @@ def test_file_without_ground_is_checked_on_a_default_ground(
     set.
     """
     result = audit_model(write_model(tmp_path, "mjcf", (FLOOR, *edits)))
-    assert {finding.rule for finding in result.findings if finding.severity != Severity.NOTE} <= {
-        rule
-    }
+    found = {finding.rule for finding in result.findings if finding.severity != Severity.NOTE}
+    # Without contacts, the robot falls through each ground.
+    falls = {"keyframe-falls"} if edits and edits[0].after == "<option" else set()
+    assert found <= {rule} | falls
+    assert falls <= found
     assert bool(find_findings(result, rule)) is bool(rule)
 
 
