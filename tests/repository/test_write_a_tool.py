@@ -138,7 +138,7 @@ def test_reader_of_the_guide_is_used_by_contract(tmp_path: Path) -> None:
     assert "leg_front_r_1" not in said
     assert re.search(r"effort of joint leg_front_r_2: 4.5 .* 3 N m", said)
     said = run_command_with_packages(None, tmp_path, *words, status=2)
-    assert "motors.limits: it is of no kind that is read" in said
+    assert "motors.limits: unknown kind of file" in said
 
 
 METRICS = """

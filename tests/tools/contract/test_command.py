@@ -25,7 +25,7 @@ BAD = {
     "circle.py": ("from circle import A\nB = A\n", "it states no number of joints"),
     "big.yaml": ("#" * 20_000_001, "it has more than 20 MB"),
     "cut.onnx": ("\x7f\x7f", "it is no ONNX model"),
-    "text.txt": ("x", "it is of no kind that is read"),
+    "text.txt": ("x", "unknown kind of file; valid endings: .json"),
     "other.py": ("C = ACfg(init_state=S(joint_pos={'knee': 1.0}), "
                  "actuators={'a': B(joint_names_expr=['knee'], stiffness=2.0)})\n",
                  "no joint of it matches a joint of pupper_v3.urdf"),
