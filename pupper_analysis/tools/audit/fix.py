@@ -59,14 +59,17 @@ def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
     """Return True if a repair can be applied: the file has the old values that the repair expects.
 
     Each changed element must be unique. An element may be missing if the repair expects no old
-    value and the named element (link or joint) is unique.
+    value and the named element (link or joint) is unique. The amount of white space between numbers
+    does not count, since readers of URDF remove it.
     """
     for change in repair.list_changes():
         element = _find_repaired_element(document, change)
         if element is None:
             if any(change.old.values()) or _find_owner(document, change) is None:
                 return False
-        elif any((element.get(word) or "") != text for word, text in change.old.items()):
+        elif any(
+            (element.get(word) or "").split() != text.split() for word, text in change.old.items()
+        ):
             return False
     return True
 

@@ -96,6 +96,16 @@ def test_planted_number_is_repaired_to_the_original_bytes(
     assert audit_model(path).counts == audit_model(URDF).counts
 
 
+def test_repair_is_written_over_numbers_with_several_spaces(tmp_path: Path) -> None:
+    """As in HyQ: rpy="0 -1.57079632679  0". Reference: the original numbers."""
+    path = plant_text(tmp_path, '<link name="RR_calf">', '"0 0 -0.055"', '" 0   0  0.4"')
+    audit = audit_model(path)
+    documents, count = apply_repairs([audit])
+    assert count == 1
+    write_documents(documents)
+    assert path.read_bytes() == read_original()
+
+
 @pytest.mark.parametrize("angles", ["0.3 0 0", "0 0.3 0"])
 def test_turned_joint_is_repaired_if_its_child_is_displaced(angles: str, tmp_path: Path) -> None:
     """A turn of the knee by 0.3 rad displaces the foot, whose own origin is right."""

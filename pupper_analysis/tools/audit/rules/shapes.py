@@ -471,7 +471,7 @@ def _is_light_part(robot: UrdfModel, body: Link) -> bool:
 
     Light means below `MIN_MASS_FRACTION` of the robot's mass. A rotor is a link on a hinge without
     limits, and its mass includes all fixed links. A light link between moving links, such as the
-    cross of a waist, is inside of the neighbours; a fixed link with collision shapes and more than
+    cross of a waist, is inside of the neighbours, if it has a mass; a fixed link with collision shapes and more than
     half of the mass is a neighbour, too.
     """
     group = robot.fixed_group(body.name)
@@ -481,7 +481,8 @@ def _is_light_part(robot: UrdfModel, body: Link) -> bool:
     is_carrier = any(
         2 * part.mass > mass and any(shape.collides for shape in part.shapes) for part in group[1:]
     )
-    return (mass < limit and (is_rotor or is_between)) or (body.mass < limit and is_carrier)
+    is_light_between = is_between and 0 < mass < limit
+    return (is_rotor and mass < limit) or is_light_between or (body.mass < limit and is_carrier)
 
 
 def _is_covered_by_fixed_link(robot: UrdfModel, body: Link) -> bool:
