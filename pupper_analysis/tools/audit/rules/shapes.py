@@ -471,8 +471,8 @@ def _is_light_part(robot: UrdfModel, body: Link) -> bool:
 
     Light means below `MIN_MASS_FRACTION` of the robot's mass. A rotor is a link on a hinge without
     limits, and its mass includes all fixed links. A light link between moving links, such as the
-    cross of a waist, is inside of the neighbours, if it has a mass; a fixed link with collision shapes and more than
-    half of the mass is a neighbour, too.
+    cross of a waist, is inside of the neighbours, if it has a mass. A fixed link with collision
+    shapes and more than half of the mass is a neighbour, too.
     """
     group = robot.fixed_group(body.name)
     is_between = any(child.moving for part in group for child in robot.children(part.name))
