@@ -67,18 +67,25 @@ armatures differ by a factor of at most 13."""
 def mirror_name(name: str) -> str:
     """Return a name with left and right exchanged, for example ``FR_knee`` for ``FL_knee``.
 
-    Abbreviations are exchanged only if the name contains no written-out side. Words such as
+    Abbreviations are exchanged only if the name contains no written-out side, and only those in the
+    case of the first: ``R_lf_j1`` is a joint of the little finger of the right hand. Words such as
     ``upright`` contain no side (``_OTHER_WORD``). A name without a side is returned unchanged.
     """
     others = [match.span() for match in _OTHER_WORD.finditer(name)]
 
-    def exchange(match: re.Match[str]) -> str:
-        """Return the opposite side of a match, unless the match is part of another word."""
-        inside = any(start <= match.start() and match.end() <= end for start, end in others)
-        return match[0] if inside else _OPPOSITE_SIDE[match[0]]
+    def is_side(match: re.Match[str]) -> bool:
+        """Return True if a match is no part of another word."""
+        return not any(start <= match.start() and match.end() <= end for start, end in others)
 
-    exchanged = _FULL_WORD.sub(exchange, name)
-    return exchanged if exchanged != name else _SIDE_PATTERN.sub(exchange, name)
+    for pattern in (_FULL_WORD, _SIDE_PATTERN):
+        sides = [match for match in pattern.finditer(name) if is_side(match)]
+        if pattern is _SIDE_PATTERN:
+            sides = [match for match in sides if match[0].isupper() == sides[0][0].isupper()]
+        if sides:
+            for match in reversed(sides):
+                name = name[: match.start()] + _OPPOSITE_SIDE[match[0]] + name[match.end() :]
+            return name
+    return name
 
 
 def _list_mirror_names(name: str) -> tuple[str, str]:

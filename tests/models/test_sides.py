@@ -25,6 +25,7 @@ from pupper_analysis.models.sides import find_mirror_pairs, mirror_name
         ("FL_upright_link", "FR_upright_link"),
         ("LeftUpright", "RightUpright"),
         ("upright_left", "upright_right"),
+        ("L_lf_j1", "R_lf_j1"),
     ],
 )
 def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
@@ -32,6 +33,12 @@ def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
     assert mirror_name(left) == right
     assert mirror_name(right) == left
     assert find_mirror_pairs([left, "base", right]) == [(left, right)]
+
+
+def test_fingers_of_both_hands_are_not_exchanged() -> None:
+    """Little finger (lf) and ring finger (rf) of Dexmate's hands."""
+    names = ["L_lf_j1", "L_rf_j1", "R_lf_j1", "R_rf_j1"]
+    assert find_mirror_pairs(names) == [("L_lf_j1", "R_lf_j1"), ("L_rf_j1", "R_rf_j1")]
 
 
 @pytest.mark.parametrize(

@@ -1501,6 +1501,38 @@ def test_names_of_a_single_leg_are_no_evidence_in_another_base_frame(
     assert [finding.element for finding in found] == ["joint 'hip_yaw'"] * count
 
 
+@pytest.mark.parametrize(("angle", "count"), [("3.14159265358979", 0), ("0", 1)])
+def test_copy_of_a_part_that_is_mounted_turned_is_no_mirror_image(
+    angle: str, count: int, tmp_path: Path
+) -> None:
+    """As the drives of ANYmal's knees: one part, turned by half a turn about z on the other side.
+
+    Its products of inertia are those of the turned part, with the other sign of ixz and iyz. With
+    the same orientation, the tensor should be mirrored.
+    """
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "drive.stl")
+    links, joints = "", ""
+    for side, y, turn in (("left", "0.2", "0"), ("right", "-0.2", angle)):
+        links += (
+            f'<link name="{side}_knee"><inertial><mass value="2"/><inertia ixx="0.004" '
+            'iyy="0.005" izz="0.006" ixy="0.001" ixz="0.001" iyz="0.001"/></inertial><visual>'
+            '<geometry><mesh filename="drive.stl"/></geometry></visual></link>'
+        )
+        joints += (
+            f'<joint name="{side}_knee" type="revolute"><origin xyz="0 {y} 0" rpy="0 0 {turn}"/>'
+            f'<parent link="base"/><child link="{side}_knee"/><axis xyz="0 1 0"/>'
+            '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+        )
+    base = (
+        '<link name="base"><inertial><mass value="5"/><inertia ixx="0.1" iyy="0.1" izz="0.1" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="robot">{base}{links}{joints}</robot>')
+    found = find_findings(audit_model(path), "mirror-inertia")
+    assert [finding.element for finding in found] == ["link 'right_knee'"] * count
+
+
 def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
     """With another opposite axis, a second hinge at a link or two arms, the sign may be a choice.
 

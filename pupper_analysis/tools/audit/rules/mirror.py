@@ -10,11 +10,13 @@ pair. The comparisons of CoM, inertia, shapes and contacts leave displaced pairs
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from lxml import etree
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
@@ -373,11 +375,39 @@ def _list_inertial_pairs(
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
     """Yield the mirror plane and (link, inertial) of both links of `_list_pairs_in_place`.
 
-    Pairs of copied limbs, and pairs in which a link has no inertial, are left out.
+    Pairs of copied limbs and of copied links (`_is_turned_copy`), and pairs in which a link has no
+    inertial, are left out.
     """
     for mirror, first, second in _list_mirrored_pairs(robot):
-        if first.inertial is not None and second.inertial is not None:
+        if first.inertial is None or second.inertial is None:
+            continue
+        if not _is_turned_copy(robot, first, second):
             yield mirror, (first, first.inertial), (second, second.inertial)
+
+
+def _is_turned_copy(robot: RobotModel, first: Link, second: Link) -> bool:
+    """Return True if two links of a URDF are the same part, mounted in another orientation.
+
+    Mass, CoM, tensor and visual meshes are equal in the frames of both links, and the frames have
+    different orientations: the drives of ANYmal's knees are turned by 180 degrees, not mirrored.
+    """
+    if not isinstance(robot, UrdfModel) or first.inertial is None or second.inertial is None:
+        return False
+    if np.allclose(first.pose.rotation, second.pose.rotation, atol=1e-3):
+        return False
+    drawn = [
+        [
+            re.sub(rb"\s+", b"", etree.tostring(part, method="c14n"))
+            for part in robot.file.tree.links[link.name].element.iterfind("visual")
+            if part.find("geometry/mesh") is not None
+        ]
+        for link in (first, second)
+    ]
+    numbers = [
+        np.concatenate([[link.mass], link.com, link.inertia.ravel()])
+        for link in (first.inertial, second.inertial)
+    ]
+    return bool(drawn[0]) and drawn[0] == drawn[1] and np.array_equal(*numbers)
 
 
 def _masses_agree(first: Link, second: Link) -> bool:
