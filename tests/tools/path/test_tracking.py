@@ -185,7 +185,8 @@ def test_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
         torques=torques,
         path=SimpleNamespace(torques=torques),
     )
-    (event,), error = tracking._compare_torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    simulated = tracking._compute_torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    (event,), error = tracking._compare_torques(plan, *simulated)  # type: ignore[arg-type]
     assert robot.joint_names[4] in str(event)
     assert error < 1e-9
 
