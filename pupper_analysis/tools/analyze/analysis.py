@@ -128,6 +128,7 @@ class FootJacobian(Result):
     """Jacobian of a contact point of a foot with respect to the joints of the leg.
 
     Attributes:
+        foot: Foot with the contact point.
         joints: Joints of the leg.
         matrix: Velocity of the contact sphere's centre per joint velocity, shape (3, n) (m/rad), in
             world axes.
@@ -137,6 +138,7 @@ class FootJacobian(Result):
             isotropic, infinity if it is singular or the leg has no joints.
     """
 
+    foot: str
     joints: tuple[str, ...]
     matrix: Array = field(metadata={"unit": "m/rad"})
     singular_values: Array = field(metadata={"unit": "m/rad"})
@@ -291,11 +293,12 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     """
     robot = config.robot
     jacobians = {}
-    for foot, full in config.foot_jacobians().items():
-        joints = leg_joints(robot, foot)
+    for point, full in config.foot_jacobians().items():
+        joints = leg_joints(robot, point)
         columns = [robot.nv - robot.nu + robot.joint_names.index(name) for name in joints]
         values = np.asarray(np.linalg.svd(full[:, columns], compute_uv=False), float)
-        jacobians[foot] = FootJacobian(
+        jacobians[point] = FootJacobian(
+            foot=robot.foot_of(point),
             joints=joints,
             matrix=full[:, columns],
             singular_values=values,

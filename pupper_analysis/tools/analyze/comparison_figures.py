@@ -7,7 +7,7 @@ joints (the variants of a base model) share the axes, so that panels can be comp
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,17 +76,19 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """
     figure, panels = _make_panels(analyses, "Motor torque, in percent of each motor's limit", 0.42)
     for analysis, axes in panels:
-        rows = list(_group_joints(analysis).items())
+        legs = _list_legs(analysis)
+        rows = list(_group_joints(analysis, legs).items())
         limits = np.array([joint.effort for joint in analysis.joints], float)
         units = analysis.statics.torque_units
         predicted = np.abs(np.asarray(analysis.statics.joint_torques, float))
         simulated = np.abs(np.asarray(analysis.verification.joint_torques, float))
         limited = np.isfinite(limits) & (limits > 0)
         percent = np.where(limited, 100 / np.where(limited, limits, 1.0), np.nan)
-        for row, (_, joints) in enumerate(rows):
+        for row, (_, joints_and_legs) in enumerate(rows):
+            joints = [joint for joint, _ in joints_and_legs]
             offsets = np.linspace(-0.24, 0.24, len(joints)) if len(joints) > 1 else np.zeros(1)
-            for leg, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
-                style = _get_leg_style(leg) if len(joints) > 1 else {"color": "0.3", "marker": "o"}
+            for (joint, leg), offset in zip(joints_and_legs, offsets, strict=True):
+                style = {"color": "0.3", "marker": "o"} if leg is None else _get_leg_style(leg)
                 place = row + offset
                 axes.plot(percent[joint] * predicted[joint], place, ls="", ms=5, **style)
                 axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
@@ -102,7 +104,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
         limit = f"{_format_range(limits[limited])} {find_common_units(units).effort}"
         drawing.title_panel(axes, f"{analysis.name}: limit {limit}")
-        _write_feet(axes, sorted(analysis.foot_jacobians))
+        _write_feet(axes, list(legs))
         # Room for the values at the right end of the axis.
         axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
     _share_limits(panels, "x")
@@ -222,26 +224,41 @@ def _make_panels(
     return figure, list(zip(analyses, grid[: len(analyses)], strict=True))
 
 
-def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
-    """Return {row title: joint indices} for the rows of the torque figure.
+def _list_legs(analysis: Analysis) -> dict[str, tuple[str, ...]]:
+    """Return {feet of a leg: joints of the leg, in order from the base}, sorted by feet.
 
-    The first rows contain corresponding joints of all legs, the last rows one other joint each. The
-    legs are sorted by name, so that a leg has the same colour in all panels.
+    Several feet at the same joints are one leg. Feet without joints are omitted.
+    """
+    feet: dict[tuple[str, ...], set[str]] = {}
+    for jacobian in analysis.foot_jacobians.values():
+        if jacobian.joints:
+            feet.setdefault(tuple(jacobian.joints), set()).add(jacobian.foot)
+    return dict(sorted((" + ".join(sorted(names)), joints) for joints, names in feet.items()))
+
+
+def _group_joints(
+    analysis: Analysis, legs: Mapping[str, Sequence[str]]
+) -> dict[str, list[tuple[int, int | None]]]:
+    """Return {row title: (joint index, leg index) of each joint} for the rows of the torque figure.
+
+    The first rows contain corresponding joints of all legs (`_list_legs`), the last rows one other
+    joint each. The leg is None for a joint that several legs share, for a joint outside of legs,
+    and for a robot with a single leg.
     """
     names = [joint.name for joint in analysis.joints]
-    by_depth: defaultdict[int, list[int]] = defaultdict(list)
-    for _, jacobian in sorted(analysis.foot_jacobians.items()):
-        for depth, name in enumerate(jacobian.joints):
+    by_depth: defaultdict[int, dict[int, int | None]] = defaultdict(dict)
+    depths: dict[int, int] = {}
+    for leg, joints in enumerate(legs.values()):
+        for depth, name in enumerate(joints):
             index = names.index(name)
-            if all(index not in row for row in by_depth.values()):
-                by_depth[depth].append(index)
-    rows = {
-        _join_common_parts([names[index] for index in row]): row for row in by_depth.values() if row
-    }
-    if len(rows) < sum(bool(row) for row in by_depth.values()):  # two rows have the same name
-        rows = {f"joint {depth + 1}": row for depth, row in sorted(by_depth.items()) if row}
-    in_legs = {index for row in rows.values() for index in row}
-    return rows | {name: [index] for index, name in enumerate(names) if index not in in_legs}
+            is_shared = len(legs) == 1 or index in depths
+            by_depth[depths.setdefault(index, depth)][index] = None if is_shared else leg
+    others = [index for index in range(len(names)) if index not in depths]
+    titles = [_join_common_parts([names[index] for index in row]) for row in by_depth.values()]
+    if len({*titles, *(names[index] for index in others)}) < len(titles) + len(others):
+        titles = [f"joint {depth + 1}" for depth in by_depth]
+    rows = {title: list(row.items()) for title, row in zip(titles, by_depth.values(), strict=True)}
+    return rows | {names[index]: [(index, None)] for index in others}
 
 
 def _join_common_parts(names: Sequence[str]) -> str:
@@ -267,17 +284,17 @@ def _get_leg_style(leg: int) -> dict[str, Any]:
     return {"color": colour, "marker": markers[leg % len(markers)]}
 
 
-def _write_feet(axes: Axes, feet: Sequence[str]) -> None:
-    """Write the names of the feet above a panel, right-aligned, with colour and marker of the leg.
+def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
+    """Write the feet of each leg above a panel, right-aligned, with colour and marker of the leg.
 
-    Nothing is written for a single foot, or for more feet than there are colours.
+    Nothing is written for a single leg, or for more legs than there are colours.
     """
-    if not 1 < len(feet) <= len(drawing.SERIES_COLOURS):
+    if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0
-    for leg in reversed(range(len(feet))):
+    for leg in reversed(range(len(legs))):
         style = _get_leg_style(leg)
-        name = f"{_LEG_MARKERS[style['marker']]} {feet[leg]}"
+        name = f"{_LEG_MARKERS[style['marker']]} {legs[leg]}"
         axes.annotate(name, (1, 1), xycoords="axes fraction", xytext=(-right, 4),
                       textcoords="offset points", ha="right", va="bottom", weight="bold",
                       size=drawing.FONT_SIZE - 1, color=style["color"],

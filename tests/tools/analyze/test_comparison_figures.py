@@ -89,7 +89,9 @@ def test_names_of_joints_and_feet_are_written_without_formulas(tmp_path: Path) -
     joints = [SimpleNamespace(name=f"{FORMULA}{joint.name}", effort=joint.effort)
               for joint in analysis.joints]  # fmt: skip
     jacobians = {
-        f"{FORMULA}{foot}": SimpleNamespace(joints=[f"{FORMULA}{name}" for name in one.joints])
+        f"{FORMULA}{foot}": SimpleNamespace(
+            foot=f"{FORMULA}{one.foot}", joints=[f"{FORMULA}{name}" for name in one.joints]
+        )
         for foot, one in analysis.foot_jacobians.items()
     }
     named = change_analysis(analysis, name=FORMULA, joints=joints, foot_jacobians=jacobians)
@@ -155,6 +157,42 @@ def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
     # Legs differ without colours.
     names = {text.get_text() for text in axes.texts}
     assert {"● FL", "■ FR", "▲ RL", "◆ RR"} <= names
+
+
+def test_torque_figure_has_one_colour_and_name_per_leg_with_several_contact_points(
+    figures: list[Figure],
+) -> None:
+    """A biped with four contact points per foot, a common waist, and a toe on the left leg only.
+
+    The torque of a joint is its index, so that a mark is that of the joint.
+    """
+    names = ("waist", "left_hip", "right_hip", "left_knee", "right_knee", "left_toe", "head")
+    legs = {
+        "right_sole": ("waist", "right_hip", "right_knee"),
+        "left_sole": ("waist", "left_hip", "left_knee", "left_toe"),
+    }
+    torques = SimpleNamespace(joint_torques=np.arange(7.0), torque_units=("N m",) * 7)
+    analysis = SimpleNamespace(
+        name="walker",
+        joints=[SimpleNamespace(name=name, effort=100.0) for name in names],
+        statics=torques,
+        verification=torques,
+        foot_jacobians={
+            f"{foot}_{point}": SimpleNamespace(foot=foot, joints=joints)
+            for foot, joints in legs.items()
+            for point in range(4)
+        },
+    )
+    FIGURES["torques.png"]([analysis], Path("unused.png"))
+    (axes,) = panels(figures[0])
+    labels = {text.get_text(): text.get_color() for text in axes.texts}
+    left, right = labels["left_sole"], labels["right_sole"]
+    assert left != right
+    marks = [line for line in axes.lines if line.get_marker() == "o"]
+    colours = {int(np.asarray(line.get_xdata())[0] + 0.5): line.get_color() for line in marks}
+    assert colours == {0: "0.3", 1: left, 2: right, 3: left, 4: right, 5: left, 6: "0.3"}
+    rows = [label.get_text() for label in axes.get_yticklabels()]
+    assert rows == ["waist", "hip", "knee", "left_toe", "head"]
 
 
 def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[Figure]) -> None:
