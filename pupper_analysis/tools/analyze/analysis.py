@@ -29,7 +29,7 @@ from pupper_analysis.base.units import (
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, joint_motions, leg_joints
+from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, is_slide, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.verdict import Verdict
@@ -157,10 +157,10 @@ class Analysis(Result):
         total_mass: Mass of the robot (kg).
         link_masses: {base or joint: mass of the moved body (kg)}, including fixed links.
         center_of_mass: CoM at zero angles, shape (3,) (m), in the base frame.
-        thigh_length: Distance between the last two joints of the first leg (m); None for a leg with
-            fewer joints.
+        thigh_length: Distance between the last two joints of the first leg (m); None if unknown
+            (`measure_leg_lengths`).
         calf_length: Distance from the last joint to the foot in the plane of the first leg (m);
-            None for a leg without joints.
+            None if unknown.
         joints: Summary of each joint, in actuator order.
         notes: Assumptions on loading.
         stand: Stand on MuJoCo's soft ground, with the penetration of the feet in ``depths``. It is
@@ -320,6 +320,11 @@ def _list_link_masses(robot: Robot) -> dict[str, float]:
     return masses
 
 
+_MAX_LEG_JOINTS = 3
+"""Largest number of joints of a leg whose last joint counts as the knee. Chosen, not tuned: legs
+with more joints, such as those of bipeds, have ankles."""
+
+
 def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     """Compute the lengths of the first leg's thigh and calf at zero angles.
 
@@ -327,19 +332,19 @@ def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     The calf reaches from the knee to the foot, without the component along the knee axis.
 
     Returns:
-        Thigh and calf length [m]. The thigh is None for a leg with a single joint; both are None
-        for a leg without joints.
+        Thigh and calf length [m]. The thigh is None for a leg with a single joint, and if the
+        preceding joint is a slide. Both are None for a leg without joints, with more than
+        `_MAX_LEG_JOINTS` joints, or with a slide as the last joint.
     """
     foot = robot.contact_points[0]
-    rest = Configuration(robot, robot.neutral())
     joints = leg_joints(robot, foot)
-    if not joints:
+    if not 0 < len(joints) <= _MAX_LEG_JOINTS or is_slide(robot, joints[-1]):
         return None, None
-    knee = joints[-1]
+    rest, knee = Configuration(robot, robot.neutral()), joints[-1]
     calf = rest.foot_positions()[foot] - rest.joint_position(knee)
     axis = rest.joint_axis(knee)
     calf_length = float(np.linalg.norm(calf - (calf @ axis) * axis))
-    if len(joints) == 1:
+    if len(joints) == 1 or is_slide(robot, joints[-2]):
         return None, calf_length
     thigh = rest.joint_position(knee) - rest.joint_position(joints[-2])
     return float(np.linalg.norm(thigh)), calf_length

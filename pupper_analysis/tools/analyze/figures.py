@@ -377,7 +377,7 @@ class Picture:
 def render_variants(
     robots_and_stands: Sequence[tuple[Robot, Stand]], path: str | Path, *, width: int = 1500
 ) -> Picture:
-    """Render robots side by side at the same scale, with names, leg lengths and masses.
+    """Render robots side by side at the same scale, with names, leg lengths (if known) and masses.
 
     Args:
         robots_and_stands: (robot, stand) pairs.
@@ -423,13 +423,14 @@ def render_variants(
 
 
 def _write_label(canvas: Axes, tile: Tile) -> None:
-    """Write name, leg length and mass below a robot."""
+    """Write name, leg length and mass below a robot; no leg length if a part is unknown."""
     robot = tile.robot
     # Letters that fit the tile, in points.
     size = 0.03 * tile.width * 72 / _PICTURE_DPI
     x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL_HEIGHT + 0.02) * tile.width
-    legs = sum(length or 0.0 for length in measure_leg_lengths(robot))
-    numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
+    thigh, calf = measure_leg_lengths(robot)
+    legs = "" if thigh is None or calf is None else f"legs {1e3 * (thigh + calf):.0f} mm, "
+    numbers = f"{legs}mass {robot.total_mass:.2f} kg"
     below = y + 2.0 * size * _PICTURE_DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
     canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)

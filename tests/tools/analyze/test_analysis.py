@@ -19,6 +19,7 @@ from pupper_analysis.tools.analyze.analysis import (
     measure_leg_lengths,
     summarise_joints,
 )
+from tests.support.legged import biped
 from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 from tests.support.variants import load
@@ -147,10 +148,10 @@ def telescope(folder: Path) -> pa.Robot:
 
 
 @pytest.mark.slow
-def test_thigh_length_is_none_for_legs_of_one_joint(tmp_path: Path) -> None:
+def test_leg_of_one_slide_has_no_lengths(tmp_path: Path) -> None:
     """Closed form of the slide force: weight / 4 less the leg's own 0.1 kg times g [N]."""
     robot = telescope(tmp_path)
-    assert measure_leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
+    assert measure_leg_lengths(robot) == (None, None)
     analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))
     assert analysis.verified, analysis.failures
     assert analysis.thigh_length is None
@@ -173,6 +174,12 @@ V3_LEG = (np.hypot(0.0494, 0.0685), np.hypot(0.06231, 0.06216))
 def test_leg_lengths_are_those_of_the_file(name: str, lengths: tuple[float, float]) -> None:
     """Thigh and calf [m]; reference: joint positions, read in the files."""
     assert measure_leg_lengths(load(name)) == pytest.approx(lengths, rel=1e-12)
+
+
+def test_leg_with_ankles_has_no_lengths(tmp_path: Path) -> None:
+    """The last joint of this biped is an ankle, 50 mm above the ground."""
+    pair = biped(tmp_path)
+    assert measure_leg_lengths(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)) == (None, None)
 
 
 def test_joints_of_a_leg_are_those_between_base_and_foot() -> None:

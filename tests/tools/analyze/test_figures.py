@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import pupper_analysis as pa
@@ -123,6 +124,25 @@ def test_ground_and_scale_bar_are_drawn_at_the_scale_of_the_robots(
 
 
 # ------------------------------------------------------------------------------------- no OpenGL
+
+
+@pytest.mark.parametrize(
+    ("lengths", "label"),
+    [
+        ((0.08, 0.11), "legs 190 mm, mass 3.17 kg"),
+        ((None, 0.11), "mass 3.17 kg"),
+        ((None, None), "mass 3.17 kg"),
+    ],
+)
+def test_label_omits_an_unknown_leg_length(
+    lengths: tuple[float | None, float | None], label: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    (tile,) = lay_out_tiles([(robot, stand.qpos)], WIDTH, 1)
+    monkeypatch.setattr(render, "measure_leg_lengths", lambda robot: lengths)
+    canvas = Figure().add_subplot()
+    render._write_label(canvas, tile)
+    assert [text.get_text() for text in canvas.texts] == ["v3", label]
 
 
 @pytest.mark.usefixtures("no_opengl")
