@@ -17,6 +17,7 @@ import numpy as np
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
+from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
@@ -129,20 +130,44 @@ def explain_refusal(
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     """Return True if closed loops are at a dead point: joints cannot move a foot in some direction.
 
-    Without the loops, the joints could move the foot. Only stance feet are tested.
+    Without the loops, the joints could move the foot in this direction. Directions that the loops
+    also block in the home configuration do not count, for example the second direction of a leg
+    with a single motor. Only stance feet are tested.
     """
     if robot.closure is None:
         return False
-    rates = Configuration(robot, nearest.qpos).foot_jacobians()
-    basis = robot.closure.null_space(nearest.qpos)
+    here, at_home = (
+        _compute_mobilities(robot, robot.closure, qpos) for qpos in (nearest.qpos, robot.home)
+    )
     for foot in nearest.stance_feet:
-        joints = rates[foot][:3, robot.nv - robot.nu :]
-        free, bound = (
-            np.linalg.svd(matrix, compute_uv=False) for matrix in (joints, joints @ basis)
-        )
-        if ((bound < _DEAD_POINT_RATIO * free) & (free > _DEAD_POINT_RATIO * free[0])).any():
+        free, bound = here[foot]
+        usual_free, usual_bound = at_home[foot]
+        is_lost = (bound < _DEAD_POINT_RATIO * free) & (free > _DEAD_POINT_RATIO * free[0])
+        if (is_lost & (usual_bound >= _DEAD_POINT_RATIO * usual_free)).any():
             return True
     return False
+
+
+def _compute_mobilities(
+    robot: Robot, closure: Closure, qpos: Array
+) -> dict[str, tuple[Array, Array]]:
+    """Compute the mobilities of each contact point: singular values of its Jacobian [m/rad, m/m].
+
+    Returns:
+        {contact point: (mobilities without closed loops, with closed loops), shape (3,) each,
+        descending, zero for directions without motion}.
+    """
+    basis = closure.null_space(qpos)
+
+    def compute_values(matrix: Array) -> Array:
+        values = np.linalg.svd(matrix, compute_uv=False)
+        return np.pad(values, (0, 3 - len(values)))
+
+    return {
+        foot: (compute_values(joints), compute_values(joints @ basis))
+        for foot, jacobian in Configuration(robot, qpos).foot_jacobians().items()
+        for joints in [jacobian[:3, robot.nv - robot.nu :]]
+    }
 
 
 @dataclass(frozen=True, eq=False)

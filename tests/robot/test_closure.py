@@ -218,6 +218,29 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     assert refused.value.blocked == ()
 
 
+def test_foot_that_couplings_hold_is_not_at_a_dead_point(tmp_path: Path) -> None:
+    """All legs follow the pitch and knee of one leg, without roll: two independent joints, which
+    never move a foot sideways.
+    """
+    pair, first = quadruped(tmp_path), LEGS[0]
+    couplings = [
+        f'<joint joint1="{leg}_{joint}" joint2="{first}_{joint}"/>'
+        for leg in LEGS[1:]
+        for joint in ("pitch", "knee")
+    ]
+    couplings += [f'<joint joint1="{leg}_roll"/>' for leg in LEGS]
+    equality = f"<equality>{''.join(couplings)}</equality></mujoco>"
+    rewrite_file(pair.mjcf, ("</mujoco>", equality))
+    robot = load(pair)
+    assert robot.closure is not None
+    assert robot.closure.null_space(robot.home).shape == (robot.nu, 2)
+    aside = pa.StandTask(foot_offsets={robot.contact_points[0]: (0.0, 0.05)})
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.solve_stand(robot, aside, explain=False)
+    assert refused.value.shortfall[robot.contact_points[0]] > 0.02
+    assert refused.value.blocked == ()
+
+
 @pytest.mark.slow
 def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> None:
     """Without loop constraints, the nearest configuration has all feet in place, and the refusal
