@@ -227,8 +227,11 @@ def follow_branches(
         moves: Displacements of the base, shape (n, 3) [m], in the world frame.
 
     Returns:
-        {limb: list of the limb's branches at each of the n base positions}.
+        {limb: list of the limb's branches at each of the n base positions}; empty for a robot
+        without feet.
     """
+    if not found:
+        return {}
     count = max(map(len, found.values()))
     starts = np.tile(qpos[robot.nq - robot.nu :], (count, 1))
     for limb, branches in found.items():

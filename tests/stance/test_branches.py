@@ -21,7 +21,9 @@ from pupper_analysis.stance.branches import (
     combine_branches,
     find_branches,
     find_limbs,
+    follow_branches,
 )
+from tests.support.arm import arm
 from tests.support.engines import evaluate_mujoco
 from tests.support.variants import load
 
@@ -205,6 +207,13 @@ def test_straight_legs_bend_all_in_one_direction(name: str, up: float) -> None:
     knees = next(iter(combine_branches(found, straight)))[2::3]
     assert abs(knees[0]) > 0.5
     assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)
+
+
+def test_robot_without_feet_has_no_branches() -> None:
+    robot = arm()
+    limits, moves = (robot.lower_limits, robot.upper_limits), np.zeros((2, 3))
+    found = find_branches(robot, robot.home, {}, *limits)
+    assert found == follow_branches(robot, robot.home, {}, *limits, found, moves) == {}
 
 
 def test_foot_on_the_base_has_a_single_branch() -> None:
