@@ -540,7 +540,8 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
     for equality in list(spec.equalities):
         # Connect and weld refer to bodies, which may have the names of joints.
         couples_joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
-        if couples_joints and name in (equality.name1, equality.name2):
+        # The second name of an equality with a single joint is empty, as is the name of a joint.
+        if couples_joints and name and name in (equality.name1, equality.name2):
             spec.delete(equality)
     _delete_sensors(spec, mujoco.mjtObj.mjOBJ_JOINT, name)
     spec.delete(joint)

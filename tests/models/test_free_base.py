@@ -4,6 +4,7 @@ command.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -82,6 +83,22 @@ def test_base_joints_are_not_joined_if_held_or_driven(
     count = len(spec.joints)
     assert not join_free_base(spec)
     assert len(spec.joints) == count
+
+
+def test_equality_of_another_joint_is_kept_if_the_base_joints_have_no_names(
+    tmp_path: Path,
+) -> None:
+    """The equality holds a knee at an angle; MuJoCo's second joint is then empty."""
+    unnamed = re.sub(' name="[a-z_]*"', "", SLIDES + HINGES)
+    pair = quadruped(tmp_path)
+    rewrite_file(pair.mjcf, ("<freejoint/>", unnamed), (POSE, "0 0.35 0 0 0 0"))
+    held = '<equality><joint joint1="FL_knee" polycoef="-1 0 0 0 0"/></equality>'
+    rewrite_file(pair.mjcf, ("</mujoco>", f"{held}</mujoco>"))
+    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
+    assert join_free_base(spec)
+    model = spec.compile()
+    assert (model.jnt_type[0], model.neq) == (mujoco.mjtJoint.mjJNT_FREE, 1)
+    assert model.eq_obj1id[0] == model.joint("FL_knee").id
 
 
 def test_base_joints_are_not_joined_if_the_urdf_has_one_of_them(tmp_path: Path) -> None:
