@@ -185,10 +185,10 @@ def test_torque_figure_has_one_colour_and_name_per_leg_with_several_contact_poin
     )
     FIGURES["torques.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
-    labels = {text.get_text(): text.get_color() for text in axes.texts}
+    labels = {text.get_text().split()[-1]: text.get_color() for text in axes.texts}
     left, right = labels["left_sole"], labels["right_sole"]
     assert left != right
-    marks = [line for line in axes.lines if line.get_marker() == "o"]
+    marks = [line for line in axes.lines if line.get_marker() in ("o", "s")]
     colours = {int(np.asarray(line.get_xdata())[0] + 0.5): line.get_color() for line in marks}
     assert colours == {0: "0.3", 1: left, 2: right, 3: left, 4: right, 5: left, 6: "0.3"}
     rows = [label.get_text() for label in axes.get_yticklabels()]

@@ -407,7 +407,7 @@ def _is_turned_copy(robot: RobotModel, first: Link, second: Link) -> bool:
         np.concatenate([[link.mass], link.com, link.inertia.ravel()])
         for link in (first.inertial, second.inertial)
     ]
-    return bool(drawn[0]) and drawn[0] == drawn[1] and np.array_equal(*numbers)
+    return bool(drawn[0]) and drawn[0] == drawn[1] and np.array_equal(numbers[0], numbers[1])
 
 
 def _masses_agree(first: Link, second: Link) -> bool:
