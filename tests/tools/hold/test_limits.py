@@ -282,6 +282,35 @@ def test_payload_is_limited_by_the_ctrlrange_of_a_servo(tmp_path: Path) -> None:
     assert loaded.static_load()[ORDER.index("elbow")] == pytest.approx(-0.02 * kp, rel=1e-9)
 
 
+def test_no_payload_is_held_if_a_command_is_beyond_its_range_without_it(tmp_path: Path) -> None:
+    """The elbow carries its own weight with a command that is 0.02 rad too low for its ctrlrange,
+    and a mass moves the command further: the payload is 0, not the mass that would move it back."""
+    servo, kp = '<position joint="elbow"', by_hand.STIFFNESS["elbow"]
+    posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 1.0, "b_slide": 0.0}
+    empty = load_arm(tmp_path, mjcf=by_hand.MJCF)
+    qpos = find_posture(empty, posture).qpos
+    lead = float(Configuration(empty, qpos).static_load()[ORDER.index("elbow")]) / kp
+    assert lead < 0
+    text = by_hand.MJCF.replace(servo, f'{servo} ctrlrange="{1.0 + lead + 0.02!r} 3"')
+    robot = load_arm(tmp_path, mjcf=text)
+    found = servo_payload(robot, find_posture(robot, posture), find_tool(robot))
+    assert found == (0.0, "elbow")
+
+
+def test_overloaded_joint_without_payload_is_the_one_with_the_largest_excess() -> None:
+    """By hand: the torque of the shoulder is larger than that of the elbow by more than the
+    difference of their limits."""
+    robot = replace(arm())
+    posture = find_posture(robot, {"a_turn": 0.0, "shoulder": 0.0, "elbow": 1.0, "b_slide": 0.0})
+    limits = np.full(4, 1e3)
+    joints = [ORDER.index("shoulder"), ORDER.index("elbow")]
+    limits[joints] = 0.5, 0.1
+    vars(robot)["effort_limits"] = limits
+    torques = np.abs(Configuration(robot, posture.qpos).static_load())
+    assert torques[joints[0]] - 0.5 > torques[joints[1]] - 0.1 > 0
+    assert posture_payload(robot, posture.qpos, find_tool(robot)) == (0.0, "shoulder")
+
+
 FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm">
 <geom size=".02" mass=".1"/>
 <body name="near" pos="0 0 .05"><joint name="root" axis="0 1 0" range="-1.5 1.5"/>

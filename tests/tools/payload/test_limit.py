@@ -331,6 +331,35 @@ def test_smallest_static_bound_is_exact_far_below_the_first_failing_mass(
     assert found.mass <= largest
 
 
+def test_servo_bound_of_a_command_out_of_range_is_not_raised() -> None:
+    """No simulation with feed-forward can command a servo beyond its range."""
+    unlimited = Bound(math.inf, Failure.NOTHING, ())
+    servos = Bound(2.0, Failure.COMMAND, ("knee",))
+    motors = Bound(8.0, Failure.MOTOR, ("hip",))
+    bounds = {"stance": unlimited, "motors": motors, "servos": servos}
+    assert payload._raise_servo_bound(bounds, lambda _: True) is servos
+
+
+@pytest.mark.parametrize(
+    ("mass", "holds", "survives", "passes"),
+    [
+        (2.0, True, True, True),
+        (2.0, True, False, False),
+        (2.0, False, True, False),
+        (0.0, True, None, False),
+        (math.inf, True, None, True),
+        (math.nan, True, True, False),
+    ],
+)
+def test_payload_passes_only_if_verdict_and_nudged_simulation_do(
+    mass: float, holds: bool, survives: bool | None, passes: bool
+) -> None:
+    trial = None if survives is None else SimpleNamespace(survived=survives)
+    limit: Any = SimpleNamespace(mass=mass, verdict=SimpleNamespace(passed=holds), trial=trial)
+    read: Any = payload.PayloadLimit.passed
+    assert read.fget(limit) is passes
+
+
 @pytest.mark.parametrize("largest", [2.0, 2.7, 9.0, math.inf])
 def test_servo_bound_is_raised_to_the_largest_mass_that_stand_holds(largest: float) -> None:
     """Reference: the mass above which the function that represents `stand` returns False."""
