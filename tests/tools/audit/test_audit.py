@@ -1501,6 +1501,36 @@ def test_names_of_a_single_leg_are_no_evidence_in_another_base_frame(
     assert [finding.element for finding in found] == ["joint 'hip_yaw'"] * count
 
 
+@pytest.mark.parametrize(("place", "count"), [("0", 0), ("-0.1", 1)])
+def test_displaced_leg_of_a_biped_is_found_although_no_pair_is_mirrored(
+    place: str, count: int, tmp_path: Path
+) -> None:
+    """The left hip is 100 mm behind, and all links of the leg with it."""
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    text = f'<link name="base">{inertial}</link>'
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        above = "base"
+        for part in ("hip", "thigh", "shin", "foot"):
+            origin = f"{place if side == 'left' else 0} {y} 0" if part == "hip" else "0.01 0 -0.2"
+            text += (
+                f'<link name="{side}_{part}">{inertial}</link><joint name="{side}_{part}" '
+                f'type="revolute"><origin xyz="{origin}"/><parent link="{above}"/>'
+                f'<child link="{side}_{part}"/><axis xyz="0 1 0"/>'
+                '<limit lower="-1" upper="1" effort="50" velocity="9"/></joint>'
+            )
+            above = f"{side}_{part}"
+    path = tmp_path / "biped.urdf"
+    path.write_text(f'<robot name="biped">{text}</robot>')
+    found = find_findings(audit_model(path), "mirror-position")
+    assert [finding.element for finding in found] == ["joint 'right_hip'"] * count
+    if count:
+        assert found[0].diagnostic.values["gap"].value == pytest.approx(0.1)
+        assert len(found[0].repairs) == 2  # nothing decides which of both is wrong
+
+
 @pytest.mark.parametrize(("angle", "count"), [("3.14159265358979", 0), ("0", 1)])
 def test_copy_of_a_part_that_is_mounted_turned_is_no_mirror_image(
     angle: str, count: int, tmp_path: Path

@@ -84,7 +84,8 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 
     Returns:
         The selected plane if at least a third of the pairs are mirror images on different sides.
-        Otherwise, for a planar robot, the plane in which the robot moves: both links of each pair
+        Otherwise, the plane that `_find_plane_of_displaced_limb` finds. Otherwise, for a planar
+        robot, the plane in which the robot moves: both links of each pair
         have the same position, and all hinges are parallel to an axis of the base. None in all
         other cases, and for a robot without pairs.
     """
@@ -105,7 +106,49 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
                 best, max_agreeing = mirror, agreeing
     if 3 * max_agreeing >= len(pairs):
         return best
+    displaced = _find_plane_of_displaced_limb(robot, pairs, tolerance)
+    if displaced is not None:
+        return displaced
     return _find_plane_of_motion(robot) if np.abs(left - right).max() < tolerance else None
+
+
+def _find_plane_of_displaced_limb(
+    robot: RobotModel, pairs: list[tuple[str, str]], tolerance: float
+) -> MirrorPlane | None:
+    """Return the plane of a robot on which one joint displaces a whole limb; None for another.
+
+    The vectors from the parent links to the links must be mirror images in all pairs except one.
+    The positions along the normal axis must be on different sides, with equal middles, in all
+    pairs. At least `MIN_RELATIVE_PAIRS` vectors must be longer than ``tolerance``.
+    """
+
+    def list_vectors(names: list[str]) -> Array:
+        links = [robot.links[name] for name in names]
+        origins = [
+            np.zeros(3) if link.parent is None else robot.links[link.parent].pose.position
+            for link in links
+        ]
+        return np.array([link.pose.position for link in links]) - np.array(origins)
+
+    names = [[pair[side] for pair in pairs] for side in (0, 1)]
+    places = [np.array([robot.links[name].pose.position for name in each]) for each in names]
+    vectors = [list_vectors(each) for each in names]
+    is_long = np.linalg.norm(vectors[0], axis=1) > tolerance
+    for axis in (1, 0, 2):
+        middles = (places[0][:, axis] + places[1][:, axis]) / 2
+        mirror = MirrorPlane(axis, float(np.median(middles)))
+        images = vectors[0] @ mirror.matrix
+        close = np.linalg.norm(images - vectors[1], axis=1) < tolerance
+        away = np.abs(places[0][:, axis] - places[1][:, axis]) > tolerance
+        is_plane = np.ptp(middles) < tolerance and away.all()
+        if is_plane and (close & is_long).sum() >= MIN_RELATIVE_PAIRS and (~close).sum() == 1:
+            return mirror
+    return None
+
+
+MIN_RELATIVE_PAIRS = 3
+"""Smallest number of left-right pairs with mirrored vectors from the parent links from which the
+plane of a robot with a displaced limb is derived. Chosen, not tuned."""
 
 
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
@@ -403,11 +446,11 @@ def _is_turned_copy(robot: RobotModel, first: Link, second: Link) -> bool:
         ]
         for link in (first, second)
     ]
-    numbers = [
+    own, other = (
         np.concatenate([[link.mass], link.com, link.inertia.ravel()])
         for link in (first.inertial, second.inertial)
-    ]
-    return bool(drawn[0]) and drawn[0] == drawn[1] and np.array_equal(numbers[0], numbers[1])
+    )
+    return bool(drawn[0]) and drawn[0] == drawn[1] and bool(np.array_equal(own, other))
 
 
 def _masses_agree(first: Link, second: Link) -> bool:
