@@ -39,7 +39,9 @@ _SIDE_PATTERN = re.compile(
 """Pattern of the word for a side (such as left) in a name. No letter may be directly before or
 after the word. Exception: a capitalised word may follow L or R at the start."""
 
-ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
+ASYMMETRIC_PART_NAME = re.compile(
+    "gripper|finger|camera|realsense|kinect|lidar|imu|sensor", re.IGNORECASE
+)
 """Pattern in the names of parts that are often not mounted as mirror images of each other, such as
 cameras. `find_mirror_pairs` excludes such names."""
 

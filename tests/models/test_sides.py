@@ -35,6 +35,12 @@ def test_left_and_right_names_are_mirror_images(left: str, right: str) -> None:
     assert find_mirror_pairs([left, "base", right]) == [(left, right)]
 
 
+@pytest.mark.parametrize("part", ["gripper", "camera", "realsense", "imu_sensor"])
+def test_parts_that_are_copied_to_both_sides_are_no_pairs(part: str) -> None:
+    """As the cameras at both wrists of Galaxea's R1."""
+    assert find_mirror_pairs([f"left_{part}_link", f"right_{part}_link"]) == []
+
+
 def test_fingers_of_both_hands_are_not_exchanged() -> None:
     """Little finger (lf) and ring finger (rf) of Dexmate's hands."""
     names = ["L_lf_j1", "L_rf_j1", "R_lf_j1", "R_rf_j1"]
