@@ -114,14 +114,20 @@ def read_collada_asset(data: bytes) -> ColladaAsset:
     Only the first <asset> counts, which precedes all meshes: the rest of the file is not parsed.
 
     Raises:
-        ValueError: If the length of the unit is not a finite positive number.
+        ValueError: If the length of the unit is not a finite positive number, or the file is no
+            valid XML up to the <asset>.
     """
-    for _, asset in etree.iterparse(
+    elements = etree.iterparse(
         io.BytesIO(data), tag="{*}asset", resolve_entities=False, no_network=True, huge_tree=True
-    ):
-        unit = asset.find("{*}unit")
-        meter = 1.0 if unit is None else float(unit.get("meter", "1"))
-        if not 0 < meter < math.inf:
-            raise ValueError(meter)
-        return ColladaAsset(meter, str(asset.findtext("{*}up_axis") or "Y_UP").strip())
-    return ColladaAsset(1.0, "Y_UP")
+    )
+    try:
+        asset = next((element for _, element in elements), None)
+    except etree.XMLSyntaxError as error:
+        raise ValueError(str(error)) from error
+    if asset is None:
+        return ColladaAsset(1.0, "Y_UP")
+    unit = asset.find("{*}unit")
+    meter = 1.0 if unit is None else float(unit.get("meter", "1"))
+    if not 0 < meter < math.inf:
+        raise ValueError(meter)
+    return ColladaAsset(meter, str(asset.findtext("{*}up_axis") or "Y_UP").strip())

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pupper_analysis.models.mesh_scenes import read_merged_mesh
+from pupper_analysis.models.mesh_scenes import read_collada_asset, read_merged_mesh
 from pupper_analysis.models.shapes import Mesh
 from pupper_analysis.models.stated import urdf as stated_urdf
 from pupper_analysis.models.stated.urdf import mesh_hull, read_mesh_file, read_urdf_model
@@ -167,3 +167,9 @@ def test_collada_mesh_is_turned_on_request_only(tmp_path: Path, axis: str) -> No
     points = read_urdf_model(read_urdf(urdf), turn=True).links["base"].shapes[0].points
     assert points is not None
     np.testing.assert_allclose(np.ptp(points, axis=0), [1, 1, 5], atol=1e-6)
+
+
+@pytest.mark.parametrize("data", [b"", b"<COLLADA><asset>", b"no XML"])
+def test_conventions_of_a_broken_collada_file_are_a_value_error(data: bytes) -> None:
+    with pytest.raises(ValueError, match=r"\S"):
+        read_collada_asset(data)
