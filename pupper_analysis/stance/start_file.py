@@ -41,8 +41,9 @@ def read_start(path: str | Path, robot: Robot) -> Array:
     Raises:
         ConfigurationError: If the file cannot be read, or contains no configuration, a number that
             is not finite, or several rows of numbers in a CSV. Also if a configuration without
-            joint names has a wrong length or belongs to another robot. If a JSON file contains
-            several configurations, the first is read.
+            joint names has a wrong length or belongs to another robot, or if ``joint_positions``
+            and ``qpos`` at the same place in a JSON file differ. If a JSON file contains
+            configurations at several places, the first is read.
         UnknownNameError: If the file contains a joint name that the robot lacks.
         OutputError: If the run will write this file.
     """
@@ -55,7 +56,7 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         content = orjson.loads(text)
     except orjson.JSONDecodeError:
         content = _read_table(text)
-    positions, belongs_to = _find_positions(content)
+    positions, belongs_to = _find_positions(content, str(path))
     # A fingerprint is the robot's name, followed by a hash.
     own_hash = robot.fingerprint.rpartition(" ")[2]
     if belongs_to and belongs_to.rpartition(" ")[2] != own_hash:
@@ -117,13 +118,22 @@ def _parse_cell(cell: str) -> float | str:
         return cell
 
 
-def _find_positions(content: Any) -> tuple[_Positions, str]:
-    """Find the joint positions or the configuration in the content of a file.
+_MAX_POSITION_GAP = 1e-9
+"""Largest difference between ``joint_positions`` and the last values of ``qpos`` [rad, m] in a
+file. Above this bound, the file contains two configurations. Chosen, not tuned: both have 15
+digits in the results of this package."""
+
+
+def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
+    """Find the joint positions or the configuration in the content of ``file``.
 
     Returns:
         Positions, None if the content has no positions. Fingerprint (name and hash) of the robot to
         which the positions belong; empty if the file states no robot, or if the positions have
         names.
+
+    Raises:
+        ConfigurationError: If ``joint_positions`` and ``qpos`` contradict each other.
     """
     if _is_numbers(content):
         return content, ""
@@ -134,6 +144,11 @@ def _find_positions(content: Any) -> tuple[_Positions, str]:
         inner = statics if isinstance(statics, Mapping) else {}
         names = table.get("joint_names", inner.get("joint_names"))
         positions, qpos = table.get("joint_positions"), table.get("qpos")
+        if _is_numbers(positions) and _is_numbers(qpos):
+            pairs = zip(reversed(positions), reversed(qpos), strict=False)
+            gap = max(abs(position - value) for position, value in pairs)
+            if len(positions) > len(qpos) or not gap <= _MAX_POSITION_GAP:
+                raise ConfigurationError(file, diagnose("start-contradicts-itself"))
         if isinstance(names, list) and _is_numbers(positions) and len(names) == len(positions):
             return dict(zip(map(str, names), positions, strict=True)), ""
         if _is_numbers(qpos):

@@ -38,6 +38,9 @@ def write_formats(robot: pa.Robot, qpos: np.ndarray, folder: Path) -> dict[str, 
             {"a": {"joint_positions": joints, "statics": {"joint_names": [*named]}}}
         ),
         "stand.json": json.dumps({"qpos": qpos.tolist(), "robot": robot.fingerprint}),
+        "both.json": json.dumps(
+            {"qpos": qpos.tolist(), "joint_positions": joints, "joint_names": [*named]}
+        ),
         "names.json": json.dumps(dict(reversed(named.items()))),
         "numbers.json": json.dumps(qpos.tolist()),
         "table.csv": f"joint,position (rad),torque (N m)\n{rows}",
@@ -96,6 +99,11 @@ def test_start_of_a_file_selects_the_branch_of_the_knees(
         ("", "no joint positions"),
         (",".join(["inf"] * 19), "not finite"),
         (json.dumps({"qpos": [0.0] * 19, "robot": "other 0123"}), "another robot"),
+        (json.dumps({"qpos": [0.0] * 19, "joint_positions": [0.1] * 12}), "qpos differ"),
+        (
+            json.dumps({"qpos": [0.0] * 19, "joint_positions": [0.1], "joint_names": ["FL_knee"]}),
+            "qpos differ",
+        ),
     ],
 )
 def test_other_contents_are_refused_with_the_accepted_forms(
