@@ -76,14 +76,15 @@ def make_lazy_exports(
 def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) -> str:
     """Return the module from which a stub imports a name; "" if the module is missing.
 
-    For a name from ``tools``, the folder of the tool must exist.
+    In ``from . import name`` and ``from .tools import name``, the name must be a module that
+    exists.
     """
     parts = node.module.split(".") if node.module else []
     parents = package.split(".")[: len(package.split(".")) - node.level + 1]
     path = folder.joinpath(*[".."] * (node.level - 1), *parts)
+    if not parts or parts[-1] == "tools":
+        path = path / name
     exists = path.is_dir() or path.with_suffix(".py").is_file()
-    if parts[-1:] == ["tools"]:
-        exists = (path / name).is_dir()
     return ".".join([*parents, *parts]) if exists else ""
 
 

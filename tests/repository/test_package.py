@@ -9,6 +9,7 @@ from types import MappingProxyType, ModuleType
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.exports import make_lazy_exports
 from tests.support.names import public, public_modules
 from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
@@ -123,6 +124,18 @@ def test_completion_offers_public_names_only() -> None:
             assert source is None or source.startswith("pupper_analysis"), name
     assert {"Any", "np", "orjson"}.isdisjoint(dir(pa.results))
     assert "make_lazy_exports" not in dir(pa.stance)
+
+
+def test_missing_modules_are_not_exported(tmp_path: Path) -> None:
+    """The stub lists four modules, of which ``kept`` and the tool ``saw`` exist."""
+    for name in ("kept.py", "tools/saw/__init__.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "__init__.pyi").write_text(
+        "from . import kept as kept\nfrom . import gone as gone\n"
+        "from .tools import saw as saw\nfrom .tools import axe as axe\n"
+    )
+    assert make_lazy_exports("shed", str(tmp_path / "__init__.py"))[2] == ["kept", "saw"]
 
 
 def test_unknown_public_name_raises_attribute_error() -> None:
