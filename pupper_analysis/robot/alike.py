@@ -118,7 +118,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     counted from the base.
 
     Returns:
-        {joint: corresponding joints of all similar limbs}. A joint is omitted if its limb is
+        {joint: corresponding joints of all similar limbs}. A joint is omitted if its limbs are
         similar to no other limb, or if a similar limb contains the same joint.
     """
     model, limbs = robot.mj_model, list_limbs(robot)
@@ -126,7 +126,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
         [int(joint) for body in limb.bodies for joint in np.flatnonzero(model.jnt_bodyid == body)]
         for limb in limbs
     ]
-    found: dict[str, tuple[str, ...]] = {}
+    found: dict[str, dict[str, None]] = {}
     for number, limb in enumerate(limbs):
         alike = [
             joints[other]
@@ -136,9 +136,8 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
         for place, joint in enumerate(joints[number]):
             names = tuple(model.joint(other[place]).name for other in alike)
             name = model.joint(joint).name
-            if names and name not in names:
-                found[name] = names
-    return found
+            found.setdefault(name, {}).update(dict.fromkeys(names))
+    return {name: tuple(names) for name, names in found.items() if names and name not in names}
 
 
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:

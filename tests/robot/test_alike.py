@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import mujoco
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.alike import list_limbs, report_limbs_without_feet
+from pupper_analysis.robot.alike import list_limbs, report_limbs_without_feet, sibling_joints
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.conversions import write_standing_urdf
 from tests.support.legged import edited_by
@@ -17,6 +20,31 @@ from tests.support.legged import edited_by
 def write_slip(folder: Path, old: str, new: str) -> Path:
     """Return a quadruped with an edit in its last leg only."""
     return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
+
+
+def test_shared_joint_has_the_siblings_of_all_its_limbs() -> None:
+    """The waist moves a short and a long arm; each is similar to another limb."""
+
+    def limb(name: str, *lengths: float) -> str:
+        arms = "".join(
+            f'<body name="{name}_{number}" pos="0 0 {length}"><joint name="{name}_{number}"/>'
+            f'<geom size="0.01" mass="{length}"/></body>'
+            for number, length in enumerate(lengths)
+        )
+        return f'<body name="{name}"><joint name="{name}"/><geom size="0.01"/>{arms}</body>'
+
+    bodies = limb("waist", 0.1, 0.3) + limb("short", 0.1) + limb("long", 0.3)
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>{bodies}</body>'
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    robot: Any = SimpleNamespace(mj_model=model, mj_base="base", compute_kinematics=lambda: data)
+    siblings = sibling_joints(robot)
+    assert siblings["waist"] == ("short", "long")
+    assert siblings["waist_0"] == ("short_0",)
+    assert siblings["long"] == ("waist",)
 
 
 @pytest.mark.slow
