@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -180,9 +180,12 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     trials = _ServoTrials(robot, stand, original)
     file = None if original.of_urdf else compile_published_model(original, robot)
     resting = chattering = good = None
-    for candidate in trials.find_resting_candidates(False, True):
-        if good and candidate.divisor > 1:
-            break  # no further candidate has the time step of the file
+
+    def is_wanted(candidate: _ServoCandidate) -> bool:
+        """Return False for a reduced time step if gains for the time step of the file exist."""
+        return good is None or candidate.divisor == 1
+
+    for candidate in trials.find_resting_candidates(False, True, is_wanted=is_wanted):
         resting = resting or candidate
         if not trials.agrees_with_prediction(candidate):
             continue
@@ -257,18 +260,25 @@ class _ServoTrials:
         self._results: dict[tuple[int, bool], bool] = {}
         self._chattering_divisors: set[int] = set()
 
-    def find_resting_candidates(self, *feedforward: bool) -> Iterator[_ServoCandidate]:
+    def find_resting_candidates(
+        self,
+        *feedforward: bool,
+        is_wanted: Callable[[_ServoCandidate], bool] | None = None,
+    ) -> Iterator[_ServoCandidate]:
         """Yield the candidates with which a simulated robot comes to rest in the stand.
 
         The time step of the robot is set to that of the candidate. ``feedforward`` lists the
         simulations in which the robot must come to rest: with (True) or without (False)
         feed-forward torques. Simulations without feed-forward run first, because most bad
         candidates then fall within seconds. For a robot with a URDF alone, a time step is skipped
-        after contacts chattered: the motion after a nudge did not decay (`calms_down`).
+        after contacts chattered: the motion after a nudge did not decay (`calms_down`). Candidates
+        for which ``is_wanted`` returns False at their turn are not simulated.
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))
             if self._has_urdf_alone and candidate.divisor in self._chattering_divisors:
+                continue
+            if is_wanted is not None and not is_wanted(candidate):
                 continue
             if all(self._comes_to_rest(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -23,6 +24,7 @@ from pupper_analysis.tools.stand.document import stance_document
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, rewrite_file
 from tests.support.random_legged import draw_robot, write_robot
+from tests.support.variants import load, stand_of
 
 
 @pytest.mark.slow
@@ -255,3 +257,36 @@ def test_nominal_stand_is_compared_once(tmp_path: Path, monkeypatch: pytest.Monk
     tilted = compare_as_published(robot, pa.solve_stand(robot, pa.StandTask(pitch=0.05)), servos)
     assert tilted is not first
     assert len(simulated) > count
+
+
+def test_smaller_time_step_is_not_simulated_if_gains_suit_the_step_of_the_file(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The published file does not rest with these gains, and is no reason for a smaller step."""
+    robot, stand = load("v3"), stand_of("v3")
+    step, gains = float(robot.mj_model.opt.timestep), np.ones((2, robot.nu))
+    simulated: list[float] = []
+
+    def rest(robot: pa.Robot, *_: object, **__: object) -> bool:
+        simulated.append(float(robot.mj_model.opt.timestep))
+        return True
+
+    replaced: dict[str, Any] = {
+        "comes_to_rest": rest,
+        "make_missing_servos": lambda *_: [],
+        "_list_candidates": lambda *_, **__: [
+            drives._ServoCandidate(divisor, *gains) for divisor in (1, 1, 2, 4)
+        ],
+        "_is_as_predicted": lambda *_: True,
+        "calms_after_base_nudges": lambda *_, **__: True,
+        "compile_published_model": lambda *_: object(),
+        "settles_in_place": lambda *_: False,
+        "_record_added_servos": lambda *_: robot,
+        "_build_with_servos": lambda *_: robot,
+    }
+    for name, value in replaced.items():
+        monkeypatch.setattr(drives, name, value)
+    original: Any = SimpleNamespace(of_urdf=False)
+    made = drives.add_position_servos(robot, stand, original)
+    assert made.num_rest_modes == 2
+    assert simulated == [step] * 4  # two candidates, with and without feed-forward
