@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import spec_to_data
 from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variant_files import describe_variant, parse_robot_word
 from pupper_analysis.pupper.variants import (
@@ -266,12 +268,11 @@ def make_robot_source(robot: Any) -> RobotSource:
 def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
-    The hash does not depend on the folder of an MJCF. For a robot converted from a URDF, the hash
-    depends on the absolute paths of mesh files that MuJoCo reads directly, such as STL files.
+    The hash depends on the content of mesh files, and not on the folder of the robot's files.
     """
     parts = {
         "urdf": description.urdf,
-        "mjcf": spec_to_data(description.mjcf),
+        "mjcf": _remove_asset_folders(spec_to_data(description.mjcf)),
         "feet": dict(description.contact_points),
         "soles": dict(description.feet),
         "geoms": dict(description.foot_geoms),
@@ -280,6 +281,27 @@ def hash_description(description: Description) -> str:
     return hashlib.sha256(
         orjson.dumps(_to_json_value(parts), option=orjson.OPT_SORT_KEYS)
     ).hexdigest()
+
+
+def _remove_asset_folders(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace absolute paths in the data of a spec by file names and hashes of the contents.
+
+    MuJoCo reads the mesh files of a robot that was converted from a URDF by absolute paths.
+    """
+    labels = {
+        path: f"{Path(path).name} {hashlib.sha256(content).hexdigest()}"
+        for path, content in spec["assets"].items()
+        if Path(path).is_absolute()
+    }
+    if not labels:
+        return dict(spec)
+    root = parse_text(spec["xml"])
+    for element in root.iter("*"):
+        for attribute, value in element.attrib.items():
+            if value in labels:
+                element.set(attribute, labels[value])
+    assets = {labels.get(path, path): content for path, content in spec["assets"].items()}
+    return {**spec, "xml": to_text(root), "assets": assets}
 
 
 def _to_json_value(value: Any) -> Any:

@@ -11,9 +11,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.models.mjcf import to_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
@@ -33,6 +35,8 @@ from pupper_analysis.tools.study.study import hash_designs
 from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
 from tests.support import slips
 from tests.support.arm import MJCF, URDF, load_arm
+from tests.support.conversions import write_standing_urdf
+from tests.support.legged import rewrite_file
 from tests.support.variants import load, stand_of
 
 
@@ -572,3 +576,18 @@ def test_visual_geoms_that_give_mass_are_kept_without_visuals(tmp_path: Path) ->
     )
     description = pa.load_robot(path).description
     assert without_visuals(description).mjcf.compile().body_mass[1] == 5.0
+
+
+@pytest.mark.slow
+def test_study_of_a_urdf_with_a_mesh_is_the_same_in_another_folder(tmp_path: Path) -> None:
+    """MuJoCo reads the mesh by its absolute path; another mesh makes another study."""
+    digests = []
+    for name, height in (("one", 0.05), ("two", 0.05), ("three", 0.06)):
+        (folder := tmp_path / name).mkdir()
+        urdf = write_standing_urdf(folder)
+        trimesh.creation.box((0.4, 0.2, height)).export(folder / "base.stl")
+        rewrite_file(urdf, ('<box size="0.4 0.2 0.08"/>', '<mesh filename="base.stl"/>'))
+        study = pa.Study(str(urdf), {"kp": [10.0]}, ["total_mass"])
+        assert str(folder) in to_xml(study.base.description.mjcf)
+        digests.append(study.digest)
+    assert digests[0] == digests[1] != digests[2]
