@@ -11,8 +11,9 @@ pair. The comparisons of CoM, inertia, shapes and contacts leave displaced pairs
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -404,12 +405,17 @@ def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link,
             yield mirror, first, second
 
 
-def _list_mirrored_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield `_list_pairs_in_place` without the pairs of copied limbs (`find_copied_links`)."""
+_Part = TypeVar("_Part", Link, Joint)
+
+
+def _omit_copied_limbs(
+    robot: RobotModel, pairs: Iterable[tuple[MirrorPlane, _Part, _Part]]
+) -> Iterator[tuple[MirrorPlane, _Part, _Part]]:
+    """Yield the pairs of links or joints that belong to no copied limb (`find_copied_links`)."""
     copied: frozenset[str] | None = None
-    for mirror, first, second in _list_pairs_in_place(robot):
+    for mirror, first, second in pairs:
         copied = find_copied_links(robot, mirror) if copied is None else copied
-        if first.name not in copied:
+        if (first.child if isinstance(first, Joint) else first.name) not in copied:
             yield mirror, first, second
 
 
@@ -421,7 +427,7 @@ def _list_inertial_pairs(
     Pairs of copied limbs and of copied links (`_is_turned_copy`), and pairs in which a link has no
     inertial, are left out.
     """
-    for mirror, first, second in _list_mirrored_pairs(robot):
+    for mirror, first, second in _omit_copied_limbs(robot, _list_pairs_in_place(robot)):
         if first.inertial is None or second.inertial is None:
             continue
         if not _is_turned_copy(robot, first, second):
@@ -612,15 +618,6 @@ def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Jo
             yield mirror, first, second
 
 
-def _list_mirrored_joints(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yield `list_joint_pairs` without the joints of copied limbs (`find_copied_links`)."""
-    copied: frozenset[str] | None = None
-    for mirror, first, second in list_joint_pairs(robot):
-        copied = find_copied_links(robot, mirror) if copied is None else copied
-        if first.child not in copied:
-            yield mirror, first, second
-
-
 def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> float:
     """Compute the cosine between a joint axis and the mirrored axis of the partner.
 
@@ -639,7 +636,7 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     (`_find_reversed_axis`). Copied limbs are skipped.
     """
     yield from _find_reversed_axis(robot)
-    for mirror, first, second in _list_mirrored_joints(robot):
+    for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         if first.axis.any() and second.axis.any():
             cosine = abs(_compute_axis_sense(mirror, first, second))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -669,7 +666,7 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     the pair is named.
     """
     pairs, parallel = [], []
-    for mirror, first, second in _list_mirrored_joints(robot):
+    for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         cosine = float(first.axis @ second.axis)
         sense = _compute_axis_sense(mirror, first, second)
         if abs(cosine) > 0.9 and abs(sense) > 0.9 and first.kind == HINGE_JOINT:
@@ -711,7 +708,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     ranges agree, velocity limits of a URDF only if the efforts agree as well. Pairs whose axes are
     no mirror images (cosine below 0.9), and copied limbs, are skipped.
     """
-    for mirror, first, second in _list_mirrored_joints(robot):
+    for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         sense = _compute_axis_sense(mirror, first, second)
         if abs(sense) < 0.9:
             continue
@@ -835,7 +832,7 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
         for joints in _list_unlike_joints(robot)
         for joint in joints
     }
-    for mirror, first, second in _list_mirrored_pairs(robot):
+    for mirror, first, second in _omit_copied_limbs(robot, _list_pairs_in_place(robot)):
         if unlike & {first.name, second.name}:
             continue
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
