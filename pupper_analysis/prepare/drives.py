@@ -179,7 +179,8 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     """
     trials = _ServoTrials(robot, stand, original)
     file = None if original.of_urdf else compile_published_model(original, robot)
-    resting = chattering = good = None
+    resting = chattering = None
+    good: _ServoCandidate | None = None
 
     def is_wanted(candidate: _ServoCandidate) -> bool:
         """Return False for a reduced time step if gains for the time step of the file exist."""
