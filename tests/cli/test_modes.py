@@ -71,10 +71,10 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("audit", "--list-rules"): (("--json", "a.json"),),
     ("fit", "v3", "--plan", "2"): (
         *(("--weight", "3kg"), ("--hold-out", "0.3")),
-        *(("--topic", "state=/a"), ("--joints", "a,b"), ("--kd", "1")),
+        ("--kd", "1"),
     ),
     ("fit", "v3", "--stands", "stands.csv"): (
-        *(("--hold-out", "0.3"), ("--topic", "state=/a"), ("--joints", "a,b"), ("--kd", "1")),
+        *(("--hold-out", "0.3"), ("--kd", "1")),
         *(("--added", "1kg"),),
     ),
     ("fit", "v3", "--log", "stands.csv"): (*(("--weight", "3kg"), ("--added", "1kg")),),
