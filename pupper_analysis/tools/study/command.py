@@ -130,8 +130,8 @@ def command(
       pupper-analysis study legs.toml -o legs/ --write 3
       pupper-analysis study legs.toml -o legs/ --dask tcp://host:8786
 
-    Exit status: 0 all designs were evaluated, 1 the files of a written design give other numbers,
-    2 bad input, 130 interrupted.
+    Exit status: 0 all designs were evaluated, 1 no design has a value of a metric, or the files of
+    a written design give other numbers, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.published import is_published_name
     from pupper_analysis.present.document import NextStep
@@ -160,11 +160,13 @@ def command(
         _run_study(study, folder, executor, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
     step = None
-    if not (chosen or numbers):
+    if outcome.is_measured and not (chosen or numbers):
         step = NextStep("study", ("-o", str(folder), "--minimise", study.metrics[0].name))
     shared.show_results([("", outcome)], style, everything=everything, next_step=step)
     shared.write_page(report_path, outcome)
-    passed = _write_designs(study, numbers, folder, style, everything) if numbers else True
+    passed = outcome.is_measured
+    if numbers:
+        passed = _write_designs(study, numbers, folder, style, everything) and passed
     shared.finish_command(json_path, outcome.table.to_dict(orient="list"), passed=passed)
 
 

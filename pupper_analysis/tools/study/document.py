@@ -74,8 +74,10 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     if len(outcome.table) < outcome.designs:
         remaining = outcome.designs - len(outcome.table)
         findings.append(text("count-more-are-not-measured", count=remaining))
-    # A design with a failure may have values of some metrics.
-    is_measured = failed < len(outcome.table) or any(one.designs for one in outcome.measured)
+    if not outcome.is_measured and outcome.failures:
+        first = outcome.failures[0]
+        reason = first.reason if first.diagnostic is None else doc.diagnostic_text(first.diagnostic)
+        findings.insert(1, text("first-failed-design", reason=reason))
     blocks = (
         _make_metric_table(outcome),
         *_make_failure_table(outcome),
@@ -87,7 +89,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         text("study-of-designs"),
         doc.Name(outcome.robot),
         blocks,
-        verdict=text("designs-measured" if is_measured else "no-design-measured"),
+        verdict=text("designs-measured" if outcome.is_measured else "no-design-measured"),
         findings=tuple(findings),
     )
 

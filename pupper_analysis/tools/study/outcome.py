@@ -134,6 +134,12 @@ class StudyOutcome(Result):
     requirements: dict[str, int]
     feasible: int
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether a stored design has no failure, or has a value of a metric despite a failure."""
+        failed = sum(group.designs for group in self.failures)
+        return failed < len(self.table) or any(metric.designs for metric in self.measured)
+
 
 def study_outcome(
     study: Study,

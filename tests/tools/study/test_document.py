@@ -207,6 +207,7 @@ def test_verdict_of_a_study_states_whether_a_design_has_values(
     title = study_document(found).verdict
     assert title is not None
     assert get_english(title) == verdict
+    assert found.is_measured == (verdict == "MEASURED")
 
 
 @pytest.mark.slow

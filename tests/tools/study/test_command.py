@@ -1,0 +1,24 @@
+"""Command ``study``: exit status and answer of a study without results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import run_command
+
+
+@pytest.mark.slow
+def test_study_whose_designs_all_fail_has_status_1_and_a_reason(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """No stance of v3 has its base 2 or 3 m above the ground. The exit status was 0."""
+    file = tmp_path / "high.toml"
+    file.write_text('robot = "v3"\nmeasure = ["peak_utilisation"]\n[vary]\nheight = [2.0, 3.0]\n')
+    status, out, _ = run_command(capfd, "study", str(file), "-o", str(tmp_path / "out"))
+    assert status == 1
+    verdict, reason, *_ = out.splitlines()
+    assert verdict.startswith("NONE MEASURED v3: 2 designs, 2 failed")
+    assert "first failed design: stance out of reach" in reason
+    assert "--minimise" not in out
