@@ -85,7 +85,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     if robot.format == "urdf" and robot.has_free_base and len(_list_legs(robot)) > 1:
         group = robot.fixed_group(robot.base)
         if robot.total_mass > 0 and not any(part.mass for part in group):
-            message = diagnose("base-without-mass", legs=_list_legs(robot))
+            message = diagnose("legged-base-without-mass", legs=_list_legs(robot))
             yield CheckFinding(robot.link_tag, robot.base, message)
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
