@@ -580,14 +580,16 @@ class _StagedFile:
             except FileExistsError:
                 number += 1
             except OSError as error:
-                path.unlink(missing_ok=True)
+                with suppress(OSError):  # for example, the name of the copy is too long
+                    path.unlink(missing_ok=True)
                 message = diagnose(
                     "copy-not-written", file=path.name, problem=describe_os_error(error)
                 )
                 raise self._make_error(message) from error
             else:
                 if self.existing is not None:
-                    os.utime(path, ns=(self.existing.st_atime_ns, self.existing.st_mtime_ns))
+                    with suppress(OSError):  # not supported by the file system
+                        os.utime(path, ns=(self.existing.st_atime_ns, self.existing.st_mtime_ns))
                 return path
 
     def replace(self) -> None:

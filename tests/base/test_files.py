@@ -483,6 +483,26 @@ def test_earlier_backup_is_kept_if_the_file_cannot_be_read(
     assert contents(folder) == {**OLD, "a.bak": b"earlier backup"}
 
 
+def test_backup_with_too_long_name_is_an_output_error(tmp_path: Path) -> None:
+    """The name with ``.bak`` has 257 letters; file systems permit 255."""
+    path = tmp_path / ("a" * 253)
+    path.write_bytes(b"old")
+    with pytest.raises(OutputError, match="File name too long"):
+        write_all([Writing(path, b"new", OWN_KIND)], backup=True)
+    assert contents(tmp_path) == {path.name: b"old"}
+
+
+def test_backup_is_written_if_times_cannot_be_set(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "utime", refuse)
+    write_both(folder, backup=True)
+    assert (folder / "a.bak").read_bytes() == b"old a"
+
+
 def test_first_file_is_restored_from_a_copy_without_hard_links(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
