@@ -57,6 +57,8 @@ class Description:
             limits of motors that were replaced by servos.
         null_efforts: {joint: force range of the MJCF that permits no force}, because its ends are
             equal or inverted. MuJoCo drops such a range when it compiles.
+        mimics: {joint: (leader, multiplier, offset [rad, m])} of mimic couplings that matching
+            removed from ``urdf``, with the joint names and zero positions of ``mjcf``.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
             other model; "" if both models have files.
     """
@@ -77,6 +79,7 @@ class Description:
     passive_joints: tuple[str, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
     null_efforts: Mapping[str, EffortStatement] = field(default_factory=dict)
+    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
     converted: str = ""
 
     def with_additions(self, *additions: Addition) -> Description:

@@ -138,7 +138,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     }
     joints = {joint.name for joint in spec.joints}
     added, uncoupled = [], []
-    for name, (leader, multiplier, offset) in matched.mimics.items():
+    for name, (leader, multiplier, offset) in matched.robot.description.mimics.items():
         if name in dependent:
             continue
         if name in stated or name in driven or leader not in joints or name not in joints:

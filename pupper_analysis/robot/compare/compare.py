@@ -555,7 +555,7 @@ def compare_files(
         robot,
         tolerances=tolerances,
         reference=matched.reference,
-        mimics=matched.mimics,
+        mimics=matched.robot.description.mimics,
         alignment=alignment,
         conventions=matched.conventions,
         unstated=matched.unstated,

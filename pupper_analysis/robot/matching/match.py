@@ -246,7 +246,6 @@ class Match:
         notes: Diagnostics of assumptions and omissions.
         reference: Compiled model of the MJCF with the whole scene. If the URDF lacks joints, it is
             the model of the robot without the scene, with these joints fixed at zero.
-        mimics: Mimic joints of the URDF.
         conventions: Original base frame and joint zeros of the URDF, relative to the MJCF. The URDF
             was converted to the base frame and joint zeros of the MJCF.
         parts: Diagnostics of parts that only one file has; removed for the comparison.
@@ -263,7 +262,6 @@ class Match:
     only_mjcf: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
     reference: Reference
-    mimics: Mimics
     conventions: Conventions
     parts: tuple[Diagnostic, ...]
     unstated: Mapping[str, tuple[str, ...]]
@@ -375,6 +373,8 @@ def match_models(
     robot, conventions, base_notes = _build_in_mjcf_convention(
         root, description, tolerances or Tolerances()
     )
+    described = replace(robot.description, mimics=_shift_mimics(mimics, conventions))
+    robot = replace(robot, description=described)
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -390,7 +390,6 @@ def match_models(
             robot.joint_names,
             robot.mj_base,
         ),
-        mimics=_shift_mimics(mimics, conventions),
         conventions=conventions,
         parts=tuple(parts),
         unstated=unstated,

@@ -173,7 +173,6 @@ def compare_models(
         configurations=configurations,
         tolerance=tolerances.dynamics,
         seed=seed,
-        mimics=compared.matched.mimics,
     )
     values = {
         field_info.name: getattr(compared.result, field_info.name)
@@ -771,8 +770,8 @@ def cross_check(
         configurations: Number of states. Large robots may be evaluated at fewer states.
         tolerance: Largest accepted relative deviation.
         seed: Seed of the random numbers, at least 0.
-        mimics: Mimic joints of the URDF; by default read from the text. An equivalent joint
-            equality of the MJCF is disabled.
+        mimics: Mimic joints of the URDF; by default read from the robot's description. An
+            equivalent joint equality of the MJCF is disabled.
 
     Returns:
         Largest deviation of each quantity with the place, and the verdict.
@@ -789,7 +788,8 @@ def cross_check(
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     effects = mjcf_only_effects(reference)
     if mimics is None:
-        mimics = urdf_mimics(parse_text(robot.description.urdf))
+        described = urdf_mimics(parse_text(robot.description.urdf))
+        mimics = {**described, **robot.description.mimics}
     coupled, _ = split_mimics(effects, reference, mimics, tolerance)
     evaluations, left_out, robot = _evaluate_all(
         robot,

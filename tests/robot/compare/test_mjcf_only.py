@@ -70,7 +70,9 @@ def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np
     text = replace_once(mjcf_text(pendulum(), free=False), **edits)
     files = write(folder, urdf_text(pendulum()), text)
     match = match_files(files)
-    explanation = explain_differences(match.robot, reference=match.reference, mimics=match.mimics)
+    explanation = explain_differences(
+        match.robot, reference=match.reference, mimics=match.robot.description.mimics
+    )
     assert explanation.complete
     (difference,) = (item for item in explanation.differences if item.kind != "effort")
     states = random_states(match.robot, 10, seed=0)

@@ -15,7 +15,16 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.tools.crosscheck.crosscheck import EDGE_NAMES, EXTRAS_EDGE, cross_check
 from tests.support.legged import quadruped, rewrite_file
-from tests.support.robots import Frame, arm, compare_files, mjcf_text, numbers, urdf_text, write
+from tests.support.robots import (
+    Frame,
+    arm,
+    compare_files,
+    match_files,
+    mjcf_text,
+    numbers,
+    urdf_text,
+    write,
+)
 
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
@@ -219,3 +228,19 @@ def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> Non
         "in the URDF 4 kg: pack 3 kg, rod 1 kg",
         "in the MJCF 1 kg",
     ]
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_mimic_agrees_with_an_equal_joint_equality(tmp_path: Path, loaded: bool) -> None:
+    """Another factor of the equality is a deviation of the forward dynamics."""
+    lift = '<joint name="lift" type="revolute">'
+    mimic = '<mimic joint="turn" multiplier="-1.5" offset="0.1"/>'
+    urdf = urdf_text(arm()).replace(lift, lift + mimic)
+    for factor, passes in ((-1.5, True), (-1.0, False)):
+        equality = f'<joint joint1="lift" joint2="turn" polycoef="0.1 {factor} 0 0 0"/>'
+        mjcf = mjcf_text(arm(), free=False, extra=f"<equality>{equality}</equality>")
+        files = write(tmp_path, urdf, mjcf)
+        robot = pa.load_robot(files.urdf, files.mjcf) if loaded else match_files(files).robot
+        check = cross_check(robot, configurations=3)
+        assert check.passed == passes
+        assert passes or check.worst == "forward dynamics"
