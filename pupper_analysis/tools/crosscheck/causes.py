@@ -815,14 +815,30 @@ def _describe_tensor_mistake(
 
 
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
-    """Find joints that mimic another joint in the URDF, without a coupling in the MJCF.
+    """Find joints that mimic another joint in the URDF, and that move freely in the MJCF.
 
-    The cause also explains the different efforts of these joints if they have no motor in the MJCF.
+    Joints that an active joint equality of the MJCF couples otherwise are left out.
+
+    The cause also explains the different efforts of these joints if they have neither a motor nor
+    an effort limit in the MJCF.
     """
-    lost = [name for kind, name in case.unexplained if kind == "mimic"]
+    model = case.robot.mj_model
+    leaders = {name: mimic[0] for name, mimic in case.robot.description.mimics.items()}
+    coupled = set()
+    for index in np.flatnonzero(model.eq_active0 & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT)):
+        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        pair = [model.joint(joint).name for joint in (first, second) if joint >= 0]
+        coupled.add(pair[0])
+        coupled |= {name for name in pair[1:] if leaders.get(name) == pair[0]}
+    lost = [name for kind, name in case.unexplained if kind == "mimic" and name not in coupled]
     if lost:
         message = diagnose("mimics-lost", joints=lost)
-        without_motor = [n for n in lost if math.isinf(case.second.joints[n].effort)]
+        without_motor = [
+            name
+            for name in lost
+            if math.isinf(case.second.joints[name].effort)
+            and not list_joint_actuators(model, model.joint(name).id)
+        ]
         efforts = {("effort", name) for name in without_motor}
         found = {("mimic", name) for name in lost} | (efforts & set(case.unexplained))
         yield PatternFinding("mimics", message, found)

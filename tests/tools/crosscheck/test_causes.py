@@ -454,6 +454,32 @@ def test_lost_rotation_of_an_inertial_names_the_link(tmp_path: Path) -> None:
     assert len(comparison.differences) == 1
 
 
+@pytest.mark.parametrize(("factor", "lost"), [(None, 2), (-1, 0)])
+def test_effort_of_a_motor_at_a_mimic_joint_is_not_explained(
+    factor: float | None, lost: int, tmp_path: Path
+) -> None:
+    """The MJCF has motors without torque limit. A coupling with another factor is not lost."""
+    urdf, mjcf = urdf_text(quadruped()), mjcf_text(quadruped())
+    for leg in range(2):
+        knee = f'<joint name="knee{leg}" type="revolute">'
+        urdf = urdf.replace(knee, f'{knee}<mimic joint="hip{leg}"/>')
+        coupling = f'<joint joint1="knee{leg}" joint2="hip{leg}" polycoef="0 {factor} 0 0 0"/>'
+        equality = "" if factor is None else f"<equality>{coupling}</equality>"
+        mjcf = mjcf.replace("</mujoco>", equality + "</mujoco>")
+        limit = re.compile(rf'(<motor [^>]*joint="knee{leg}") ctrlrange="[^"]*"')
+        mjcf = limit.sub(r"\1", mjcf)
+    comparison = compare_files(write(tmp_path, urdf, mjcf))
+    efforts, mimics = ({(kind, f"knee{leg}") for leg in (0, 1)} for kind in ("effort", "mimic"))
+    assert efforts | mimics <= set(list_differences(comparison))
+    explained = {
+        (comparison.differences[index].kind, comparison.differences[index].element)
+        for cause in comparison.causes
+        for index in cause.differences
+    }
+    assert not efforts & explained
+    assert len(mimics & explained) == lost
+
+
 def test_lost_mimic_comes_before_the_missing_motor(tmp_path: Path) -> None:
     """A follower without motor in the MJCF has no torque limit there."""
     knee = '<joint name="knee0" type="revolute">'
