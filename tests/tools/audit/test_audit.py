@@ -419,6 +419,19 @@ def test_limits_of_ten_turns_are_an_error_unless_they_are_symmetric(
     assert finding.severity is severity
 
 
+@pytest.mark.parametrize(("angle", "limit", "is_found"), [("degree", 720, 0), ("radian", 13, 1)])
+def test_two_turns_in_a_file_in_degrees_are_no_limit_in_degrees(
+    angle: str, limit: float, is_found: int, tmp_path: Path
+) -> None:
+    """720 degrees are 12.6 rad, which would be degrees only in a file in radians."""
+    path = tmp_path / "cable.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="{angle}"/><worldbody><body><geom size="0.1"/>
+        <joint name="waist" range="{-limit} {limit}"/></body></worldbody></mujoco>"""
+    )
+    assert len(find_findings(audit_model(path), "limits-in-wrong-unit")) == is_found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command_range", "is_found"),

@@ -305,7 +305,7 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
-    Degrees instead of radians:
+    Degrees instead of radians, unless the unit of the file is degrees:
 
     - Limits with a magnitude of 12 to 400 rad are probably degrees. Smaller limits are accepted,
       since 10 rad is a common way to specify no limit.
@@ -322,7 +322,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
         for j in robot.joints.values()
         if j.kind == HINGE_JOINT and math.isfinite(j.lower + j.upper)
     ]
-    for joint in hinges:
+    for joint in () if robot.in_degrees else hinges:
         limits = (joint.lower, joint.upper)
         largest = max(map(abs, limits))
         if 12 <= largest <= 400 or (largest > 400 and _equals_other_limb(joint, hinges)):
