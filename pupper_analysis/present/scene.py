@@ -342,7 +342,7 @@ def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
     1993 (vertex clustering).
     """
     vertices, low = mesh.vertices, mesh.vertices.min(axis=0)
-    size = float(np.ptp(vertices, axis=0).max()) / cells
+    size = float(np.ptp(vertices, axis=0).max()) / cells or 1.0  # all vertices may be equal
     x, y, z = np.floor((vertices - low) / size).astype(np.int64).T
     # A number per cell, in lexicographic order: NumPy sorts numbers faster than rows.
     _, cell = np.unique((x * (cells + 1) + y) * (cells + 1) + z, return_inverse=True)

@@ -450,6 +450,13 @@ def test_coarse_sphere_is_a_sphere() -> None:
     assert volume(coarse.vertices, coarse.faces) == pytest.approx(4 / 3 * np.pi, rel=0.05)
 
 
+def test_coarse_mesh_without_extent_is_a_point() -> None:
+    """Three equal vertices."""
+    coarse = scene.coarsen_mesh(scene.Mesh(np.full((3, 3), 0.5), np.array([[0, 1, 2]])), 16)
+    assert coarse.vertices.tolist() == [[0.5, 0.5, 0.5]]
+    assert coarse.faces.shape == (0, 3)
+
+
 def decode_mesh(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
     steps = np.frombuffer(base64.b64decode(str(mesh["vertices"])), "<u2").reshape(-1, 3)
     kind = "<u4" if mesh["wide"] else "<u2"

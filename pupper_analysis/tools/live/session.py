@@ -432,9 +432,10 @@ def interpolate_motion(times: Any, motion: Any, instant: float) -> Any:
     Returns:
         Configuration, shape (nq,), with a normalised quaternion.
     """
-    after = int(np.clip(np.searchsorted(times, instant), 1, len(times) - 1))
-    before = after - 1
-    weight = (instant - times[before]) / (times[after] - times[before])
+    after = min(int(np.searchsorted(times, instant)), len(times) - 1)
+    before = max(after - 1, 0)
+    step = times[after] - times[before]
+    weight = (instant - times[before]) / step if step > 0 else 0.0
     start, end = motion[before].copy(), motion[after].copy()
     if start[3:7] @ end[3:7] < 0:  # q and -q are the same rotation: take the nearer one
         end[3:7] *= -1

@@ -367,3 +367,5 @@ def test_a_motion_is_played_between_its_samples() -> None:
     assert middle[7] == pytest.approx(0.6)
     assert middle[3:7] == pytest.approx([np.cos(0.05), 0, 0, np.sin(0.05)], abs=1e-3)
     assert interpolate_motion(times, motion, 5.0)[7] == pytest.approx(0.7)
+    assert interpolate_motion(times[:1], motion[:1], 0.1) == pytest.approx(qpos)  # one sample
+    assert interpolate_motion(times, motion, -1.0) == pytest.approx(qpos)
