@@ -165,10 +165,14 @@ A report prints this number below the results."""
 
 _FIXED_BASE_CODE = "base-is-fixed"
 """Code of the error that a command about stands raises for a robot with a fixed base.
-`Command.invoke` adds the command line of `hold` for this robot to the error."""
+`Command.invoke` adds the command line of `hold` for this robot to the error, or that of `audit` if
+MuJoCo refuses a free base (`_AUDITED_CODES`)."""
 
 
-_AUDITED_CODES = ("mjcf-not-compiled", "inertia-refused", "link-without-mass", "robot-without-mass")
+_AUDITED_CODES = (
+    *("mjcf-not-compiled", "inertia-refused"),
+    *("link-without-mass", "moving-link-without-mass", "robot-without-mass"),
+)
 """Codes of errors of models that MuJoCo refuses. `Command.invoke` adds the command line of `audit`,
 which names the elements and proposes repairs."""
 
@@ -366,11 +370,14 @@ class Command(click.Command):
         try:
             return super().invoke(context)
         except ConfigurationError as error:
-            if getattr(error.problem, "code", "") == _FIXED_BASE_CODE:
+            problem = error.problem
+            if isinstance(problem, Diagnostic) and problem.code == _FIXED_BASE_CODE:
                 from pupper_analysis.cli.next_step import complete_command
                 from pupper_analysis.present.document import NextStep
 
-                error.add_note(complete_command(NextStep("hold")))
+                why = problem.values.get("why")
+                refused = isinstance(why, Diagnostic) and why.code in _AUDITED_CODES
+                error.add_note(complete_command(NextStep("audit" if refused else "hold")))
             if option := self._find_typed_option(context, error.field):
                 named = ConfigurationError(option, error.problem)
                 for note in getattr(error, "__notes__", ()):

@@ -24,6 +24,7 @@ from pupper_analysis.tools.audit.document import audit_document
 from tests.support import arm
 from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT
+from tests.support.robots import quadruped, urdf_text
 
 
 def complete(typed: str, step: NextStep | None) -> str:
@@ -156,6 +157,22 @@ def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
     status, _, err = run_command(capfd, "stand", str(path), "--payload", "1kg", "--height", "1m")
     assert status == 2
     assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path} --payload 1kg"
+
+
+def test_refusal_of_a_base_without_mass_prints_audit(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """MuJoCo refuses the free base. The audit reports the same link as an error."""
+    parts = quadruped()
+    parts["base"] = replace(parts["base"], mass=0.0)
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_text(parts))
+    status, _, err = run_command(capfd, "stand", str(path))
+    assert status == 2
+    assert err.splitlines()[-1] == f"  next: pupper-analysis audit {path}"
+    audit = audit_model(path)
+    assert not audit.passed
+    assert audit.findings[0].element == "link 'base'"
 
 
 @pytest.mark.parametrize("command", ["stand", "hold"])

@@ -795,25 +795,32 @@ def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
 
 
 def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of a missing mesh file of a URDF: existing files with similar names.
+    """Yield the repairs of missing mesh files of a URDF: existing files with similar names.
 
-    `_list_similar_files` defines which names are similar. Nothing is proposed if the finding names
-    several files, or if another link uses the missing file, too.
+    If all names contain backslashes, and files exist with slashes instead, these are proposed.
+    Otherwise, `_list_similar_files` defines which names are similar; nothing is proposed if the
+    finding names several files, or if another link uses the missing file, too.
     """
     if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
         return
     names = found.message.values["meshes"]
     link = robot.file.tree.links.get(found.name)
-    if not isinstance(names, tuple) or len(names) != 1 or link is None:
+    if not isinstance(names, tuple) or link is None:
+        return
+    slashed = {str(name): str(name).replace("\\", "/") for name in names}
+    if all(name != new and robot.file.resolve_mesh(new) for name, new in slashed.items()):
+        reason = diagnose("repair-slashes")
+        yield from _join_changes(
+            _make_change(robot, user, place, {"filename": new}, reason)
+            for name, new in slashed.items()
+            for user, element in robot.file.tree.links.items()
+            for place in _list_mesh_elements(element.element, name)
+        )
+        return
+    if len(names) != 1:
         return
     name = str(names[0])
-    places = [
-        f"{tag}[{number}]/geometry/mesh"
-        for tag in ("visual", "collision")
-        for number, shape in enumerate(link.element.iterfind(tag), start=1)
-        for mesh in shape.iterfind("geometry/mesh")
-        if mesh.get("filename") == name
-    ]
+    places = _list_mesh_elements(link.element, name)
     users = [mesh for mesh in robot.file.root.iter("mesh") if mesh.get("filename") == name]
     if len(places) != len(users):
         return
@@ -825,6 +832,17 @@ def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
         yield from _join_changes(
             _make_change(robot, found.name, path, new, reason) for path in places
         )
+
+
+def _list_mesh_elements(link: etree._Element, filename: str) -> list[str]:
+    """Return the XML paths below a link of the meshes with a ``filename``."""
+    return [
+        f"{tag}[{number}]/geometry/mesh"
+        for tag in ("visual", "collision")
+        for number, shape in enumerate(link.iterfind(tag), start=1)
+        for mesh in shape.iterfind("geometry/mesh")
+        if mesh.get("filename") == filename
+    ]
 
 
 def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:

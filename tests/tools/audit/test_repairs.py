@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import mujoco
 import pytest
 import trimesh
 from click.testing import CliRunner
@@ -351,6 +352,29 @@ def test_broken_mesh_path_becomes_the_existing_file(tmp_path: Path) -> None:
         if (tmp_path / name).exists():  # a file system without capitals
             continue
         assert repairs_of(audit_model(path), "mesh-missing") == [{"filename": "Body.stl"}]
+
+
+def test_backslashes_in_mesh_paths_become_slashes(tmp_path: Path) -> None:
+    """In an MJCF MuJoCo accepts backslashes."""
+    (tmp_path / "meshes").mkdir()
+    for name in ("a", "b"):
+        trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "meshes" / f"{name}.stl")
+    shapes = "".join(
+        f'<collision><geometry><mesh filename="meshes\\{name}.stl"/></geometry></collision>'
+        for name in ("a", "b")
+    )
+    urdf, mjcf = tmp_path / "robot.urdf", tmp_path / "robot.xml"
+    urdf.write_text(f'<robot name="r"><link name="b">{shapes}</link></robot>')
+    (finding,) = [one for one in audit_model(urdf).findings if one.rule == "mesh-missing"]
+    (repair,) = finding.repairs
+    changes = [change.new["filename"] for change in (repair, *repair.further)]
+    assert changes == ["meshes/a.stl", "meshes/b.stl"]
+    mjcf.write_text(
+        '<mujoco><asset><mesh file="meshes\\a.stl"/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="a"/></body></worldbody></mujoco>'
+    )
+    assert mujoco.MjModel.from_xml_path(str(mjcf)).nmesh == 1
+    assert not audit_model(mjcf).findings
 
 
 @pytest.mark.slow

@@ -261,7 +261,8 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
     """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS.
 
     Each mesh file is searched in the folders of the MJCF and of included files, and in ``meshdir``
-    and ``assetdir`` below both. The name of the mesh file is tried with and without folder.
+    and ``assetdir`` below both. The name of the mesh file is tried with and without folder. In file
+    names of an MJCF, MuJoCo reads backslashes as slashes.
     """
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
@@ -269,9 +270,10 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
     tops = {path.parent / folder for path in file.files for folder in folders}
     for attributes, place in file.elements("mesh"):
         name = attributes.get("file", "")
-        places = [top / inside for top in tops for inside in (name, Path(name).name)]
+        path = Path(name.replace("\\", "/"))
+        places = [top / inside for top in tops for inside in (path, path.name)]
         if name and not any(map(existing_file, places)):
-            known = attributes.get("name") or Path(name).stem
+            known = attributes.get("name") or path.stem
             pointer = any(map(is_pointer, places))
             yield _MissingMesh(name, known, place, pointer, name in file.missing_collision_meshes)
 
