@@ -79,9 +79,9 @@ def test_repeated_time_is_refused_as_repeated(tmp_path: Path) -> None:
     rows[5][0] = rows[4][0]
     with pytest.raises(MeasurementError) as refused:
         read_log(write_csv(tmp_path, HEADER, *map(",".join, rows)))
-    assert "line 7, where it is that of the line before (1 such line)" in str(refused.value)
+    assert "line 7, but equals that of the previous line (1 such line)" in str(refused.value)
     rows[5][0] = rows[3][0]
-    with pytest.raises(MeasurementError, match=r"line 7, where it goes back by 0\.005 s"):
+    with pytest.raises(MeasurementError, match=r"line 7, but decreases by 0\.005 s"):
         read_log(write_csv(tmp_path, HEADER, *map(",".join, rows)))
 
 
@@ -156,7 +156,7 @@ def test_soft_servo_that_holds_is_not_reported_as_swapped(offset: float) -> None
     position = np.array(done) + offset
     good = Log("lift", time, ("elbow",), command[:, None], position[:, None])
     inspect_log(arm(), good)
-    with pytest.raises(MeasurementError, match="swapped"):
+    with pytest.raises(MeasurementError, match="the two columns are probably exchanged"):
         inspect_log(arm(), replace(good, position=good.command, command=good.position))
 
 

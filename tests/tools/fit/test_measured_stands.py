@@ -40,7 +40,7 @@ def test_position_of_a_slide_beyond_its_limits_is_reported_in_metres() -> None:
         "plan.csv", ("s1",), robot.joint_names, positions, positions, swing=((),)
     )
     limit = f"{positions[0, slide]:.4g} m"
-    with pytest.raises(MeasurementError, match=f"b_slide is read at {limit}"):
+    with pytest.raises(MeasurementError, match=f"the reading {limit} of b_slide"):
         stands.check_limits(robot, positions, 0.1)
 
 

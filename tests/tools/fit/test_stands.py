@@ -751,7 +751,7 @@ def test_stands_that_do_not_fit_the_robot_are_refused(robot: Robot, stands: Meas
 
 
 def test_impossible_positions_and_options_are_refused(robot: Robot, stands: MeasuredStands) -> None:
-    with pytest.raises(MeasurementError, match="degrees, it seems"):
+    with pytest.raises(MeasurementError, match="the unit is probably degrees"):
         fit_stands(robot, replace(stands, position=np.degrees(stands.position)))
     beyond = stands.position.copy()
     beyond[2, 4] += 5.0
@@ -825,7 +825,7 @@ def test_known_masses_and_headings_are_read(tmp_path: Path) -> None:
     assert stands.select_rows([1]).added["base"].tolist() == [[0, 0, 0, 0]]
     for cells in ("0,200,,0.02,0.03,0,0", "0,-1,0,0.02,0.03,0,0"):
         path.write_text(f"{head}command.a,position.a\n{cells}\n")
-        with pytest.raises(MeasurementError, match="where it is does not stand beside it"):
+        with pytest.raises(MeasurementError, match="its position is missing"):
             read_stands(path)
 
 
