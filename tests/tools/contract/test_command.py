@@ -17,18 +17,18 @@ BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
 )
 BAD = {
     "cut.py": ("def f(:", "cut.py:1: it is no Python"),
-    "alias.yaml": (BOMB, "it holds more than 200000 values"),
-    "self.yaml": ("a: &a [*a]\n", "it is nested too deeply"),
+    "alias.yaml": (BOMB, "the file contains more than 200000 values"),
+    "self.yaml": ("a: &a [*a]\n", "the file is nested too deeply"),
     "deep.json": ("[" * 100_000, "nest"),
     "cut.yaml": ("a: [1\nb: 2", "it is no YAML"),
-    "none.py": ("import os\nos.system('touch made')\n", "it states no number of joints"),
-    "circle.py": ("from circle import A\nB = A\n", "it states no number of joints"),
+    "none.py": ("import os\nos.system('touch made')\n", "the file contains no number of joints"),
+    "circle.py": ("from circle import A\nB = A\n", "the file contains no number of joints"),
     "big.yaml": ("#" * 20_000_001, "it has more than 20 MB"),
-    "cut.onnx": ("\x7f\x7f", "it is no ONNX model"),
+    "cut.onnx": ("\x7f\x7f", "the file is not a readable ONNX model"),
     "text.txt": ("x", "unknown kind of file; valid endings: .json"),
     "other.py": ("C = ACfg(init_state=S(joint_pos={'knee': 1.0}), "
                  "actuators={'a': B(joint_names_expr=['knee'], stiffness=2.0)})\n",
-                 "no joint of it matches a joint of pupper_v3.urdf"),
+                 "no joint name of the file matches a joint of pupper_v3.urdf"),
 }  # fmt: skip
 
 

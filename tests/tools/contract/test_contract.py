@@ -200,7 +200,7 @@ def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, P
     assert "SCALE[name] = " in Path(place).read_text().splitlines()[int(line) - 1]
     assert finding.joints == tuple(JOINTS)
     assert finding.values == (pytest.approx(0.75), 0.4)  # 0.5 * (2 * 1.5) / 5 + 0.45
-    assert "53 % of what it was trained for" in finding.message
+    assert "joints by 53 % of the trained motion" in finding.message
 
 
 def test_rounded_numbers_agree(sources: dict[str, Path]) -> None:
@@ -264,7 +264,7 @@ def test_several_configurations_in_one_file_require_a_name(sources: dict[str, Pa
     path = sources["isaac_cfg.py"]
     text = path.read_text()
     path.write_text(text + text.replace("PUPPER_CFG", "OTHER_CFG").replace("3.0", "4.0"))
-    with pytest.raises(ModelError, match=r"PUPPER_CFG, OTHER_CFG; name one"):
+    with pytest.raises(ModelError, match=r"PUPPER_CFG, OTHER_CFG; select"):
         contract(path)
     assert contract(f"{path}:PUPPER_CFG").findings == ()
     with pytest.raises(ModelError, match="no configuration 'NONE'"):
@@ -406,7 +406,7 @@ def test_duplicate_yaml_key_is_refused_and_merged_keys_are_read(
     text = path.read_text()
     path.write_text(text + f"damping: {format_list([0.5] * 12)}\n")
     line = text.count("\n") + 1
-    with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: 'damping' stands twice"):
+    with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: 'damping' occurs twice"):
         contract(path)
     kd = f"damping: {format_list([0.25] * 12)}"
     assert kd in text

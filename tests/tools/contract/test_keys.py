@@ -362,7 +362,7 @@ def test_file_of_unknown_keys_is_refused_with_its_keys_and_the_remedy(tmp_path: 
     with pytest.raises(ModelError) as caught:
         read_contract(MJCF, path, stand=False)
     text = str(caught.value)
-    assert "it has pd.p, rest_pose, pd.d" in text
+    assert "its keys are pd.p, rest_pose, pd.d" in text
     assert "pupper-analysis.toml" in text
     assert "[[contract.key]]" in text
 
@@ -451,7 +451,7 @@ def test_unreadable_source_is_named_and_the_others_are_compared(
     assert "notes.yaml" in str(warning)
     sound = compare(tmp_path, "T1.yaml", SPREAD_DEPLOYMENT, trainer, bad)
     assert (sound.findings, sound.passed) == ((), False)
-    with pytest.raises(ModelError, match="states no number of joints"):
+    with pytest.raises(ModelError, match="contains no number of joints"):
         read_contract(URDF, bad, stand=False)
 
 

@@ -50,7 +50,7 @@ def test_packed_and_single_integers_are_decoded() -> None:
 @pytest.mark.parametrize("data", [b"\x80" * 20, b"\x0f", b"\x72\x7f", b"\x72\x02\x0a\x09", b"\x38"])
 def test_invalid_onnx_file_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.onnx").write_bytes(data)
-    with pytest.raises(ModelError, match="no ONNX"):
+    with pytest.raises(ModelError, match="not a readable ONNX"):
         read_onnx(tmp_path / "a.onnx")
 
 

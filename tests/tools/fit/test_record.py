@@ -620,11 +620,11 @@ def test_invalid_plan_is_refused_before_any_command(
     cells = first.split(",")
     cells[at] = "3.5"
     other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
-    with pytest.raises(MeasurementError, match="s0: the reading .* of leg_front_r_1"):
+    with pytest.raises(MeasurementError, match=r"s0: the reading .* of leg_front_r_1"):
         record_stands(robot, other, tmp_path / "stands.csv", one, one)
     cells[at] = ""
     other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
-    with pytest.raises(MeasurementError, match="s0: the reading .* of leg_front_r_1"):
+    with pytest.raises(MeasurementError, match=r"s0: the reading .* of leg_front_r_1"):
         record_stands(robot, other, tmp_path / "stands.csv", one, one)
     cells = first.split(",")
     cells[1] = "FR FL"  # on two feet

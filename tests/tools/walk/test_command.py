@@ -74,7 +74,7 @@ def test_invalid_input_is_refused_in_one_line(
         ((str(policy), "--command", "fast"), "fast"),
         ((str(policy), "--seconds", "nan"), "seconds"),
         ((str(policy), "--vary", "mass,moon"), "moon"),
-        ((str(policy), "--vary", "mass", "--fit", str(policy)), "no fit's JSON"),
+        ((str(policy), "--vary", "mass", "--fit", str(policy)), "not the JSON of a fit"),
         ((str(policy), "--vary", "mass", "--seeds", "0"), "seeds"),
         ((str(policy), "--contract", str(policy)), "TOML"),
     ):

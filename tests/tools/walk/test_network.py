@@ -337,7 +337,7 @@ def test_weights_in_a_file_beside_the_onnx_file_equal_onnxruntime(tmp_path: Path
 @pytest.mark.parametrize(
     ("location", "entries", "message"),
     [
-        ("other.data", {}, "copy it from the export"),
+        ("other.data", {}, "copy this file from the export"),
         ("../made.onnx.data", {}, "below the folder of the policy"),
         ("/etc/hostname", {}, "below the folder of the policy"),
         ("made.onnx.data", {"offset": 12}, "end at byte 132, the file has 128"),
@@ -524,11 +524,11 @@ def test_torchscript_with_another_state_or_without_a_network_is_refused(
             return self.out(x) + self.h
 
     path = save_traced(torch, Counting(), tmp_path / "counts.pt", 3)
-    with pytest.raises(ModelError, match="keeps a state"):
+    with pytest.raises(ModelError, match="keeps an internal state"):
         policy.build_torchscript_network(path)
     weights = tmp_path / "weights.pt"
     torch.save(torch.nn.Linear(3, 2).state_dict(), str(weights))
-    with pytest.raises(ModelError, match="no network"):
+    with pytest.raises(ModelError, match="no readable network"):
         policy.build_torchscript_network(weights)
     bad = torch.nn.Linear(3, 2)
     bad.weight.data[0, 0] = math.nan
@@ -560,16 +560,16 @@ def test_onnx_that_cannot_be_read_or_is_too_large_is_refused(tmp_path: Path) -> 
         ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
         return made.onnx([made.node(operator, ("obs", "W"), ("y",))], [weights], *ends)
 
-    assert "no network" in refusal(b"")
-    assert "no ONNX model" in refusal(b"\xff" * 40)
+    assert "no readable network" in refusal(b"")
+    assert "not a readable ONNX model" in refusal(b"\xff" * 40)
     whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
-    assert "no ONNX model" in refusal(whole[:-20])
+    assert "not a readable ONNX model" in refusal(whole[:-20])
     large = made.tensor("W", [1.0], dims=(40_000, 25_000))
     assert "W has 1000000000 weights" in refusal(multiply("MatMul", large))
     spoilt = np.ones((2, 3))
     assert "Einsum" in refusal(multiply("Einsum", made.tensor("W", spoilt)))
     spoilt[1, 1] = np.inf
-    assert "W: 1 of its weights" in refusal(multiply("MatMul", made.tensor("W", spoilt)))
+    assert "W: 1 of the weights" in refusal(multiply("MatMul", made.tensor("W", spoilt)))
 
 
 @pytest.mark.parametrize(

@@ -276,7 +276,7 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     bad.write_text('{"layers": [1]}', encoding="utf-8")
     assert "layer 1" in get_refusal(bad)
     (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
-    assert "no ONNX model" in get_refusal(tmp_path / "bad.onnx")
+    assert "not a readable ONNX model" in get_refusal(tmp_path / "bad.onnx")
 
 
 def test_network_of_another_size_than_the_contract_is_refused(tmp_path: Path) -> None:
