@@ -528,6 +528,17 @@ def test_moments_of_a_rod_about_wrong_axes_are_reordered(tmp_path: Path) -> None
     assert repair.new == {"ixx": "1.5e-05", "iyy": str(moment), "izz": str(moment)}
 
 
+def test_moments_of_a_link_whose_only_shape_is_its_tip_are_no_finding(tmp_path: Path) -> None:
+    """A tube of 20 mm radius has m r^2 about its axis, 9 times the limit of a foot of 7 mm."""
+    inertial = (
+        '<origin xyz="0.1 0 0"/><mass value="0.3"/><inertia ixx="1.2e-4" iyy="1.1e-3" '
+        'izz="1.1e-3" ixy="0" ixz="0" iyz="0"/>'
+    )
+    shape = '<origin xyz="0.2 0 0"/><geometry><sphere radius="0.007"/></geometry>'
+    rules = {found.rule for found in audit_model(write_arm(tmp_path, inertial, shape)).findings}
+    assert "inertia-implausible" not in rules
+
+
 @pytest.mark.parametrize("leader", ["turnn", "elsewhere"])
 def test_mimic_of_a_missing_joint_is_repaired_if_a_name_is_similar(
     leader: str, tmp_path: Path

@@ -476,7 +476,8 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
     """Find the axis about which the mass would have to be outside of the shapes.
 
     The moment about an axis through the CoM is at most m d^2, with the largest distance d between
-    the shapes and the axis.
+    the shapes and the axis. A CoM outside of the box around the shapes means that the shapes do not
+    cover the link, for example a calf with the sphere of its foot only.
 
     Args:
         inertial: Inertial of a link, in the frame of the link.
@@ -484,8 +485,12 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
 
     Returns:
         Axis (3,), moment [kg m^2] and largest possible moment of the axis with the largest ratio of
-        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None.
+        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None. None also if the CoM is outside of
+        the box around the shapes.
     """
+    is_covered = (points.min(axis=0) <= inertial.com) & (inertial.com <= points.max(axis=0))
+    if not is_covered.all():
+        return None
     arms = points - inertial.com
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     if len(axes) < 3:
