@@ -479,21 +479,23 @@ class _PayloadSimulations:
             self._verdicts[mass] = replace(verdict, question=Question.CARRIES)
         return self._verdicts[mass]
 
-    def judge_with_feedforward(self, mass: float, trial: PayloadTrial | None) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
+    def judge_with_feedforward(self, mass: float) -> Verdict:
+        """Return the verdict of the stance with a payload [kg], from two kinds of simulations.
 
-        The simulation with position commands alone is left out, since it does not decide whether
-        the verdict passes. Tests of growing modes are left out if the nudged simulations decide.
+        These are simulations with feed-forward, and nudged simulations (`simulate_nudged`). There
+        is no simulation with position commands alone: if nudged simulations are given, it does not
+        decide whether the verdict passes (`judge_simulation`).
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
         held = solve_stand_as_simulated(loaded, stand)
+        fed = verify_stand(loaded, held, kp=self._kp, kd=self._kd, until_failure=True)
         return judge_simulation(
             loaded,
             stand,
-            verify_stand(loaded, held, kp=self._kp, kd=self._kd, until_failure=True),
+            fed,
             statics=stand_statics(loaded, held),
-            trial=trial,
+            trial=self.simulate_nudged(mass) if fed.passed else None,
             kp=self._kp,
             kd=self._kd,
         )
@@ -501,7 +503,7 @@ class _PayloadSimulations:
     def holds(self, mass: float) -> bool:
         """Return True if a stand with a payload [kg] exists, and holds in simulation."""
         try:
-            return _holds_in_simulation(self.judge_with_feedforward(mass, None))
+            return _holds_in_simulation(self.judge_with_feedforward(mass))
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
             return False
 
@@ -583,7 +585,7 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
         verdict = (
             simulations.judge(verified_mass)
             if mass == static_limit
-            else simulations.judge_with_feedforward(verified_mass, trial)
+            else simulations.judge_with_feedforward(verified_mass)
         )
         return None if _holds_in_simulation(verdict) else (Failure.SIMULATED, ())
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.robot.tool import FramePoint, find_tool, with_payload
+from pupper_analysis.robot.tool import FramePoint, find_place, find_tool, with_payload
 from pupper_analysis.simulation import trial
 from pupper_analysis.simulation.rollout import STATE_SPEC, make_stand_start
 from pupper_analysis.simulation.stability import stand_stability
@@ -280,7 +280,7 @@ def make_simulations(judge: Callable[[float], Any], simulate: Callable[[float], 
     """Represent `_PayloadSimulations` by a function of the verdict and one of the trial."""
     return SimpleNamespace(
         judge=judge,
-        judge_with_feedforward=lambda mass, _: judge(mass),
+        judge_with_feedforward=judge,
         simulate_nudged=simulate,
     )
 
@@ -481,6 +481,30 @@ def test_simulation_bounds_the_payload_if_the_spectrum_fails_without_payload(
     found = search._confirm_servo_bound(bounds)
     assert found.mass == pytest.approx(expected, rel=SIMULATION_RTOL)
     assert found.failure == (Failure.NOTHING if math.isinf(expected) else Failure.BUCKLING)
+
+
+@pytest.mark.slow
+def test_mass_that_falls_after_a_nudge_raises_no_servo_bound(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`stand` nudges a stand in all directions that fails without feed-forward.
+
+    v3 with kp 3 N m/rad and 3 kg is such a stand, and no utilisation is above 90 %.
+    """
+    robot = load("v3")
+    arguments = pa.StandTask(), find_place(robot, (0.0, 0.0, 0.0)), 3.0, 0.075
+    simulations = payload._PayloadSimulations(robot, *arguments)
+    real, nudged = payload.simulate_payload, []
+
+    def fall(*args: Any, **options: Any) -> Any:
+        nudged.append(args[2])
+        done = real(*args, **options)
+        return replace(done, survived=False, failure=Failure.TIPPING, failing_parts=(), time=1.0)
+
+    assert simulations.holds(3.0)
+    monkeypatch.setattr(payload, "simulate_payload", fall)
+    assert not payload._PayloadSimulations(robot, *arguments).holds(3.0)
+    assert nudged == [3.0]
 
 
 @pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
