@@ -229,7 +229,8 @@ def analyze_variant(
         ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF of a large
             robot.
     """
-    stand = solve_stand_as_simulated(robot, solve_stand(robot, task))
+    rigid_stand = solve_stand(robot, task)
+    stand = solve_stand_as_simulated(robot, rigid_stand)
     robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
@@ -255,7 +256,7 @@ def analyze_variant(
     ]
     thigh, calf = measure_leg_lengths(robot)
     statics = stand_statics(robot, stand)
-    verdict = judge_simulation(robot, stand, verification, sagging, statics=statics)
+    verdict = judge_simulation(robot, rigid_stand, verification, sagging, statics=statics)
     return Analysis(
         name=robot.name,
         nq=robot.nq,

@@ -8,12 +8,14 @@ import copy
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.joints import leg_joints
+from pupper_analysis.tools.analyze import analysis as analysis_module
 from pupper_analysis.tools.analyze.analysis import (
     compute_leg_jacobians,
     measure_leg_lengths,
@@ -192,3 +194,19 @@ def test_joints_of_a_leg_are_those_between_base_and_foot() -> None:
 def test_analysis_of_an_unreachable_stance_is_refused() -> None:
     with pytest.raises(pa.StanceUnreachableError):
         pa.analyze_variant(load("v3"), pa.StandTask(height=0.4))
+
+
+@pytest.mark.slow
+def test_analysis_judges_the_stand_on_rigid_ground(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `stand` does: the nominal stand is then compared with the file only once."""
+    judged, real = [], analysis_module.judge_simulation
+
+    def judge(*args: Any, **options: Any) -> Any:
+        judged.append(args[1])
+        return real(*args, **options)
+
+    monkeypatch.setattr(analysis_module, "judge_simulation", judge)
+    analysis = pa.analyze_variant(load("v3"))
+    assert max(analysis.stand.depths.values()) > 1e-3
+    assert max(judged[0].depths.values()) == 0
+    assert judged[0].task == analysis.stand.task
