@@ -26,7 +26,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 TOOLS_GROUP = "pupper_analysis.tools"
-"""Group of entry points for tools of other Python packages: ``name = "its_package"``."""
+"""Group of entry points for tools of other Python packages: ``name = "its_package"``. Also the name
+of the package that contains the tools of this package."""
 
 FORMATS_GROUP = "pupper_analysis.formats"
 """Group of entry points for formats of other Python packages: ``name = "its_package"``."""

@@ -368,13 +368,13 @@ def name_uniquely(
 
 
 def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors on a robot; only count its other notes.
+    """Print the first warnings and errors on a robot (`print_warnings`), and count its other notes.
 
-    The next report prints the count (`hide_notes`).
+    A next report with a single document in the short form prints the count (`hide_notes`).
 
     Args:
         robot: Robot.
-        everything: True to print all notes.
+        everything: True to print all notes, and to count none.
     """
     print_warnings(robot, everything=everything)
     if not everything:

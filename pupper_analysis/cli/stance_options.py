@@ -138,7 +138,7 @@ MOTOR_OPTION = click.option(
         "of the motor, instead of the limits in the files. Repeatable; later options have priority."
     ),
 )
-"""Option ``--motor``: motors of the joints in a motion; `apply_motors` reads the texts."""
+"""Option ``--motor``: motors of the joints in a motion; `parse_motors` reads the texts."""
 
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 """Options for format and extent of the printed output."""
@@ -508,9 +508,12 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         {joint: motor}.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint, or the text names no motor.
-        ConfigurationError: If a pattern matches a slide.
-        ModelError: If the motor's file is not valid.
+        UnknownNameError: If a pattern matches no joint, ``MOTOR`` is no known name, or the motor's
+            file contains an unknown key, for example.
+        ConfigurationError: If ``JOINTS`` contains a slide; without ``JOINTS=``, if the robot has a
+            slide.
+        ModelError: If the motor's file cannot be read or is not valid. A ``MOTOR`` with a suffix is
+            a file.
     """
     from pupper_analysis.models.motors.reading import find_motor
     from pupper_analysis.robot.joints import check_motor_joints

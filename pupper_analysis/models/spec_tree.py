@@ -501,7 +501,9 @@ _FREE_BASE_JOINTS: Final = (
 
 
 def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:
-    """Replace the joints of a free base by a single free joint, in place, and delete all keyframes.
+    """Replace the joints of a free base by a single free joint, and delete all keyframes.
+
+    The spec is changed in place. Joint equalities and sensors of the joints are deleted, too.
 
     Models converted from OpenSim, and some exporters, use three slides and three hinges (or a
     ball). The other modules support only a free joint.
@@ -512,7 +514,8 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
             unchanged.
 
     Returns:
-        Diagnostic of the replacement; None if there is no such base.
+        Diagnostic of the replacement; None if there is no such base. A joint with an actuator or a
+            stiffness, for example, excludes a base (`_find_free_base`).
     """
     base = _find_free_base(spec, stated)
     if base is None:

@@ -244,13 +244,14 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
     """Find the contact points of a foot that the user names.
 
     If the MJCF has an element with the name ``frames[1]``, this element is used; otherwise the
-    URDF's link ``frames[0]``. The contact shape depends on the element:
+    URDF's link ``frames[0]``. Of several elements with this name, a geom has priority, then a site.
+    The contact shape depends on the element:
 
     - Geom: this geom.
     - Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
       site.
-    - Site, or link of the URDF: the nearest sphere within 20 mm (`_MAX_SPHERE_DISTANCE`), else all
-      geoms of the moving body that can collide with the floor.
+    - Site, or link of the URDF: of the moving body's geoms that can collide with the floor, the
+      nearest sphere at less than 20 mm (`_MAX_SPHERE_DISTANCE`), else all these geoms.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.

@@ -87,15 +87,22 @@ def judge_simulation(
 ) -> Verdict:
     """Create the verdict of a simulated stand or posture: holds, fails or cannot be judged.
 
-    The verdict combines the simulations of the caller with simulations of the published file (the
-    unmodified MJCF), and with a nudge test, in which the base gets a small initial velocity. The
-    nudge test runs if ``fed`` passed, ``trial`` is None, ``statics`` contains a CoM margin, and the
-    base is free. Its nudges are:
+    The verdict combines the following simulations:
 
-    - In all directions (`simulate_nudges`) for a stand near a limit, or a stand that fails
-      without feed-forward.
-    - Large (`simulate_large_nudges`) for other stands. Stands whose servos saturate at small
-      deviations get large nudges after small nudges that cause no failure.
+    - ``fed`` and ``alone`` of the caller: with feed-forward, the servo command contains the static
+      torques of the motors.
+    - Simulations of the published file, the user's unmodified MJCF or URDF.
+    - Nudges: simulations in which the base has an initial velocity. If ``trial`` is None, the stand
+      is nudged here, provided that ``fed`` passed, ``statics`` contains a CoM margin, and the base
+      is free.
+
+    Which nudges are simulated here depends on the stand:
+
+    - Near a limit (`is_near_limit`), or if ``alone`` failed: small nudges in all directions
+      (`simulate_nudges`). Large nudges follow if the servos saturate at small deviations, and the
+      small nudges cause no failure.
+    - Other stands, also if ``alone`` is None: large nudges (`simulate_large_nudges`), after which
+      only shaking and divergence are failures.
 
     Args:
         robot: Robot.

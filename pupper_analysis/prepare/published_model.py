@@ -590,8 +590,10 @@ def _set_tendon_commands(
 
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
-"""Actuator types with which a joint is commanded through the actuators of the file, and gets no
-external servo. Actuators without gain get no command. `_has_unequal_gain` describes a further case.
+"""Types of actuators that get a position command in the simulation of the published model: servos,
+also with a negative or zero stiffness. The joint then gets no servo from outside of the file.
+Actuators with zero gain or zero stiffness get no command. An actuator with another control law is
+commanded only if `_has_unequal_gain` is True.
 """
 
 

@@ -333,7 +333,8 @@ def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
 
     Args:
         mesh: Mesh.
-        cells: Number of cells along the longest side of the bounding box.
+        cells: Number of cells along the longest side of the bounding box. Vertices at the upper end
+            of a side may be in a further cell.
 
     Returns:
         Mesh with the mean vertex of each cell, without collapsed triangles.

@@ -76,13 +76,20 @@ class GroundLaw:
     def of_contact(robot: Robot, foot: str) -> GroundLaw:
         """Return the force law between a contact point and the ground in MuJoCo's model.
 
-        The class docstring defines the symbols. With MuJoCo's pyramidal friction cone,
-        ``tangential`` is A_t = (1 + mu^2) A / impratio. The normal force is then the sum of the
-        forces of 2 (condim - 1) edges; therefore ``normal`` is A_t mu^2 / (condim - 1).
+        The result contains two inverse masses [1/kg], ``normal`` and ``tangential``. A [1/kg] is
+        the inverse mass of the body that carries the contact point, as MuJoCo approximates it
+        (``body_invweight0``). mu [1] is the sliding friction, ``condim`` [1] the dimension of the
+        contact, and ``impratio`` [1] MuJoCo's option.
+
+        - Elliptic friction cone: ``normal`` = A, ``tangential`` = A / impratio.
+        - Pyramidal friction cone: ``tangential`` = (1 + mu^2) A / impratio, ``normal`` =
+          ``tangential`` mu^2 / (condim - 1). The normal force is the sum of the forces of
+          2 (condim - 1) edges.
+        - Without friction (mu = 0): ``normal`` = A, ``tangential`` is infinite.
 
         Args:
             robot: Robot whose MuJoCo model has a ground.
-            foot: Contact point.
+            foot: Name of the contact point.
         """
         model, parameters = robot.mj_model, robot.contacts[foot]
         solimp = clip_solimp(parameters.solimp)

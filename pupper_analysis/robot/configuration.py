@@ -554,10 +554,11 @@ class Configuration(Pictured):
     def gravity(self) -> Array:
         """Return the gravity vector g, shape (nv,) [N, N m]: the bias forces at rest.
 
-        Computed by ``pin.computeGeneralizedGravity``. With a free base, g[:3] = -m gravity [N]. The
-        joint part contains the motor torques that hold the joints if the base is held, and if there
-        are no contacts and passive forces. For the motor torques of a standing robot use
-        ``gravity_compensation``.
+        Computed by ``pin.computeGeneralizedGravity``; in the order of qvel. With a free base, g[:3]
+        = -m a [N], expressed in the world frame, with the robot's mass m [kg] and the gravitational
+        acceleration a [m/s^2]. The joint part contains the motor torques that hold the joints of a
+        robot whose base is held, without contacts, passive forces, closed loops and couplings. For
+        the motor torques of a standing robot use ``gravity_compensation``.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.to_qvel_order(forces)

@@ -127,8 +127,8 @@ class EngineModels:
             ``qvel`` also v, shape (pin_model.nv,); the base linear velocity is in the base frame.
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         position = self._check_qpos(qpos)
         q = self.pin_convention.unit_q(position)
@@ -158,8 +158,8 @@ class EngineModels:
             state to MjData.
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         qpos = self.pin_convention.qpos(check_vector("q", q, self.pin_convention.nq))
         if self.floating:
@@ -196,8 +196,8 @@ class EngineModels:
             forces: Generalised forces, shape (nv,) [N, N m].
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         return self.velocity_map(qpos) @ check_vector("forces", forces, self.nv)
 
@@ -211,8 +211,8 @@ class EngineModels:
             tau: Pinocchio's generalised forces (pin_model.nv,) [N, N m].
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         return self.velocity_map(qpos).T @ check_vector("tau", tau, self.pin_convention.nv)
 
@@ -229,8 +229,8 @@ class EngineModels:
             qacc: Acceleration, shape (nv,) [m/s^2, rad/s^2].
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         velocity = check_vector("qvel", qvel, self.nv)
         acceleration = check_vector("qacc", qacc, self.nv)
@@ -248,8 +248,8 @@ class EngineModels:
             a: Pinocchio's acceleration, shape (pin_model.nv,) [m/s^2, rad/s^2].
 
         Raises:
-            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
-                quaternion is zero.
+            ConfigurationError: If a vector has a wrong length or no real numbers, a value is not
+                finite, or the quaternion is zero.
         """
         velocity = check_vector("qvel", qvel, self.nv)
         acceleration = check_vector("a", a, self.pin_convention.nv)

@@ -358,7 +358,7 @@ class Robot(EngineModels):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def complete_stages(self) -> None:
-        """Run the preparation steps that are postponed to the first use of the robot.
+        """Run the preparation steps that are postponed to the first use of their results.
 
         The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. If the steps
         have been run, the method has no effect. If several threads need the steps at the same time,
@@ -674,9 +674,11 @@ class Robot(EngineModels):
 
     @cached_property
     def effort_ranges(self) -> Array:
-        """Minimum and maximum effort of each joint from both files, shape (nu, 2) [N m, N].
+        """Minimum and maximum effort of each joint, shape (nu, 2) [N m, N].
 
-        A bound is infinite if no file states a limit.
+        Columns: the larger of the minima, and the smaller of the maxima, that URDF and MJCF state.
+        A limit requested by `with_efforts` replaces those of the files. A bound is infinite if no
+        limit is stated or requested. See `efforts` for the source of each limit.
         """
         ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
         ranges.flags.writeable = False

@@ -28,7 +28,10 @@ _LIMIT_DISABLING_BITS = (
 
 
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the types of active equality constraints that the stance solver ignores.
+    """Report the types of active equality constraints that the stance solver never satisfies.
+
+    Supported types are not reported, even if a constraint between a free base and the world makes
+    the stance solver ignore all equality constraints (`find_closure`).
 
     Constraints of flexible bodies (``flex``), for example, act in MuJoCo's simulation only.
 

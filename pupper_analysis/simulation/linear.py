@@ -46,20 +46,23 @@ class LinearStep:
         self._power, self._total = power, total
 
     def predict(self, before: Array, state: Array, duration: float) -> Array:
-        """Predict with the linear model how far the robot moves from a state, at n later times.
+        """Predict with the linear model how far the robot moves from a state, at later times.
 
-        The times are equally spaced; the last is ``duration``, rounded up to a multiple of the
-        interval between samples. The prediction starts with the change in the last step, ``state``
-        minus ``before``.
+        The displacement is predicted at the times T, 2 T, ..., n T after ``state``. The interval T
+        is a multiple of MuJoCo's time step, at most `_MAX_SAMPLE_TIME` unless the time step itself
+        is longer. n is the smallest number with n T >= ``duration``.
+
+        The model extrapolates the change in the last time step, from ``before`` to ``state``.
 
         Args:
-            before: State a step earlier (mjSTATE_FULLPHYSICS), shape (size,).
+            before: State one time step before ``state`` (mjSTATE_FULLPHYSICS), shape (size,).
             state: State (mjSTATE_FULLPHYSICS) from which displacements are measured, shape (size,).
-            duration: Time after the state [s].
+            duration: Predicted time after ``state`` [s].
 
         Returns:
-            Displacements, shape (n, 2 nv + na), in the tangent space. Columns: positions [m, rad],
-            velocities [m/s, rad/s], activations. Values may be infinite or NaN if a mode grows.
+            Displacements at the n times, shape (n, 2 nv + na), in the tangent space. Columns:
+                positions [m, rad], velocities [m/s, rad/s], activations. Values may be infinite or
+                NaN if a mode grows.
         """
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 

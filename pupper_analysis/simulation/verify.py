@@ -154,7 +154,9 @@ tuned."""
 
 NUDGED_FRACTION = 7 / 12
 """Default fraction [1] of the simulated time of a stand that follows the nudge. By default the
-simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned."""
+simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. In short simulations
+the fraction is smaller, since settling lasts at least `MEASURING_TIME`. The simulations of the
+module ``settling`` last at most 5 s before, and 7 s after a nudge, too. Chosen, not tuned."""
 
 _FRAME_TIME = 0.1
 """Time between the configurations in the result of `verify_stand` [s]. Short enough for an

@@ -797,17 +797,19 @@ def remove_penetration(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Remove the penetration from foot targets, to compute where the ground below the feet is.
+    """Convert targets of feet in soft ground to targets on rigid ground, to place steps and planes.
 
-    A target includes the penetration, but steps and planes must be placed below the rigid target.
-    If any foot has a separate plane, the target of each contact point in ``normals`` is moved out
-    of the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
-    the horizontal position of a step (raised level surface) does not depend on the penetration.
+    A foot in soft ground is below the surface by the penetration. The target of each contact point
+    in ``normals`` is moved out of the ground by the penetration, along the normal.
+
+    If no foot has a separate plane, the targets are returned unchanged. The place of a step (raised
+    surface) below a foot then follows from the horizontal position. Along the normal of a slope,
+    this position changes by (penetration) * sin(slope), which is neglected.
 
     Args:
         ground: Ground.
-        foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the world
-            frame}, which includes the penetration.
+        foot_targets: {contact point: target of the sphere centre in soft ground, shape (3,) [m], in
+            the world frame}.
         depths: {contact point that carries load: penetration [m]}.
         normals: {contact point that carries load: unit normal out of the ground, shape (3,), world
             frame}.

@@ -217,12 +217,14 @@ class StanceProgram:
         """Find a configuration for the stand, with the smallest changes of the relaxable values.
 
         Args:
-            qpos: Initial configuration, shape (nq,).
+            qpos: Initial configuration, shape (nq,). The base height and orientation are ignored:
+                they are those of the task.
             task: Task with the values from which the solve starts. Default: the requested values.
 
         Returns:
-            Relaxed task and configuration at the end of the solve: a local minimum, or, if the
-            solve ended early, possibly with violated constraints.
+            Relaxed task and configuration: a local minimum, or the last iterate if SLSQP fails or
+                reaches its iteration limit. If successive iterations make no progress
+                (`_PATIENCE`): the point with the smallest violation so far.
         """
         relaxable = bool(self._requirements)
         tolerance = _SATISFIED_VIOLATION if relaxable else TASK_TOLERANCE
@@ -303,7 +305,15 @@ class StanceProgram:
         equal = self._rows[1]
 
         def rates(x: Array, rows: slice) -> Array:
-            """Return rows of the constraint Jacobian at ``x``; record progress, if monitored."""
+            """Return the Jacobian of some constraints by the variables; record the progress.
+
+            Args:
+                x: Variables, shape (v,): base x and y, joint positions, relaxations.
+                rows: Rows of the m constraints: the equalities, or the inequalities.
+
+            Returns:
+                Jacobian, shape (m, v), of the residuals [m, rad] by the scaled variables.
+            """
             if progress is not None:
                 progress.update(x, self._max_violation(x))
             return self._jacobian(x)[rows]

@@ -344,9 +344,17 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return a stand's task with another value [m or rad] of a base coordinate.
+    """Return a stand's task with another value of a single base coordinate.
 
     `base_workspace` describes which CoM position or base offset the task then requires.
+
+    Args:
+        robot: Robot.
+        start: Stand whose task is changed.
+        direction: Coordinate, one of ``DIRECTIONS``.
+        value: New value of the coordinate: base height [m]; roll, pitch or yaw [rad]; for ``x`` and
+            ``y``, position of the base relative to the centre of the feet, along this axis of the
+            world frame [m].
     """
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):

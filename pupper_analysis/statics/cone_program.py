@@ -372,8 +372,9 @@ class Balance:
         A contact and a grip have four rows each. For a contact, the product of these rows with the
         forces (size,) is (mu f_n, t_x, t_y, t_z). mu is the friction coefficient, reduced by
         `_CONE_MARGIN`, f_n is the normal force, and t is the tangential force in the world frame.
-        If mu exceeds `_LARGE_FRICTION`, all four numbers are divided by mu. For a grip, the product
-        is 0 and the three components of the grip force.
+        If the friction coefficient itself exceeds `_LARGE_FRICTION`, all four numbers are divided
+        by this coefficient. For a grip, the product is 0 and the three components of the grip
+        force.
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)

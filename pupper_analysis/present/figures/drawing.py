@@ -266,7 +266,7 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
 
 _LEGEND_LINE_LENGTH = 3.6
 """Length of the line of a legend entry, as a multiple of the font size: a whole period of the
-longest dash pattern. Chosen, not tuned."""
+longest dash pattern if a row has a single panel. Chosen, not tuned."""
 
 _LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 5.6
 """Mean width of a letter of a legend, and width of a symbol with the gaps, as fractions of the font

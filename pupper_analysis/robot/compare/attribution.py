@@ -76,6 +76,9 @@ def explain_differences(
     3. All differences of values are applied to the URDF's model. It must behave as the MJCF without
        the listed elements. The deviation is the residual.
 
+    Equalities of the MJCF that are equivalent to a mimic joint of the URDF are not listed, and are
+    disabled in all evaluations.
+
     Args:
         robot: The robot.
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.

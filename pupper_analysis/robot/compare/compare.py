@@ -74,7 +74,8 @@ from pupper_analysis.robot.shapes import may_touch
 CONTACT_HEIGHT_ATOL = 2e-4
 """Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m].
 Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
-Also the distance up to which two geoms of a foot count as at the same place. Chosen, not tuned."""
+Also an upper bound of the difference between the distances of two geoms from the shape in the URDF:
+below this bound, both geoms count as equally near. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
@@ -282,7 +283,7 @@ def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape
     if not len(geoms):
         return mjcf.place("body", body)
     distances = np.linalg.norm(data.geom_xpos[geoms] - urdf_shape.world.pose.position, axis=1)
-    # Of geoms at the same place, the last is usually the collision geom.
+    # Of equally near geoms, the last is usually the collision geom.
     nearest = geoms[np.flatnonzero(distances < distances.min() + CONTACT_HEIGHT_ATOL)[-1]]
     return place_of_geom(mjcf, int(nearest), "touches")
 

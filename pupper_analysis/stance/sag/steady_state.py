@@ -177,9 +177,9 @@ feed-forward. If no equilibrium is found with this step, the path of equilibria 
 tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
-"""Largest step of the removed feed-forward, as a fraction of all feed-forward, after which the
-stability of the equilibrium is not checked. A longer step may end at another, unstable equilibrium.
-Chosen, not tuned."""
+"""Largest step of `HomotopyPath.follow` whose new equilibrium is accepted without a stability
+check. The step is the fraction of all feed-forward [1] that is removed at once. A longer step may
+end at an unstable equilibrium of another path, which is rejected. Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
 """Tolerance of the bisection that finds at which removed fraction of the feed-forward (0 to 1) a

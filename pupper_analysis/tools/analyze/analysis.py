@@ -226,7 +226,9 @@ def analyze_variant(
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths of a robot without closed loops do not converge.
         ConfigurationError: If the base is fixed, or the task is invalid for the robot.
-        ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF of a large
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: For example, if a joint has no position servo, a mass or inertia is invalid, the
+            contacts or the ground cannot be added, or MuJoCo cannot import the URDF of a large
             robot.
     """
     rigid_stand = solve_stand(robot, task)

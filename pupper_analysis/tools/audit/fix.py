@@ -161,8 +161,12 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
     """Return the byte ranges that a repair replaces in the file on disk.
 
     Returns:
-        (start [bytes], length [bytes], new text) of each changed value, new attribute or new
-        element; empty if the repair cannot be applied (`_has_old_values`).
+        (start [bytes], length [bytes], new text) of each changed value, of all new attributes of an
+            element together, and of all new children of an element together. Empty if the repair
+            cannot be applied (`_has_old_values`).
+
+    Raises:
+        InputError: If the file cannot be read.
     """
     document = read_xml_bytes(Path(repair.file))
     if not _change_elements(document, repair):

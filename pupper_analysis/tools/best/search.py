@@ -277,6 +277,8 @@ class StanceSearch:
                 stand without payload.
             StaticsInfeasibleError: If the objective is not the margin, and no contact
                 forces balance the stand.
+            ConfigurationError: If a closed loop of the robot is open or singular in the stand, for
+                example.
         """
         slack = self.space.compute_slack(stand)
         scaled_objective, rows = self._compute_scaled_objective(stand, slack)
@@ -294,14 +296,18 @@ class StanceSearch:
     def _compute_scaled_objective(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
         """Compute the scaled objective of a stand, and the constraints that define it.
 
+        The scaled objective t [1] is minimised. In units of ``scale``, t is the largest
+        utilisation of a motor, the negative CoM margin or the negative payload. Each constraint is
+        a + b t >= 0; t is the smallest number that satisfies all of them, for the payload those
+        with b > 0.
+
         Args:
             stand: Stand.
             slack: Constraint slacks of the stand.
 
         Returns:
-            Scaled objective t [1], and the rows (a, b), shape (k, 2). t is the smallest number that
-            satisfies a + b t >= 0 for all rows. For the payload, only the rows with b > 0 are
-            used.
+            Scaled objective t [1]; coefficients (a, b) of the k constraints, shape (k, 2). Each
+                motor has two constraints, each side of the support polygon one.
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the

@@ -36,7 +36,8 @@ _BASE_ROTATIONS = ("roll", "pitch", "yaw")
 
 HEIGHT_RESERVE = 0.05
 """Fraction of the reachable interval of base heights that the search excludes at either end,
-because the legs are stretched or folded there. Chosen, not tuned."""
+because the legs are stretched or folded there. If the initial height is in an excluded part, the
+search extends to this height. Chosen, not tuned."""
 
 MAX_OUTWARD_STEP = 0.25
 """Bound of the search: largest displacement of a foot along x or y, relative to the largest

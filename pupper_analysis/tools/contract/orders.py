@@ -131,8 +131,9 @@ class RobotJoints:
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
         """Match names in a source to the joints of the robot.
 
-        A name matches the joint that the user assigned to the name, the joint with the same name,
-        or a joint with the same name except for prefixes and suffixes.
+        A name matches the joint that the user assigned to the name, or the joint with the same
+        name. A remaining name matches a remaining joint if both are equal except for prefixes,
+        suffixes, case and separators, and no other remaining name or joint is.
 
         Returns:
             {name in the source: joint}, without the names that match no joint.

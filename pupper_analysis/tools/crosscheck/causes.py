@@ -552,10 +552,11 @@ def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagno
 
 
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
-    """Find efforts in the URDF [N m] that equal those in the MJCF if multiplied by the gear ratio.
+    """Find efforts of a URDF that are the efforts of the motor, before the gear.
 
-    The joint has a single actuator, whose gear ratio is not 1. Differences that another cause
-    explains are skipped.
+    The criterion is (effort in the URDF) * |gear| = (effort in the MJCF), both [N m] or [N], with
+    the gear ratio of the joint's only actuator in the MJCF. Joints with |gear| = 1, and differences
+    that another cause explains, are skipped.
     """
     model = case.robot.mj_model
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)

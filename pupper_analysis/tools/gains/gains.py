@@ -638,7 +638,10 @@ class _Gains:
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 
     def _is_stable(self, pair: _Pair) -> bool:
-        """Return True if no mode of the controlled stand grows with the gains ``pair`` (kp, kd)."""
+        """Return True if no mode of the controlled stand grows faster than `MAX_GROWTH_RATE`.
+
+        ``pair`` contains kp and kd, shape (nu,) each.
+        """
         return self.loop.is_stable(*pair)
 
     def _find_end(

@@ -130,19 +130,20 @@ class TorqueSearch:
     ) -> tuple[float, Array]:
         """Find a local maximum of a motor torque over the postures, one joint motion at a time.
 
-        A motion moves an independent joint with the joints coupled to it. Each motion in turn is
-        set to its best position, until the torque no longer increases noticeably, at most
-        `_MAX_SWEEPS` times.
+        A motion moves an independent joint with the joints coupled to it. Each motion on which the
+        torque may depend is set to its best position in turn, until the torque no longer increases
+        noticeably, at most `_MAX_SWEEPS` times.
 
         Args:
             joint: Index of the joint.
             sign: 1 or -1: direction of maximisation.
-            qpos: Start posture, shape (nu,).
+            qpos: Start posture, shape (nu,) [rad, m].
             fine: Also search between the samples of a motion whose closed loops are solved
                 numerically. Other motions are always searched between samples.
 
         Returns:
-            ``sign`` times the torque [N m, N], and the posture (nu,).
+            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if the closed loops are
+                singular in all examined postures; and the posture, shape (nu,) [rad, m].
         """
         best = self._evaluate_torque(joint, sign, qpos)
         borne = np.abs(self._motions.shares[joint]) > _MIN_LOAD_FRACTION

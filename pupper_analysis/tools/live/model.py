@@ -124,7 +124,8 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
 def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
     """Predict the equilibrium of a stance on its servos without feed-forward.
 
-    The result is a diagnostic with the reason if there is no equilibrium.
+    The result is a diagnostic with the reason if there is no equilibrium, or if the equilibrium
+    cannot be computed.
     """
     assert answer.robot is not None
     assert answer.stand is not None

@@ -425,8 +425,8 @@ def interpolate_motion(times: Any, motion: Any, instant: float) -> Any:
     """Return the configuration of a motion at an instant, by linear interpolation.
 
     Args:
-        times: Times of the samples, shape (n,) [s].
-        motion: Configurations, shape (n, nq) [m, quaternion, rad].
+        times: Times of the samples, shape (n,) [s], not decreasing.
+        motion: Configurations of a robot with a free base, shape (n, nq) [m, quaternion, rad].
         instant: Time [s], clipped to the first and last sample.
 
     Returns:

@@ -240,7 +240,11 @@ def _find_unwritten_reason(key: PropertyKey, whose: str, both: MatchedRobots) ->
 
 
 def _make_unstated_reason(whose: str) -> Diagnostic:
-    """Return the reason that the chosen file (``"urdf"`` or ``"mjcf"``) states no value."""
+    """Create the message why a difference remains: the file to copy from states no value.
+
+    ``whose`` is this file, ``"urdf"`` or ``"mjcf"``. The message states that this file lacks the
+    value, and that the other file states a value.
+    """
     lacking, stating = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
     return diagnose("stated-in-one-file", lacking=lacking, stating=stating)
 

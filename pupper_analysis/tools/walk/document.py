@@ -560,10 +560,14 @@ def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
-    """Return the criteria that end an interval as text, the most frequent first.
+    """Return the text of the reasons why an interval ends, the most frequent reason first.
 
-    The text is "-" for an open end. ``failures`` contains, for each seed, the key of the criterion
-    that fails beyond the end, or "".
+    The interval contains the values of a quantity, such as the payload, at which the policy tracks
+    its command. The text is "-" if no seed has a reason.
+
+    Args:
+        failures: Criterion that the policy violates beyond an end of the interval, for each
+            simulated seed: ``falls``, ``speed`` or ``turning``. "" if no such value was found.
     """
     names = Counter(name for name in failures if name)
     words = [text(f"walk-ends-{name}") for name, _ in names.most_common()]

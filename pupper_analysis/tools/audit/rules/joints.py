@@ -314,8 +314,8 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     - The severity is WARNING, and ERROR for ten turns or more. Symmetric limits always have the
       severity WARNING, since +-100 rad may specify no limit.
 
-    Radians instead of degrees are reported if the unit of the file is degrees, there are at least
-    three hinges, and no limit is above 2 pi degrees.
+    Radians instead of degrees are reported if the unit of the file is degrees, at least three
+    hinges have finite limits, and no limit has a magnitude above 2 pi degrees.
     """
     hinges = [
         j
@@ -491,7 +491,8 @@ its speed. Chosen, not tuned."""
 def armature_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges whose armature is too large for the effort; all such hinges are one finding.
 
-    The effort [N m] divided by the armature [kg m^2] must exceed `MIN_MOTOR_ACCELERATION`.
+    The effort [N m] divided by the armature [kg m^2] must be at least `MIN_MOTOR_ACCELERATION`.
+    Efforts of zero or below are skipped.
     """
     slow = [
         joint

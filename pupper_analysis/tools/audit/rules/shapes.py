@@ -507,16 +507,18 @@ def _is_covered_by_fixed_link(robot: UrdfModel, body: Link) -> bool:
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
-    The gap between both bounding boxes, along the axes of the link, is compared with the extent of
-    the visual shapes. A gap above `MIN_GAP_FRACTION` of the extent and `POSITION_TOLERANCE` is
-    reported.
+    The gap [m] is the distance between two bounding boxes: that of all collision shapes, and that
+    of all visual shapes. Both boxes are parallel to the axes of the link; the largest distance
+    along an axis counts. A gap is reported if it exceeds two bounds: `POSITION_TOLERANCE` [m], and
+    the fraction `MIN_GAP_FRACTION` of the extent of the visual shapes.
 
-    If a size is unknown, for example of a mesh that was not read, the gap is the distance between
-    the origins of the same mesh in both (`_measure_equal_mesh_gap`). The extent is then the extent
-    of the origins of link, frames and children.
+    If the size of a shape is unknown, for example of an unread mesh file, the gap is the distance
+    between the origins of the same mesh as collision shape and as visual shape. The extent is then
+    that of the origins of the link, its frames and its children.
 
-    An intended shape (`_list_intended_gaps`) is not reported. For example, the hips of Go1 collide
-    where the thighs draw the shoulder.
+    A gap that several limbs have in common may be intended, and is not reported
+    (`_list_intended_gaps`). For example, the hips of Go1 collide where the thighs draw the
+    shoulder.
     """
     gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
     gaps = {name: gap for name, gap in gaps.items() if gap > 0}

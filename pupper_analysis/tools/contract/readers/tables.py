@@ -438,16 +438,18 @@ def _read_motor_numbers(motors: LocatedValue) -> list[int]:
 def _list_table_statements(
     view: _View, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
-    """Yield a statement for each number in tables, such as a joint's gain or default angle.
+    """Yield a statement for each number under a known key, such as a joint's gain.
 
-    If the tables list joint names, numbers of other names are left out.
+    The keys are those of ``view.rules``. If the tables list joint names, numbers of other names are
+    left out; parts of names, and joints that a rule names, are kept.
 
     Args:
         view: Tables with keys in lower case.
         order: Joint names that the tables list; empty if they list no names.
         motors: Motor index of each joint; empty if not stated.
         is_standing_table: True if gains, efforts and default angles of the tables are for standing
-            up, not for the policy. Such values are skipped.
+            up, not for the policy. Such values are skipped, also if the tables contain ``fixed_kp``
+            without ``rl_kp``.
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".

@@ -661,14 +661,18 @@ class MotionResiduals:
         """Estimate the parameters by weighted least squares, and return the distribution.
 
         The residuals of each joint are divided by the long-run standard deviation of the joint's
-        noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior
-        widths, with H = A + P. A is the information of the measurements, P the prior precision, and
-        B the covariance of the gradient under the autocorrelated noise. If the iteration stalled,
-        the last step did not decrease the cost as predicted. The outer product of this step is then
-        added to the covariance.
+        noise. All matrices are in units of the prior widths, shape (n, n) for n parameters:
+
+        - A: information of the measurements, the sum of J^T J with the Jacobian J of the residuals.
+        - P: prior precision, the inverse of the prior covariance.
+        - B: covariance of the cost's gradient under the autocorrelated noise.
+
+        The covariance of the parameters is the sandwich estimate (A + P)^-1 (B + P) (A + P)^-1. If
+        the iteration stalled, the last step did not decrease the cost as predicted. The outer
+        product of this step is then added to the covariance.
 
         Raises:
-            FitError: If the iteration does not converge.
+            FitError: If the iteration does not converge, or the cost has no minimum, for example.
         """
         moments = self.moments.from_parameters(self.table.stated)
         for self._is_autoregressive, min_decrease in (

@@ -36,11 +36,15 @@ DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""Estimated delays [s], common to all servos. In this order: delay of commands, including the lag;
-time constant of a first-order lag of commands; time constant of a first-order lag of positions. A
-slow motor has both lags, and a bus delays only commands. Each entry contains fields of a
-`Parameter`: kind, subject, component and stated value. The stated value, 0 s, is the mean of the
-prior.
+"""Estimated delays, common to all servos: (kind, subject, component, stated value [s]) of each
+`Parameter`. The stated value, 0 s, is the mean of the prior.
+
+- ``delay``: delay of the commands [s]. It includes the following lag of the commands.
+- ``lag``, ``command``: time constant [s] of a first-order lag of the commands.
+- ``lag``, ``position``: time constant [s] of a first-order lag of the positions that the servo
+  compares with the commands.
+
+A slow motor has both lags. A bus delays only the commands.
 """
 
 BURN_IN_DURATION = 0.25
