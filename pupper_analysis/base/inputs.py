@@ -44,7 +44,7 @@ _CHUNK_BYTES: Final = 1 << 20
 """Number of bytes per read operation. Chosen, not tuned."""
 
 _MAX_COMPARED_NAMES: Final = 2000
-"""Maximum number of files of a folder whose names are compared with the name of a missing file.
+"""Maximum number of entries of a folder whose names are compared with the name of a missing file.
 Chosen, not tuned."""
 
 _MIN_SIMILARITY: Final = 0.75

@@ -206,8 +206,8 @@ def generated_model_kind(known: str | None) -> OutputKind:
 
 
 OWN_KIND: Final = OutputKind("model", _match_any)
-"""Kind of an output file that may replace any existing file, for example because the name is a hash
-of the content."""
+"""Kind of an output file that may replace any existing file except an input of the run, for example
+because the name is a hash of the content."""
 
 EDITED_KIND: Final = OutputKind("model", _match_any, edits=True)
 """Kind of a file that the run reads and then overwrites (edits in place), for example a model."""

@@ -19,7 +19,7 @@ from pupper_analysis.base.array_types import Array
 
 _EXTENSION = "scipy.optimize._minpack"
 """Name of SciPy's extension module with MINPACK. The module is private, so ``scipy.optimize`` is
-used if the module does not exist."""
+used if the module cannot be loaded."""
 
 _STEP_FACTOR = 100
 """Upper bound of the norm of the first step, as a multiple of the norm of the initial guess. Both

@@ -37,9 +37,10 @@ NUMBER_FORMAT = ".4g"
 
 ROUNDING_RTOL = 1e-12
 """Relative threshold up to which a table cell shows a number of an array, a mapping or a sequence
-of numbers as 0. The reference is the largest absolute number of the array or sequence, or 1 if 1 is
-larger. The reference of an entry of a mapping is 1, since entries may have different units.
-Smaller numbers are rounding errors of double precision. Chosen, not tuned.
+of numbers as 0; also the ``repr`` of a result, for short arrays. The reference is the largest
+absolute number of the array or sequence, or 1 if 1 is larger. The reference of an entry of a
+mapping is the number itself, or 1 if 1 is larger, since entries may have different units. Smaller
+numbers are rounding errors of double precision. Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"

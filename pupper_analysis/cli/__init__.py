@@ -135,20 +135,21 @@ DEBUG_OPTION = "--debug"
 """Option of all command-line commands that prints the traceback of an unexpected error."""
 
 GC_THRESHOLDS = 200_000, 2, 2
-"""Thresholds of Python's garbage collector for the three generations of objects [1]. The thresholds
-are larger than the defaults, so that collections are rarer. With the defaults, ``stand v3`` ran 163
+"""Thresholds of Python's garbage collector for the three generations of objects [1]. The first is
+larger than the default, so that collections are rarer. With the defaults, ``stand v3`` ran 163
 collections in 0.17 s (measured once). Chosen, not tuned."""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command-line command, and end the process with the exit status of the command.
 
-    Errors are printed on standard error, as a single line. The exit status of an error is:
+    Most errors are printed on standard error, as a single line. The exit status of an error is:
 
     - 2 for an error of the package or of the command line, a lack of system resources such as disk
       space, or a failure to write standard output. Command lines to run next may follow.
     - 3 for an unexpected error.
     - The exit status of shells for a signal that ends the process: 130 for Ctrl-C.
+    - The exit status of a library that ends the process.
 
     With ``--debug``, the traceback of an unexpected error or a lack of resources is printed as
     well. A closed output pipe is no error.

@@ -75,7 +75,8 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
     is written as a backslash escape. At the end, the original streams are restored.
 
     Yields:
-        Streams of standard output and error, which record the first output error each.
+        Streams that replace standard output and error, as far as replaced (not if closed, or
+        without a binary stream). Each records its first output error.
     """
     before = sys.stdout, sys.stderr
     _reopen_closed_streams()

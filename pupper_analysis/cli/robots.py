@@ -400,10 +400,11 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
 
 def hide_notes(robot: Robot) -> None:
-    """Count the unprinted notes on a robot; the next report states their number.
+    """Count the unprinted notes on a robot, for the next report.
 
-    Warnings and errors do not count. Callers print only warnings and errors (`print_warnings`). The
-    count is in click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v: 3 notes".
+    A short report with a single document states the number, as "with -v: 3 notes". Warnings and
+    errors do not count: callers print these (`print_warnings`). The count is in click's context
+    (``shared.HIDDEN_NOTES``).
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
 

@@ -48,8 +48,8 @@ CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 """Type of the function of a command-line command."""
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
-"""Exit statuses of all command-line commands. 0: success. 1: a check failed. 2: invalid input. 3:
-unexpected error, a bug."""
+"""Exit statuses of all command-line commands. 0: success. 1: a check failed. 2: invalid input, or
+for example a full disk. 3: unexpected error, a bug. For signals, see `run`."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 """Settings of click for all command-line commands: names of the help option, and maximum line width
@@ -160,7 +160,7 @@ name of the command."""
 
 HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
 """Key of ``click.Context.meta`` whose value is the number of notes on robots that are not printed.
-A report prints this number below the results."""
+A short report with a single document prints this number below the results."""
 
 
 _FIXED_BASE_CODE = "base-is-fixed"
@@ -831,8 +831,11 @@ class ModelFileType(click.Path):
     ) -> Path:
         """Convert a typed word to the path of a model file.
 
-        For ``-``, standard input is read completely, and the result is the path under which the
-        content is available until the command ends.
+        For ``-``, standard input is read, up to one byte more than `xml.MAX_BYTES`. The result is
+        the path under which the content is available until the command ends.
+
+        Raises:
+            ConfigurationError: If ``-`` is typed twice, or standard input cannot be read.
         """
         if str(value) == "-":
             from pupper_analysis.base.inputs import read_standard_input
@@ -1423,7 +1426,8 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
 
     Args:
         option: Name of the option, for errors.
-        text: Text; ``FRAME`` alone is the origin of the frame.
+        text: Text; ``FRAME`` alone is the origin of the frame. A frame whose name begins with a
+            number is not accepted.
 
     Returns:
         (x, y, z) [m]; or the name of the frame, followed by (x, y, z) [m] expressed in this frame.

@@ -128,8 +128,9 @@ def format_as_options(task: StandTask, attributes: Sequence[str]) -> dict[str, l
         attributes: Attributes of `StandTask` to format.
 
     Returns:
-        {option: its values}, for example ``{"--swing": ["FL=20mm"]}``. Empty if an attribute has no
-        option, or a value that is no length, angle or point, for example a contact surface.
+        {option: its values}, for example ``{"--swing": ["FL=20mm"]}``, without values that are
+        None. Empty if another value has no option, or is no length, angle or point, for example a
+        contact surface.
     """
     stated = task.values()
     fields = [field for field in FIELDS.values() if field.attribute in attributes]

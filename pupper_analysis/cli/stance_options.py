@@ -546,10 +546,11 @@ def apply_motors(
         Robot with the limits; {joint: motor}.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint, or the text names no motor.
-        ConfigurationError: If a pattern of ``texts`` matches a slide, or a text of ``effort`` has
+        UnknownNameError: If a pattern matches no joint, or a text names no motor.
+        ConfigurationError: If a text of ``texts`` is for a slide, or a text of ``effort`` has
             another form.
-        ModelError: If the motor's file is not valid, or its largest torque is unknown.
+        ModelError: If the motor's file cannot be read or is not valid, or its largest torque is
+            unknown.
     """
     if not texts:
         return robot, {}
@@ -580,9 +581,9 @@ def parse_continuous_torques(
         joints whose last text names a motor.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint.
+        UnknownNameError: If a pattern matches no joint, or a text names no motor.
         ConfigurationError: If a text has another form, or names a motor for a slide.
-        ModelError: If the motor's file is not valid, or lacks a number.
+        ModelError: If the motor's file cannot be read or is not valid, or lacks a number.
     """
     from pupper_analysis.models.motors.thermal import compute_continuous_torque
 
@@ -639,14 +640,14 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         robot: Robot.
 
     Returns:
-        Number for all joints if the last text names no joints, otherwise a list of length nu in
-        actuator order; None without texts.
+        Number if the last text is for all joints (without ``JOINTS=``, or ``*=``), otherwise a list
+        of length nu in actuator order; None without texts.
 
     Raises:
         ConfigurationError: If a text has another form.
-        UnknownNameError: If a pattern matches no joint, and the last text names joints.
-        ModelError: If the first pattern leaves out a joint, the last text names joints, and the
-            model has no position servos.
+        UnknownNameError: If a pattern matches no joint, and the last text is not for all joints.
+        ModelError: If the first pattern leaves out a joint, the last text is not for all joints,
+            and the model has no position servos.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

@@ -90,9 +90,9 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Absolute value from which a limit in a URDF counts as unspecified: effort [N m, N], velocity
-[rad/s, m/s] or position [rad, m]. Reason: the ``<limit>`` of a URDF must state finite numbers.
-Chosen, not tuned: the strongest motors have 1e4 N m."""
+"""Value from which a limit in a URDF counts as unspecified: effort [N m, N], velocity [rad/s, m/s]
+or the absolute value of a position [rad, m]. Reason: the ``<limit>`` of a URDF must state finite
+numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
@@ -341,8 +341,8 @@ HOME_KEYFRAME: Final = "home"
 """Name of the keyframe of the initial pose."""
 
 COUPLING_TIME_CONSTANT: Final = 5e-3
-"""Time constant of added joint couplings in MuJoCo (``solref``) [s]. Chosen, not tuned: with
-MuJoCo's default, 20 ms, fingers with a mass of grams open far."""
+"""Time constant of joint couplings in MuJoCo (``solref``) that are added or made stiff [s]. Chosen,
+not tuned: with MuJoCo's default, 20 ms, fingers with a mass of grams open far."""
 
 IMU_SENSORS: Final = ("gyro", "accelerometer")
 """Sensors of an IMU: elements in an MJCF, also used as names."""

@@ -47,9 +47,10 @@ _FREE_JOINT_NAME = "__free__"
 class MujocoTree:
     """MuJoCo model of a multibody tree, whose parameters can be changed without compiling.
 
-    The model is compiled for a structure (names, parents and types of joints). All other parameters
-    are written into the model. Joints and base have the names of the tree; each frame is a site.
-    Gravity, damping and applied forces act; joint limits, friction and contacts do not act.
+    The model is compiled for a structure (names, parents and types of joints). The other
+    parameters, except velocity limits, are written into the model. Joints and base have the names
+    of the tree; each frame is a site. Gravity, damping and applied forces act; joint limits,
+    friction and contacts do not act.
 
     Attributes:
         model: MuJoCo model.
@@ -426,6 +427,7 @@ class UrdfImport:
         """Import this URDF with MuJoCo's own importer, and return the spec.
 
         The compiled model has a body for each link; a root link ``world`` is the world body.
+        Elements ``<mujoco>`` of the URDF are ignored.
 
         Raises:
             ModelError: If MuJoCo rejects the URDF.

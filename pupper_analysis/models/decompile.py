@@ -154,8 +154,9 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If no body and no joint has a name, if the model has an unsupported element, if
-            MuJoCo does not compile the spec, or if the compiled spec differs from the model.
+        ModelError: If the model has bodies, but no body and no joint has a name, if the model has
+            an unsupported element, if MuJoCo does not compile the spec, or if the compiled spec
+            differs from the model.
     """
     joints = [model.joint(joint).name for joint in range(model.njnt)]
     bodies = [model.body(body).name for body in range(1, model.nbody)]

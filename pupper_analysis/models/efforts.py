@@ -183,9 +183,10 @@ class EffortLimit(Result):
         """Meaning of this torque limit.
 
         - ``UNKNOWN``: no file states a limit.
-        - ``STATED``: the limit permits a torque in at least one direction.
-        - ``NEGATIVE``: the lower end of the range in the file is above the upper end.
-        - ``ZERO``: the limit permits no torque, and is not negative.
+        - ``STATED``: the limit permits a torque of at least `MIN_EFFORT` in a direction.
+        - ``NEGATIVE``: the limit permits no such torque, and the lower end of the range in the file
+          is above the upper end.
+        - ``ZERO``: the limit permits no such torque, and is not negative.
         """
         if self.origin is None:
             return EffortCode.UNKNOWN
@@ -366,9 +367,10 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the force or control range of an actuator that permits no force; None without one.
+    """Return the range of an actuator that permits no force; None without such a range.
 
-    An empty range permits no force: the lower end is above the upper end, or the file states equal
+    The range is ``forcerange``, or ``ctrlrange`` of an actuator with a gain and without bias. An
+    empty range permits no force: the lower end is above the upper end, or the file states equal
     ends.
     """
     name = actuator.name or actuator.target

@@ -157,7 +157,7 @@ def read_model(
             message is a single line with location and reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
-        OutputError: If this run of the command line also writes the file.
+        OutputError: If this run of the command line also writes the file, or for example a mesh.
     """
     if is_object(path):
         with read_objects([cast(ModelObject, path)], packages) as in_memory:
@@ -190,7 +190,8 @@ def read_as_urdf(
     Args:
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
             the reader of another format.
-        packages: {ROS package: its folder}, for ``package://`` in a URDF.
+        packages: {ROS package: its folder}, for ``package://`` in ``model`` or a URDF, and
+            ``$(find)`` in a xacro file.
         xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
@@ -224,7 +225,7 @@ def read_as_mjcf(
     Args:
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
             the reader of another format.
-        packages: {ROS package: its folder}, for ``package://`` in a published name.
+        packages: {ROS package: its folder}, for ``package://`` in ``model``.
 
     Raises:
         ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
@@ -251,9 +252,9 @@ def kind_of(path: Path) -> str | None:
 
     - A file with the suffix ``.urdf`` is a URDF; it is not opened.
     - A file with another suffix is a URDF if the root element is ``<robot>`` with a link, and if it
-      uses no xacro except for declarations.
-    - An MJCF must have a body in the file itself. A scene, which only includes the robot, does not
-      count.
+      uses no xacro except for declarations and harmless includes.
+    - An MJCF must have a body directly in a ``<worldbody>`` of the file itself. A scene, which only
+      includes the robot, does not count.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

@@ -42,7 +42,8 @@ def check_gltf(data: bytes) -> Diagnostic | None:
     """Check if a glTF binary describes too many vertices to be read.
 
     Counted are the vertices and indices of all primitives, and all elements of accessors without
-    data. A shared accessor is counted once per primitive.
+    data. A shared accessor is counted once per primitive. A broken file raises another exception,
+    for example `struct.error` or `KeyError`.
 
     Args:
         data: Content of the file (.glb).
@@ -116,7 +117,7 @@ def check_collada(data: bytes) -> Diagnostic | None:
 
     The limits apply to the sum over all scenes, in which each instance of a node or shape counts.
     There may be `MAX_MESH_PARTS` parts. The text of the shapes may have up to twice
-    `MAX_MESH_BYTES` characters.
+    `MAX_MESH_BYTES` characters. A broken file raises an `etree.XMLSyntaxError`.
 
     Args:
         data: Content of the file (.dae).

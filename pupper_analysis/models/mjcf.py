@@ -67,7 +67,7 @@ geom."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
-    """Add a plane at z = 0 with MuJoCo's default contact parameters to a body.
+    """Add a plane at z = 0 of a body, with MuJoCo's contact defaults except ``conaffinity``.
 
     The defaults of the MJCF are not used, because they are intended for the robot.
 
@@ -177,9 +177,10 @@ _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
-    """Return a diagnostic of the first invalid number of a compiled model; None if all are valid.
+    """Return a diagnostic of the first invalid number of a compiled model; None if none is found.
 
     MuJoCo compiles models with NaN, with too large numbers, and with zero axes or quaternions.
+    Checked are the fields in `_BOUNDED_FIELDS` and `_NAN_FREE_FIELDS`, axes, quaternions, gravity.
     """
     for kind, fields in _BOUNDED_FIELDS.items():
         for field in fields:
@@ -327,7 +328,7 @@ def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
         taken: Names that joints must not get.
 
     Returns:
-        Diagnostics of the named joints.
+        A diagnostic of each joint that got a name.
     """
     bodies = {body.name for body in spec.bodies}
     for number, body in enumerate(spec.bodies):

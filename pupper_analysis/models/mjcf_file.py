@@ -102,7 +102,8 @@ def _find_missing_files(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Find the meshes and textures of a spec whose files do not exist.
 
-    A file is missing if it is neither in memory nor in a folder of the model.
+    A file is missing if no file in memory has its name, and no folder of the model contains it
+    (`existing_file`).
 
     Args:
         spec: Spec.
@@ -214,7 +215,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
 
     Raises:
         ValueError: If a flat mesh determines a mass, or MuJoCo does not compile the spec for
-            another reason.
+            another reason. Other exceptions of ``make`` are not converted.
     """
     shells: list[str] = []
     first_message = ""
@@ -263,8 +264,8 @@ MAX_INCLUDE_DEPTH: Final = 30
 MJCF with more is refused. Bounds the reading time. Chosen, not tuned."""
 
 MAX_COPIES: Final = 10_000
-"""Largest number of elements that the replicates and attached models of an MJCF create; a file with
-more is refused. Bounds the compile time. Chosen, not tuned."""
+"""Largest number of elements that the replicates and attached models of an MJCF create (estimate of
+`IncludeTree`); a file with more is refused. Bounds the compile time. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -305,7 +306,7 @@ _MAX_PRODUCTS: Final = (
     *(("*", (attribute,), 10**6) for attribute in ("nsample", "num", "dim", "actdim")),
 )
 """(tag, attributes, upper bound of the product of their numbers). A file with a larger product is
-refused, because MuJoCo would hang, or exhaust the memory. The tag "*" stands for every tag. Chosen,
+refused, because MuJoCo could hang, or exhaust the memory. The tag "*" stands for every tag. Chosen,
 not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
@@ -316,6 +317,8 @@ unknown."""
 
 class IncludeTree:
     """Tree of the XML elements of an MJCF with all its includes, and list of its files.
+
+    Attached models are read if their file name ends with ``.xml``.
 
     Args:
         path: The file.
@@ -444,7 +447,8 @@ class IncludeTree:
     def _find_included(self, element: etree._Element, path: Path) -> Path:
         """Count an include, and return the included file.
 
-        The name is relative to the main file or, if there is no such file, to the including file.
+        The name is relative to the file of this tree (the main or attached file) or, if there is no
+        such file, to the including file.
 
         Raises:
             ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
@@ -522,7 +526,7 @@ def _check_formats(path: Path, element: etree._Element) -> None:
 def _multiply_numbers(text: str) -> int:
     """Return the product of the numbers in a text such as ``3 -4``, without signs, at most 1e18.
 
-    Numbers below 1 count as 1, and other words are ignored.
+    Numbers with a magnitude below 1 count as 1, and other words are ignored.
     """
     # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
@@ -567,8 +571,9 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     - A ``freejoint`` also has a key with the tag ``joint``.
     - If several elements have the same key, the first in the file is listed.
     - If no other element has the key, an actuator is also listed by its attribute ``joint``. A
-      joint without name is also listed by its substitute name (`name_unnamed_joint`), and the first
-      of a body by the name of the body. Joints of a ``<composite>`` are not listed.
+      joint without name, of a body with a name, is also listed by its substitute name
+      (`name_unnamed_joint`), and the first of these by the name of the body. Joints of a
+      ``<composite>`` are not listed by substitute names.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -604,8 +609,8 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
     """Find where an attribute of an element is set: in the element, or in a default class.
 
-    The default class is the class of the element; else the ``childclass`` of a body above the
-    element; else, or if the class is unknown, the first top-level class. A class inherits from the
+    The default class is the class of the element; else the ``childclass`` of an element above;
+    else, or if the class is unknown, the first top-level class. A class inherits from the
     enclosing classes. In a class, only elements with the same tag are searched. Exception: for an
     attribute in `_COMMON_ACTUATOR_ATTRIBUTES`, such as ``forcerange``, elements with the tag of any
     actuator are searched.
@@ -642,8 +647,8 @@ _ACTUATOR_TAGS = frozenset(
 _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
     ("forcerange", "forcelimited", "ctrlrange", "ctrllimited", "gear", "lengthrange", "cranklength")
 )
-"""Attributes that an actuator inherits from a default of another tag. Other attributes, such as
-``kp``, set gain and bias, which for example a motor replaces."""
+"""Attributes that an actuator inherits from a default of another tag. Attributes such as ``kp`` are
+not listed: they set gain and bias, which for example a motor replaces."""
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
@@ -709,7 +714,7 @@ class MjcfFile:
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Return the location (file and line) of an element of this MJCF, by tag and name.
 
-        The line is missing if there is no such element.
+        The line is missing if no such element is found. Elements of attached models are not found.
 
         Args:
             kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
@@ -755,8 +760,9 @@ class MjcfFile:
                 set, in the element or in a default class.
 
         Returns:
-            The location of the attribute or of the element; the location of the body if the element
-            is not found, for example because it is within a ``<frame>``.
+            The location of the attribute, or of the element if no attribute is set. The location of
+            the body (of the file, for the world) if the element is not found, for example because
+            it is within a ``<frame>``.
         """
         node = self._index.get(("body", body))
         tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
@@ -825,7 +831,7 @@ class MjcfFile:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Compiled model of the file, without elements whose files are missing.
+        """Compiled model of the file, without meshes, their geoms and textures of missing files.
 
         The model is shared and must not be modified; copying takes time if meshes are large.
 
@@ -856,7 +862,8 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
-        OutputError: If this run of the command line also writes this file.
+        OutputError: If this run of the command line also writes this file, or for example an
+            included file or a mesh.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
@@ -903,7 +910,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         root: Root element.
 
     Raises:
-        ModelError: In these cases:
+        ModelError: For example in these cases:
 
             - The root element is not ``<mujoco>``.
             - An include or an attribute is not valid.

@@ -155,8 +155,8 @@ _NUM_SIMILAR_NAMES: Final = 3
 """Largest number of similar published names in an error message. Chosen, not tuned."""
 
 _MIN_NAME_SIMILARITY: Final = 0.75
-"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
-Chosen, not tuned."""
+"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes,
+except names that contain the searched word. Chosen, not tuned."""
 
 _GENERIC_WORD: Final = re.compile(r"arm|hand|model|robot|v?\d+")
 """Pattern of words that are parts of names of many robots, and identify none. Versions such as
@@ -226,7 +226,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
 
     Published names are robots of MuJoCo Menagerie, and descriptions of the package
     ``robot_descriptions``. A path is returned unchanged, also if the file does not exist. If a
-    description has several files, the first available file counts: MJCF, URDF, xacro file.
+    description states several files, the first counts, in the order MJCF, URDF, xacro file.
 
     Args:
         model: Path or name.
@@ -375,7 +375,7 @@ def make_xacro_request(
 
 
 def is_xacro(path: Path) -> bool:
-    """Return True if the suffix of a file, or an element in the file, is that of xacro."""
+    """Return True if a file has the suffix ``.xacro``, or its text contains ``<xacro:``."""
     if path.suffix.lower() == XACRO_SUFFIX:
         return True
     try:

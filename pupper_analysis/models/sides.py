@@ -47,8 +47,8 @@ cameras. `find_mirror_pairs` excludes such names."""
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Pattern of the names of leg joints, to recognise robots whose base should be free. Joints of arms
-and hands, whose base is bolted down, rarely have such names."""
+"""Pattern of the names of leg joints, for example to recognise robots whose base should be free.
+Joints of arms and hands, whose base is bolted down, rarely have such names."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. Chosen, not tuned: in published models, motors of

@@ -484,9 +484,9 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Lower bound of the smallest singular value of the matrix (3, 3) of the unit axes of three slides
-or three hinges. Above this bound the joints can move a base in all directions. For orthogonal axes
-the value is 1. Chosen, not tuned."""
+"""Lower bound of the smallest singular value of the matrix (3, 3) of the axes, as in the file, of
+three slides or three hinges. Above this bound the joints can move a base in all directions. For
+orthogonal unit axes the value is 1. Chosen, not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of three slides, by which MJCFs without a free joint let a base translate in all

@@ -91,7 +91,10 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the ids of actuators at tendons whose length depends on the position of a joint."""
+    """Return the ids of actuators at tendons whose length depends on the position of a joint.
+
+    `list_tendon_joints` lists the exceptions.
+    """
     return [actuator for actuator, joints in list_tendon_joints(model).items() if joint in joints]
 
 
@@ -254,7 +257,9 @@ class ActuatorLaw:
 
 
 def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
-    """Read the force law of an actuator; without affine bias, stiffness and damping are 0.
+    """Read the force law of an actuator with fixed gain.
+
+    Without affine bias, stiffness and damping are 0.
 
     Args:
         model: MuJoCo model.
@@ -287,7 +292,7 @@ class Drive(StrEnum):
 
     @property
     def has_invalid_stiffness(self) -> bool:
-        """Whether the actuator is a servo of zero stiffness, or with a wrong sign of its gains."""
+        """Whether gain and stiffness of the actuator are zero, or a gain has a wrong sign."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
     @property
@@ -346,7 +351,7 @@ _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
 )  # fmt: skip
 """Types of actuators by descending priority. A joint with actuators of different types has the type
-that comes first."""
+that comes first, unless an actuator is ``WRONG_SIGN`` (`classify_joint_drive`)."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:

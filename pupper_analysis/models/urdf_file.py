@@ -128,6 +128,9 @@ class UrdfFile:
         Returns:
             The file. None if there is no such file, if the file is a Git LFS pointer, or if the
             scheme is none of ``package``, ``model`` and ``file``.
+
+        Raises:
+            OutputError: If this run of the command line also writes the file.
         """
         return next(filter(None, map(existing_file, self.list_mesh_places(filename))), None)
 
@@ -173,7 +176,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or is not valid. The message is a single line with
             location and reason.
-        OutputError: If this run of the command line also writes this file.
+        OutputError: If this run of the command line also writes this file, or for example a mesh.
     """
     check_type("urdf", path, str | Path)
     path = Path(path)
@@ -446,7 +449,7 @@ def check_joint(
     Args:
         path: The file, for messages.
         name: Name of the joint.
-        joint: Element of the joint.
+        joint: Element of the joint, which `check_element` accepts.
         links: {name: link} of the URDF.
 
     Raises:
@@ -522,8 +525,10 @@ def check_tree(
 # Joints without limits: normalisation for the readers of the engines.
 
 MAX_SLIDE_POSITION = 1e3
-"""Limit of a slide without limits [m]. A URDF requires two limits, whose defaults are 0. Chosen: no
-robot moves as far, and with 12 digits smaller positions have a resolution of a nanometre."""
+"""Absolute limit that is written to a URDF for a slide without limits [m]. A comparison with an
+MJCF treats limits from this value up as missing. Reason: a URDF requires two limits, whose defaults
+are 0. Chosen: no robot moves as far, and with 12 digits smaller positions have a resolution of a
+nanometre."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:

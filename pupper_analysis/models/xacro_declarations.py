@@ -55,7 +55,8 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file must be expanded by xacro. This is so in three cases:
+        ModelError: If the file contains xacro elements and must be expanded by xacro, for example
+            in these cases:
 
             - The file contains a macro call, a condition, or another xacro element that may change
               links or joints.

@@ -58,8 +58,8 @@ _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.
 """Start of a text with a DOCTYPE, which precedes the root element."""
 
 MAX_NUMBER: Final = 1e50
-"""Maximum absolute value of a mass, length or moment of inertia in a model file [SI units]; larger
-numbers are refused. Chosen: products of six such numbers do not overflow."""
+"""Maximum absolute value of most numbers in a model file, such as masses and lengths [SI units];
+larger numbers are refused. Chosen: products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
@@ -225,8 +225,9 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Absolute value, relative to the largest of the written numbers, up to which `join_numbers` writes
-0. Such values are rounding errors of products of rotation matrices. Chosen, not tuned."""
+"""Absolute value, relative to the largest of the written numbers (or to the argument ``scale``, if
+larger), up to which `join_numbers` writes 0. Such values are rounding errors of products of
+rotation matrices. Chosen, not tuned."""
 
 NUM_DIGITS: Final = 12
 """Number of significant digits in new files. The relative rounding error is at most 5e-12, 200

@@ -55,7 +55,10 @@ class XmlElement:
     renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
-        """Return the value of an attribute, including changes; None if the attribute is missing."""
+        """Return the value of an attribute, including changes; None if the attribute is missing.
+
+        The old name of a renamed attribute still returns the old value.
+        """
         return self.changes.get(name, self.attributes.get(name))
 
     def set(self, name: str, value: str) -> None:
@@ -121,7 +124,10 @@ class XmlDocument:
     elements: list[XmlElement]
 
     def render(self) -> bytes:
-        """Return the bytes of the file with all changes of the elements applied."""
+        """Return the bytes of the file with all changes of the elements applied.
+
+        New elements without attributes, also in all descendants, are omitted.
+        """
         data = self.data
         splices = self.list_splices()
         for start, end, text in sorted(splices, key=lambda splice: splice[:2], reverse=True):
@@ -129,7 +135,7 @@ class XmlDocument:
         return data
 
     def list_splices(self) -> list[tuple[int, int, bytes]]:
-        """Return the byte replacements that turn the file into the changed file."""
+        """Return the byte replacements (start, end, new bytes) that turn the file into `render`."""
         splices: list[tuple[int, int, bytes]] = []
         for element in self.elements:
             splices += splice_attributes(self.data, element)

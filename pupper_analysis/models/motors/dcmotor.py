@@ -20,14 +20,15 @@ from pupper_analysis.models.transmission import actuator_gear
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
-    The gear has no losses. The supply voltage is the smaller absolute end of the control range, and
-    the current limit that of the force range: the motor exerts such a torque in both directions.
-    Numbers that a ``dcmotor`` does not state are unknown (None). Also unknown are:
+    The gear has no losses. The supply voltage is the smaller absolute end of the control range. The
+    current limit is the smaller absolute end of the force range, divided by the torque constant:
+    the motor exerts such a torque in both directions. Numbers that a ``dcmotor`` does not state are
+    unknown (None). Also unknown are:
 
-    - an armature or a gear of zero, and limits that are not set,
+    - an armature or a gear of zero,
     - thermal numbers, if the actuator has no thermal model,
-    - the supply voltage, if the control is not limited, is no voltage (attribute ``input``), or has
-      one sign.
+    - the supply voltage, if the control is no voltage (attribute ``input``),
+    - supply voltage or current limit, if the range is not limited, or does not contain both signs.
 
     Args:
         model: MuJoCo model.

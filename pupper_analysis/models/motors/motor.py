@@ -28,14 +28,16 @@ MIN_STALL_RATIO = 0.3
 """Smallest accepted ratio between a stated stall torque and K I of the same motor (see
 `MAX_STALL_RATIO`); a motor with a smaller ratio is refused. Below this ratio, friction and gear
 would lose more than 70 % of the torque, which suggests other units. The smallest ratio in the data
-files is 0.57 (feetech-sts3215-7v4). Chosen, not tuned."""
+files is 0.57 (feetech-sts3215-7v4). Also the lower bound of most ratios of `MAX_CONVENTION_RATIO`.
+Chosen, not tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
-"""Largest accepted ratio between two stated numbers that define the same constant of a motor. The
-compared pairs are output torque constant and Kt N, and speed without load and V / K. (Kt torque
-constant, N gear ratio, V supply voltage, K output torque constant or Kt N.) A motor with a larger
-ratio, or with a ratio below `MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase
-currents, and rms and peak values, differ by up to sqrt(3)."""
+"""Largest accepted ratio between a stated number of a motor and its value from other numbers. The
+compared pairs are output torque constant and Kt N, speed without load and V / K, and peak or
+continuous torque and K I. (Kt torque constant, N gear ratio, V supply voltage, K output torque
+constant or Kt N, I stall current, V / resistance or current limit.) A motor with a larger ratio is
+refused; also, except for peak and continuous torque, with a ratio below `MIN_STALL_RATIO`. Chosen,
+not tuned: line and phase currents, and rms and peak values, differ by up to sqrt(3)."""
 
 
 def _multiply(first: float | None, second: float | None) -> float | None:

@@ -216,7 +216,7 @@ def compute_continuous_torque(
         limit: Largest temperature of the winding [degC]; by default the temperature in ``motor``.
 
     Raises:
-        ModelError: In these cases:
+        ModelError: For example in these cases:
 
             - A thermal number is unknown, and the data sheet states no continuous torque.
             - A thermal number is unknown, and ``ambient`` or ``limit`` is given.

@@ -306,6 +306,9 @@ ParameterValues = tuple[float, ...]
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
+    If the attribute is not set, the result is the location of the geom, or of its body if the geom
+    is not found.
+
     Args:
         file: The file.
         geom: Id of the geom.
