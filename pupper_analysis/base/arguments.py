@@ -210,8 +210,8 @@ def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
 
 
 MAX_LENGTH = 1000.0
-"""Maximum absolute value of a length or coordinate [m] that `check_length` accepts. The bound
-prevents overflow in later computations. Chosen, not tuned: no robot is larger."""
+"""Maximum absolute value of a length or coordinate [m] that `check_length` and similar checks
+accept. The bound prevents overflow in later computations. Chosen, not tuned: no robot is larger."""
 
 
 def check_length(name: str, value: object) -> float:

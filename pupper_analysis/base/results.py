@@ -170,7 +170,7 @@ class Pictured:
     def show(self, robot: object = None, **options: Any) -> Image | None:
         """Show the robot in the configuration of the result: in MuJoCo's viewer, or as a picture.
 
-        The last configuration of a simulated motion is shown. In a notebook and without a display,
+        The last configuration of a simulated motion is shown. In a notebook, or without a display,
         a Pillow image is returned; a notebook displays the image. Otherwise the viewer simulates
         the robot until its window is closed, and None is returned.
 
@@ -182,7 +182,7 @@ class Pictured:
         Raises:
             ConfigurationError: If the result has no picture, an option is unknown or out of range,
                 or the robot is missing.
-            DisplayError: If there is no OpenGL.
+            DisplayError: If the robot cannot be drawn, for example without OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
         image: Image | None = pictures.show_result(self, robot, **pictures.check_options(options))
@@ -202,7 +202,7 @@ class Pictured:
         Raises:
             ConfigurationError: If the result has no picture, an option is unknown or out of range,
                 or the robot is missing.
-            DisplayError: If there is no OpenGL.
+            DisplayError: If the robot cannot be drawn, for example without OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
         return pictures.animate_result(self, robot, **pictures.check_options(options))

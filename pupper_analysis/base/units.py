@@ -44,7 +44,8 @@ READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (math.degrees(1.0), "deg"),
     "m": (1e3, "mm"),
 }
-"""{SI unit of a joint position: (factor, printed unit)}; printed value = factor x SI value."""
+"""{SI unit of an angle or length: (factor, printed unit)}; printed value = factor x SI value. Other
+units are printed as they are."""
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,7 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     the inertias are recomputed.
 
     Args:
-        text: URDF.
+        text: URDF; must be well-formed XML.
         source: File, for messages.
         floating: Whether the base is free (a free flyer).
 

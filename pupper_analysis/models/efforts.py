@@ -243,7 +243,7 @@ def resolve_effort_limit(
     drives: Sequence[int] | None = None,
     empty_range: EffortStatement | None = None,
 ) -> EffortLimit:
-    """Return the torque limit of a joint: the smallest of the limits that URDF and MJCF state.
+    """Return the torque limit of a joint: the intersection of the ranges in URDF and MJCF.
 
     Args:
         model: MuJoCo model of the MJCF.

@@ -452,8 +452,9 @@ _SAMPLE_VECTORS = np.concatenate(
 """Vectors of `COMPARISON_DIRECTIONS` before normalisation, shape (66, 3)."""
 
 COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1, keepdims=True)
-"""Directions (66, 3) in which the extents of two shapes are compared: the axes and 60 random
-directions, so that rotations of a box or a cylinder are detected."""
+"""Directions (66, 3) in which the extents of two shapes are compared, or in which their distance is
+estimated: the axes and 60 random directions, so that rotations of a box or a cylinder are detected.
+"""
 
 NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
 """{kind of shape: number of entries in `Shape.size`}, for MuJoCo's shapes whose extent

@@ -91,7 +91,8 @@ class SpecTree:
     """Bodies and joints of an MJCF, with queries, edits, and additions for simulation.
 
     The queries and edits have the names of the methods of `UrdfTree`, so that a change of both
-    files is written once.
+    files is written once. Edits of mass and inertia change an existing ``<inertial>``, which MuJoCo
+    ignores if the attribute ``inertiafromgeom`` of the compiler is true.
 
     Attributes:
         spec: MuJoCo's editable model.
@@ -183,7 +184,7 @@ class SpecTree:
     def scale_mass(self, link: str, factor: float) -> None:
         """Multiply mass and rotational inertia of a body by a factor, in place.
 
-        If the inertia is computed from geoms, density and mass of the geoms are scaled.
+        If the body has no ``<inertial>``, density and mass of its geoms are scaled.
         """
         body = self.spec.body(link)
         self._clear_cache()
@@ -200,7 +201,7 @@ class SpecTree:
         """Multiply the rotational inertia of a body about its CoM by a factor, in place.
 
         Raises:
-            ValueError: If the inertia is not specified, but computed from the geoms.
+            ValueError: If the body has geoms, and no ``<inertial>``.
         """
         body = self.spec.body(link)
         if not body.explicitinertial and list(body.geoms):
@@ -212,7 +213,7 @@ class SpecTree:
     def move_com(self, link: str, offset: Array) -> None:
         """Translate the CoM of a body, in place; the inertia about the CoM is unchanged.
 
-        An inertia that is computed from geoms becomes explicit.
+        A body without ``<inertial>`` gets one, with the inertia that MuJoCo computes from the geoms.
 
         Args:
             link: Name of the body.

@@ -38,8 +38,8 @@ class XmlElement:
         file: File.
         start: Byte position of the start tag; -1 for a new element.
         line: Line of the start tag, from 1.
-        parent: Parent element, across includes.
-        children: Child elements, with includes replaced by the included content.
+        parent: Parent element; of included content possibly in the including file.
+        children: Child elements. A caller may replace an include by the included content.
         changes: {attribute: new value}. The key of a renamed attribute is its new name.
         renamed: {attribute: new name}.
     """
