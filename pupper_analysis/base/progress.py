@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 MIN_REPORTED_TIME = 2.0
-"""Elapsed time from which progress is displayed [s]. Chosen, not tuned: shorter waits need no
-explanation."""
+"""Elapsed time from which a progress message contains a time [s]. Chosen, not tuned: shorter waits
+need no explanation."""
 
 
 class ProgressClock:

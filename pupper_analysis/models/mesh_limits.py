@@ -16,13 +16,14 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESH_BYTES: Final = 50_000_000
-"""Maximum size of a mesh file [bytes]; larger files are rejected. Chosen above the files of
-published robots, for example 29 MB (trunk of Go1). For a text file of this size MuJoCo computes the
-hull within a minute."""
+"""Maximum size [bytes] of a mesh file that is converted, and of a COLLADA file that is read; larger
+files are rejected. Chosen above the files of published robots, for example 29 MB (trunk of Go1).
+For a text file of this size MuJoCo computes the hull within a minute."""
 
 MAX_MESH_VERTICES: Final = 1_000_000
-"""Maximum number of vertices of a mesh; larger meshes are rejected. Chosen above the largest
-published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles a million in 5 s, with 2 GB."""
+"""Maximum number of vertices of a mesh in a format other than STL and OBJ; larger meshes are
+rejected. Chosen above the largest published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles
+a million in 5 s, with 2 GB."""
 
 MAX_MESH_PARTS: Final = 10_000
 """Maximum number of nodes and shapes of all scenes of a COLLADA file, each instance counted.

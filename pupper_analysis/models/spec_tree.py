@@ -213,7 +213,7 @@ class SpecTree:
     def move_com(self, link: str, offset: Array) -> None:
         """Translate the CoM of a body, in place; the inertia about the CoM is unchanged.
 
-        A body without ``<inertial>`` gets one, with the inertia that MuJoCo computes from the geoms.
+        A body without ``<inertial>`` gets one, as MuJoCo computes the inertia from the geoms.
 
         Args:
             link: Name of the body.
