@@ -66,7 +66,7 @@ def _complete_value(
     """List the completions of an incomplete option value, for a shell.
 
     These are the words that the field accepts, or the names of the robot's feet, joints or links
-    with an equals sign. There are none if the robot cannot be loaded.
+    with an equals sign. No such names are listed if the robot cannot be loaded.
     """
     words = [*field.choices]
     if field.per:

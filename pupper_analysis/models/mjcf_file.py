@@ -817,7 +817,7 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location. The line is missing in three cases:
+            The location. The line is missing for example in these cases:
 
             - There is no element with this number.
             - The file has no XML text (a model in memory).

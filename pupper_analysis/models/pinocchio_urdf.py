@@ -49,7 +49,7 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: In these cases:
+        ModelError: For example in these cases:
 
             - A joint has another type, or a slide lacks a lower or upper limit.
             - There are several free flyers, a free flyer is not at the root, or the root has a free

@@ -234,7 +234,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
             folder, in the folders above, and in ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
 
     Raises:
-        ModelError: In these cases (see also `find_menagerie_file`):
+        ModelError: For example in these cases (see also `find_menagerie_file`):
 
             - A ROS package or its file is not named, or is not found.
             - The name is a web address.

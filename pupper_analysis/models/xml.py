@@ -69,7 +69,7 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
         Text as read; root element.
 
     Raises:
-        ModelError: In these cases:
+        ModelError: For example in these cases:
 
             - The file cannot be read, is empty, is a Git LFS pointer, or has another format.
             - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.

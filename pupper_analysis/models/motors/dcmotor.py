@@ -109,7 +109,7 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
         name: Name of the actuator; by default the name of the joint.
 
     Raises:
-        ModelError: In these cases:
+        ModelError: For example in these cases:
 
             - Torque constant or gear ratio are unknown.
             - The resistance is neither stated nor known from supply voltage and stall current.

@@ -1,7 +1,8 @@
 """Numbers of a motor with gear, and the quantities that follow from them.
 
 Each number may be unknown (None). A function that needs an unknown number raises a ModelError with
-the name of the number: a favourable number never replaces an unknown number.
+the name of the number. Exceptions: `Motor.compute_available_torques` omits unknown friction and
+limits, and `Motor.largest_torque` may use an upper bound of the torque per current.
 """
 
 from __future__ import annotations
