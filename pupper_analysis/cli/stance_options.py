@@ -606,7 +606,8 @@ def parse_continuous_torques(
 def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
     """Limit continuous torques to the peak torques (effort limits) of a robot.
 
-    Joints whose peak torque is zero are left out: their motors exert no torque.
+    The peak torque is the largest torque that is permitted in both directions. Joints whose peak
+    torque is zero are left out.
 
     Args:
         robot: Robot.

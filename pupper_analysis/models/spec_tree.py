@@ -67,7 +67,8 @@ def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, val
 
     An effort becomes a symmetric force range of the joint, at least 1e-9 (``MIN_RANGE``) to each
     side. For a parameter that MuJoCo stores as a polynomial, the value is the first coefficient,
-    and all other coefficients are zero.
+    and all other coefficients are zero. The joint must not have ``springdamper``, which MuJoCo
+    prefers to damping and stiffness.
 
     Args:
         joint: Joint; modified.

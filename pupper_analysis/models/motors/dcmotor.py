@@ -101,7 +101,8 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     The element has one thermal node. If the motor has two nodes (winding and housing), their
     thermal resistances and their heat capacities are added: the final temperature is equal, but the
     winding heats up more slowly. Unknown numbers are omitted. If the thermal resistance or the
-    capacity of the winding is unknown, all thermal numbers are omitted.
+    capacity of the winding is unknown, all thermal numbers are omitted. Losses of the gear,
+    friction, and limits of torque and temperature are not written.
 
     Args:
         motor: Motor.

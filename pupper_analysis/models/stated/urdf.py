@@ -202,7 +202,7 @@ def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
 
 
 def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
-    """Return the volume [m^3] of a ``<mesh>``, with its scale; None if open or unreadable."""
+    """Return the volume [m^3] of a ``<mesh>``, with its scale; None if `_read_solid` is None."""
     solid = _read_solid(file, tag)
     return None if solid is None else float(solid.mass)
 
@@ -210,7 +210,7 @@ def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
 def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
     """Return the spatial inertia of a ``<mesh>`` with its scale and a density of 1 kg/m^3.
 
-    None if the surface is open, or the file is not readable.
+    None if `read_mesh_integrals` returns None, for example for an open surface.
     """
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
@@ -376,7 +376,8 @@ def read_mesh_integrals(
 
     Returns:
         Volume; CoM, shape (3,); integral of x x^T about the CoM, shape (3, 3); in powers of the
-        unit of `mesh_hull`. None if the surface is not closed, or the file is unreadable.
+        unit of `mesh_hull`. None if the file is unreadable, or the surface is not closed, or its
+        triangles are not all oriented outwards.
     """
     try:
         mesh = _load_mesh(path, merge=True)
