@@ -82,7 +82,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*
 
 
 def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
-    """Convert a text with number and unit to a number in ``kind.unit``: SI units, degC or USD.
+    """Convert a text with number and unit to a number in ``kind.unit``, for example N m or degC.
 
     Args:
         name: Name of the quantity, for messages.
