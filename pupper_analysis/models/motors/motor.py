@@ -347,7 +347,7 @@ class Motor:
         per current, and supply voltage / resistance x torque per current. If the torque per current
         is unknown, torque constant x gear ratio replaces it as an upper bound, provided that the
         peak torque or the stall torque is known. The field is for example ``peak_torque``. None if
-        all are unknown.
+        no such value is known.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:

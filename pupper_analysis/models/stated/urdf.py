@@ -334,6 +334,7 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     Raises:
         UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
         InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
+            Errors of trimesh, for other broken files, are not converted.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 
