@@ -84,7 +84,9 @@ Chosen, not tuned."""
 MIN_POSTURE_DEVIATION = 0.5
 """Displacement [rad, m] above which the posture is lost. For a robot with a fixed base, it is the
 displacement of a joint (`OwnRun.has_left_posture`, `PublishedRun.collapses`). For a lifted leg, it
-is the norm over the joints of the leg (`OwnRun.lifted_leg`). Chosen, not tuned."""
+is the norm over the joints of the leg (`OwnRun.lifted_leg`). Also used for simulations of the
+prepared robot with a fixed base, and for the note on a keyframe that commands another posture.
+Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):

@@ -373,7 +373,8 @@ def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
     The model of a robot that is not drawn lacks visual geoms (``load_robot``, option ``visuals``).
     Sizes of bodies and names of geoms must not depend on this option. Bodies, joints and their
     addresses are the same in both models. The result is the robot's own model if this model
-    contains the visual geoms, or if the user's MJCF has ``discardvisual="true"``.
+    contains the visual geoms, if the user's MJCF has ``discardvisual="true"``, or if no separate
+    published file is stored (`PublishedFile.is_unchanged`).
 
     Raises:
         ModelError: If MuJoCo rejects the MJCF.

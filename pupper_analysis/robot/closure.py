@@ -143,7 +143,8 @@ class Closure:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
         Columns are in actuator order. The columns of joints outside of loops and couplings are
-        zero. The pose of the base does not affect the residuals, unless `is_world_coupled` is true.
+        zero. While the loops are closed, the pose of the base does not affect the residuals, unless
+        `is_world_coupled` is true. The residuals of open loops rotate with the base.
 
         Args:
             qpos: Configuration, shape (nq,).

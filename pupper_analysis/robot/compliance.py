@@ -51,7 +51,8 @@ class GroundLaw:
 
     with the creep velocity v, for the elliptic friction cone. For the pyramidal cone see
     `of_contact`. If ``solref`` is positive, k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax
-    timeconst). If ``solref`` is not positive, k = -solref[0]/dmax^2 and b = -solref[1]/dmax.
+    timeconst); ``timeconst`` is at least two time steps, unless the MJCF disables ``refsafe``. If
+    ``solref`` is not positive, k = -solref[0]/dmax^2 and b = -solref[1]/dmax.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 

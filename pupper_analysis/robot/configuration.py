@@ -226,8 +226,8 @@ class Configuration(Pictured):
         """Return Yoshikawa's manipulability of a point on a link: sqrt(det(J J^T)).
 
         J contains only the columns of the joints, as if the base were fixed. The result is the
-        product of the singular values of J, and is 0 at a singular configuration. Source: Yoshikawa
-        1985, "Manipulability of robotic mechanisms".
+        product of the singular values of J. It is 0 at a singular configuration, or if J has fewer
+        columns than rows. Source: Yoshikawa 1985, "Manipulability of robotic mechanisms".
 
         Args:
             name: Name of the link.
@@ -545,8 +545,9 @@ class Configuration(Pictured):
     def bias_forces(self) -> Array:
         """Return the bias h (nv,) [N, N m]: Coriolis, centrifugal and gravity forces.
 
-        The equation of motion is M qacc + h = tau + J^T f, plus passive forces, which are not part
-        of h. Computed by ``pin.nonLinearEffects``; in the order of qvel.
+        The equation of motion is M qacc + h = tau. tau contains all other generalised forces, such
+        as forces of motors, contacts, springs, damping and closed loops. Computed by
+        ``pin.nonLinearEffects``; in the order of qvel.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.to_qvel_order(forces)
@@ -686,11 +687,12 @@ class Configuration(Pictured):
     def forward_dynamics(self, force: ArrayLike) -> Array:
         """Return the acceleration qacc, shape (nv,) [m/s^2, rad/s^2], under a generalised force.
 
-        The result is qacc = M^-1 (force - h), with the mass matrix M and the bias h.
+        The result is qacc = M^-1 (force - h), with the mass matrix M and the bias h. Contacts,
+        closed loops and couplings are not solved.
 
         Args:
-            force: Sum of the generalised forces of motors, damping and contacts, shape (nv,) [N, N
-                m]. The bias h is not included.
+            force: Sum of all generalised forces except the bias h, shape (nv,) [N, N m]: forces of
+                motors, contacts, springs, damping and constraints.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.

@@ -160,8 +160,8 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
     """Return a mask, shape (ncon,), of the contacts that can exert a force.
 
-    These contacts are closer than their margin. MuJoCo also detects contacts in the ``gap`` beyond
-    the margin, which exert no force.
+    These are the contacts that MuJoCo does not exclude from its constraints. Excluded are, for
+    example, contacts in the ``gap`` beyond the margin.
 
     Args:
         data: Data after ``mj_collision``.

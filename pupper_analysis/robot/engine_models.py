@@ -67,8 +67,8 @@ class EngineModels:
     def mj_spec(self) -> MujocoSpec:
         """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
-        The caller may change the spec, or attach it to another spec. ``mj_spec().compile()``
-        returns a model with the same values as ``mj_model``. The spec contains the paths of mesh
+        The caller may change the spec, or attach it to another spec. The model
+        ``mj_spec().compile()`` is equivalent to ``mj_model``. The spec contains the paths of mesh
         files. Exceptions: if meshes are in memory (assets of a given spec, or meshes converted from
         files such as COLLADA), the spec contains all meshes; an ``MjModel`` has them as vertices.
         """
@@ -320,9 +320,9 @@ def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) 
     """Return True if MuJoCo checks two geoms of the robot for contact.
 
     A ``<pair>`` is always checked. Other geoms are not checked if `may_touch` excludes them
-    (contact bits, ``<exclude>``), or if both belong to the same body. Geoms of a body and its
-    parent are not checked either, unless the parent is fixed to the world, or the MJCF disables
-    this filter.
+    (contact bits, ``<exclude>``), or if their bodies are fixed to each other. Geoms of a body and
+    its parent are not checked either, unless the parent is fixed to the world, or the MJCF disables
+    this filter. Bodies that are fixed to each other count as one body.
     """
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:

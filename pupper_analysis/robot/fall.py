@@ -68,7 +68,8 @@ a robot by 20 m in 2 s.)"""
 NUDGE_SPEED = 1e-3
 """Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]. The nudge
 must upset unstable equilibria: some survive changes of 1e-9 and fall after changes of 1e-7. Stable
-stands return even after 1e-2."""
+stands return even after 1e-2. Also the largest difference of velocities with which two runs count
+as equal (`simulate_keyframe`)."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
@@ -194,9 +195,10 @@ def simulate_keyframe(
     because a robot may fall to one side only. The third run has no nudge. The result is the first
     run in which the robot collapses, otherwise the first run.
 
-    The second and third run end halfway if their state equals the state of the first run within
-    1e-4 m or rad (`_MAX_RUN_DISTANCE`); they then count as runs without a collapse. Models with
-    actuator activations are always simulated to the end.
+    The second and third run end halfway if their state equals the state of the first run: positions
+    within 1e-4 m or rad (`_MAX_RUN_DISTANCE`), velocities within 1e-3 m/s or rad/s (`NUDGE_SPEED`).
+    They then count as runs without a collapse. Models with actuator activations are always
+    simulated to the end.
 
     Args:
         model: MuJoCo model.

@@ -38,10 +38,10 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 
 
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
-    """Make a level floor the only level plane of the world body that collides, in place.
+    """Make a level floor the only level plane of the world body with contact bits, in place.
 
     The contact bits of the other level planes, at any height, are added to the bits of the floor.
-    The bits of these planes are then cleared.
+    The bits of these planes are then cleared; their ``<pair>`` elements are kept.
 
     Args:
         spec: MJCF to modify.

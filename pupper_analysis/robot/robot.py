@@ -245,7 +245,8 @@ def with_task_friction(
             settings, the friction of the ground remains.
 
     Returns:
-        {contact point: parameters}; ``contacts`` itself if nothing changes.
+        {contact point: parameters}; ``contacts`` itself if it is empty, or the task specifies no
+        friction.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -499,7 +500,10 @@ class Robot(EngineModels):
 
     @cached_property
     def has_floor(self) -> bool:
-        """Whether the MJCF has a floor that can collide; the MJCF of an arm may have no floor."""
+        """Whether the MJCF has a ground plane whose contact bits are not all zero.
+
+        The MJCF of an arm may have no ground plane.
+        """
         model = self.before_servos.mj_model
         floor = ground_geom(model)
         if floor is None:

@@ -339,7 +339,8 @@ far above the gains of real machines, but small enough that simulations do not o
 
 MIN_STIFFNESS = 1e-9
 """Smallest accepted kp [N m/rad, N/m] of a motor; smaller values are refused. Commands contain the
-quotient torque / kp, which would overflow for much smaller values. Chosen, not tuned."""
+quotient torque / kp, which would overflow for much smaller values. The searches for the minimum
+stiffness of a stand also end at this value. Chosen, not tuned."""
 
 
 def resolve_servo_gains(

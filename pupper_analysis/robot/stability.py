@@ -145,7 +145,8 @@ def _difference_steps(
 HOLD_DURATION = 12.0
 """Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted unless
 it oscillates, because MuJoCo's regularised friction always slips a little. At the payload limit of
-Pupper v3, for example, a deviation doubles in 30 s."""
+Pupper v3, for example, a deviation doubles in 30 s. Also the upper bound of the period of an
+oscillation (`Mode.shakes`)."""
 
 SETTLING_TIME = 0.5
 """Default simulated time before a state is evaluated [s]. The time is long enough for contacts,
@@ -178,9 +179,9 @@ rolls freely has a double eigenvalue 1 with a single eigenvector. An error e of 
 this eigenvalue by sqrt(e). Chosen, not tuned."""
 
 _MAX_REST_SPEED = 0.1
-"""Largest element of qvel with which a state counts as at rest [m/s, rad/s]. Pupper v3 still sags
-with up to 0.02 after the settling time. If the settled state is faster, a growing mode may have
-moved the robot out of its initial state. The initial state is then evaluated as well."""
+"""Largest absolute element of qvel with which a state counts as at rest [m/s, rad/s]. Pupper v3
+still sags with up to 0.02 after the settling time. If the settled state is faster, a growing mode
+may have moved the robot out of its initial state. The initial state is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings of a mode within the settling time, above which the mode explains a motion

@@ -179,7 +179,7 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
 
 MAX_DISTANCE_RATIO = 10.0
 """Largest distance of a point from the origin of its frame, relative to the robot's size
-(`measure_size`) [1]. A point that is farther away is rejected as a length in mm: from 1 % of the
+(`measure_size`) [1]. A point that is farther away is rejected as a length in mm: above 1 % of the
 size, a coordinate in mm exceeds the bound. The error about an unreachable posture also compares the
 residual of a task with this bound. Chosen, not tuned: no payload is carried at a distance of ten
 sizes."""
@@ -393,8 +393,9 @@ def with_payload(
 ) -> Robot:
     """Return a robot with a point mass welded to both models, as a payload.
 
-    Joints, limits, gains, feet, and the default base height are unchanged. Contacts become stiffer
-    or softer, because MuJoCo derives their softness from the masses (``body_invweight0``).
+    Joints, limits, gains, feet, and the default base height are unchanged. Exception: MuJoCo
+    computes the damping of servos with ``dampratio`` anew. Contacts become stiffer or softer,
+    because MuJoCo derives their softness from the masses (``body_invweight0``).
 
     Args:
         robot: The robot.

@@ -52,7 +52,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 
     - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
       with its plane. The spheres of welded or gripping hands do not collide.
-    - If the plane of a contact has a friction coefficient, the contact has this coefficient.
+    - If the plane of a contact without grip has a friction coefficient, the contact has this
+      coefficient.
     - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
       it.
 

@@ -49,8 +49,8 @@ from pupper_analysis.robot.robot import Robot
 MAX_RESIDUAL = 1e-9
 """Largest accepted residual: deviation between the models after all found differences are removed,
 relative to the scale of the quantity [1]. Up to this value, the differences explain the whole
-deviation (``complete``). Two engines in double precision agree to about 1e-13. For accelerations
-see `_compute_residual`."""
+deviation (``complete``). A total deviation up to this value counts as none (``explained``). Two
+engines in double precision agree to about 1e-13. For accelerations see `_compute_residual`."""
 
 _NUM_STATES = 10
 """Number of random states at which the effect of each difference between two files is evaluated.

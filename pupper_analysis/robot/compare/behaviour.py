@@ -245,7 +245,8 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
 MAX_PINOCCHIO_NV: Final = 200
 """Largest number of degrees of freedom (nv) of a robot that is also compared in Pinocchio; bounds
-the memory.
+the memory. With more degrees of freedom, the number of states may also be reduced
+(`affordable_states`).
 
 Pinocchio's data contain four tensors of second derivatives (nv, nv, nv) that are not needed here.
 The tensors take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000."""

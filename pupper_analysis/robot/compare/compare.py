@@ -770,7 +770,7 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
     - An unexplained residual.
     - Otherwise, if there is no mechanical difference: each quantity whose deviation exceeds the
-      largest tolerance, because small differences add up.
+      largest tolerance of `_DYNAMIC_KINDS`, because small differences add up.
     """
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:

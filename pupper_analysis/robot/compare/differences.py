@@ -629,6 +629,9 @@ def changes_between(
 ) -> Iterable[Change]:
     """Yield the differences of two multibody trees that exceed the tolerances, value by value.
 
+    Armatures are compared only between two files of the same format; the armature of a free base
+    without tolerance.
+
     Args:
         one: First tree (URDF).
         two: Second tree, with the same names of bodies, joints and frames.

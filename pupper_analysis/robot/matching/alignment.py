@@ -290,7 +290,7 @@ def _candidate_steps(
     Displacements are expressed in the axes of the body that the joint moves. The first displacement
     is zero. Further displacements are computed from two vectors. d is the vector from the joint's
     origin in ``second`` to its origin in ``first``. m is the median difference between the
-    positions of the points on the body in both trees (`_matching_points`).
+    positions of the points on the body in both trees, second minus first (`_matching_points`).
 
     - Hinge: the components of d and m along the axis.
     - Slide: d, m, and the part of d perpendicular to the axis. With ``still``, no further
