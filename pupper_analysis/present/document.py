@@ -588,13 +588,14 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def widen_format(form: str, values: Iterable[float]) -> str:
-    """Return a fixed-point format with which the largest of several values has two digits.
+    """Return a fixed-point format with two significant digits of the largest of several values.
 
-    The result is ``form`` if this is so already, and if no value is finite and other than zero.
-    Reason: torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would print 0.00.
+    The format has at least the decimals of ``form``, and at most nine (`_MAX_DECIMALS`). The
+    largest value is the largest finite magnitude. Reason: torques of a robot of a few grams are
+    1e-3 N m, and ``".2f"`` would print 0.00.
 
     Args:
-        form: Format specification such as ``"+.4f"``.
+        form: Fixed-point format specification with up to nine decimals, such as ``"+.4f"``.
         values: Numbers in the displayed unit.
     """
     start, decimals = form[:-1].split(".")

@@ -118,13 +118,13 @@ class Animation:
 
         Args:
             path: File. The suffix selects the format.
-            force: Whether to replace a file that this function did not write.
+            force: Whether to replace a file of another kind. If False, only an empty file or an
+                animation of this package is replaced.
 
         Raises:
             ConfigurationError: If the suffix is neither ``.gif`` nor ``.mp4``.
             MissingPackageError: If an MP4 is requested, and ``imageio[ffmpeg]`` is not installed.
-            OutputError: If the file cannot be written. Also if ``force`` is False, and the file
-                exists and was not written by this function.
+            OutputError: If the file cannot be written, or must not be replaced.
         """
         target = Path(path)
         writers = {".gif": self._to_gif, ".mp4": self._to_mp4}
@@ -402,9 +402,10 @@ def _can_open_window() -> bool:
 
 
 def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
-    """Create a camera per configuration, so that the first and last configuration are visible.
+    """Create a camera per configuration. All have the same distance and the same looked-at point.
 
-    All cameras have the same distance and the same looked-at point.
+    The sphere around the robot in the first and last configuration fits into the height of the
+    picture.
 
     Args:
         robot: Robot.

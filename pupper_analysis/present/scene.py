@@ -66,7 +66,7 @@ class JointAxis:
         world_axis: Direction, shape (3,), in the world frame.
         position: Joint position [rad or m].
         torque: Motor torque [N m or N]; None if loads are not shown.
-        limit: Effort limit [N m or N]; None if no file states a limit.
+        limit: Effort limit [N m or N]; None if unknown.
         utilisation: |torque| / limit; None if loads are not shown, or the limit is unknown or zero.
     """
 

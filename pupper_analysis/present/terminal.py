@@ -277,8 +277,8 @@ the name of a link before a colon, state nothing. Chosen, not tuned."""
 def _end_at_clause(message: Text, room: int) -> Text:
     """Cut a message that is wider than ``room`` characters at the last clause that fits; add "…".
 
-    The message is returned as is if it fits, or if the clauses that fit are too short
-    (`_MIN_CUT_SHARE`).
+    The message is returned as is if it fits, or if no clause is suitable. The clauses that fit may
+    be too short (`_MIN_CUT_SHARE`), or end inside brackets.
     """
     if cell_len(message.plain) <= room:
         return message
@@ -484,8 +484,9 @@ class _PrintedColumn(NamedTuple):
         head: Header with unit.
         cells: Text of each row.
         left: True if the column is left-aligned.
-        width: Width of the column [characters], the largest of three values: the longest cell, the
-            longest word of the header, and the width of the header (at most `_MIN_HEADER_WIDTH`).
+        width: Width of the column [characters], the largest of four values: the longest cell, the
+            longest word of the header, the unit with brackets, and the width of the header without
+            unit (at most `_MIN_HEADER_WIDTH`).
         least: Smallest width to which the column may be wrapped [characters]; equal to ``width`` if
             the column is not wrapped.
     """

@@ -34,9 +34,10 @@ Mark = Mapping[str, Any]
 """SVG element of a plot: {"tag": name of the element, attribute: value}."""
 
 PLOT_WIDTH, PLOT_HEIGHT = 640.0, 300.0
-"""Size of a line plot [CSS pixels]."""
+"""Size of a line plot [CSS pixels]. A bar plot has the same width."""
 LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 78.0, 14.0, 12.0, 44.0
-"""Margins of a line plot for ticks and axis names [CSS pixels]."""
+"""Margins of a line plot for ticks and axis names [CSS pixels]. A bar plot has the same margins at
+top and bottom."""
 
 MAX_LINE_POINTS = 160
 """Largest number of points of a line, in addition to the marked point. This is one point per four
@@ -89,8 +90,9 @@ def draw_svg(plot: Plot) -> Drawing:
 
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of the range of the vertical axis, divided by the largest value [1]. A smaller range
-is extended to the bound. Otherwise the tick labels, with six digits, would be equal.
+"""Lower bound of the range of a line plot's vertical axis, divided by the larger magnitude of its
+ends [1]. A smaller range is extended to the bound. Otherwise the tick labels, with six digits,
+would be equal.
 """
 
 
@@ -170,8 +172,9 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 _X_MARGIN = 0.03
 """Margin of the horizontal axis [1], relative to the range of the values, if the plot contains
-points or a closed curve. Without margin, the axes of the plot would cover half of the outermost
-points. Curves over time have no margin. Chosen, not tuned.
+points, or a curve whose x values decrease somewhere, such as a closed curve. Without margin, the
+axes of the plot would cover half of the outermost points. Curves over time have no margin. Chosen,
+not tuned.
 """
 
 

@@ -427,8 +427,9 @@ def write_report(
         force: Whether to replace an existing file that is not a page of this package.
 
     Raises:
-        ConfigurationError: If there is no result, an object is not a result, the language is
-            unknown, or an argument has the wrong type.
+        ConfigurationError: For example if there is no result, an object is not a result, the
+            language is unknown, an argument has the wrong type, or a stand belongs to another robot
+            than the robot with its name.
         OutputError: If the file cannot be written, or ``force`` is False and the file would replace
             a file that is not a page of this package.
     """
