@@ -88,7 +88,8 @@ class DrawnForce:
 
     Attributes:
         foot: Name of the foot, or of a contact with a grip.
-        point: Centre of pressure, or contact point of a grip, shape (3,) [m], in the world frame.
+        point: Centre of pressure, or centre of the contact sphere of a grip, shape (3,) [m], in the
+            world frame.
         force: Force on the foot, shape (3,) [N], in world axes.
     """
 

@@ -307,7 +307,8 @@ class PublishedRun:
 
     Attributes:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
-        duration: Simulated time (s); the nudge is applied after the first second.
+        duration: Simulated time (s), without the time after large nudges. The first nudge is
+            applied after the first second.
         torque_error: Largest torque deviation within the last second, divided by a scale [1]. The
             scale is the largest computed torque, or a fraction of the weight times 1 m if this
             product is larger. With a fixed base, the dry friction of the joint is subtracted from

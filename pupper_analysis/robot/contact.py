@@ -364,6 +364,8 @@ def ground_contacts(
 ) -> Mapping[str, ContactParameters]:
     """Return MuJoCo's contact parameters between each contact point and the ground.
 
+    ``<pair>`` elements and the flag ``override`` of the MJCF are not considered.
+
     Args:
         model: MuJoCo model.
         geoms: {contact point: (id of the geom, radius [m])}.

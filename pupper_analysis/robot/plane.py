@@ -263,8 +263,8 @@ class Contact:
             the nominal position of the foot, or the position of the hand with the joints at home.
         offset: Centre (x, y, z) of the contact sphere in the named frame of the hand (m).
         radius: Radius of the contact sphere of a hand (m). By default, the radius of the largest
-            sphere inside a shape of the hand. If the centre is outside of all shapes, the default
-            is 1 cm.
+            sphere with this centre inside a collision shape of the hand. If the centre is outside
+            of all shapes, the default is 1 cm.
         grip: Maximum force (N) of a grip in any direction, for example of a hand around a rung. The
             grip fixes the centre of the sphere, and permits rotation about the centre. By default,
             the contact is unilateral, without grip.

@@ -212,8 +212,9 @@ class Touching:
         friction: Friction coefficient; None for the coefficient of the ground.
         offset: Centre (x, y, z) [m] of the contact sphere of a hand, in the frame of the hand; None
             for a foot.
-        radius: Radius [m] of the contact sphere. None: the radius of the largest sphere inside a
-            shape of the hand, or 1 cm if the centre is outside of all shapes.
+        radius: Radius [m] of the contact sphere. None: the radius of the largest sphere with this
+            centre inside a collision shape of the hand, or 1 cm if the centre is outside of all
+            shapes.
         force: Prescribed normal force [N]; None if the force follows from balance.
         is_fixed: Whether a weld or grip fixes the part to the world. The part then does not collide
             with fixed bodies.
@@ -280,8 +281,9 @@ class Robot(EngineModels):
     Attributes:
         name: Name of the robot.
         description: Contents of the files.
-        pin_model: Pinocchio's model of the URDF, with the armature of the MJCF.
-        mj_model: MuJoCo's model of the MJCF.
+        pin_model: Pinocchio's model of the URDF, with armature and gravity of the MJCF. A fixed
+            base has the pose in the MJCF.
+        mj_model: MuJoCo's model of the MJCF, with the additions of the preparation.
         floating: Whether the base is free.
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
@@ -299,9 +301,11 @@ class Robot(EngineModels):
             ``touching`` contains a friction coefficient, it replaces the friction of the ground.
             Empty if the MJCF has no ground plane.
         home: Start configuration, shape (nq,): the keyframe ``home``; else the first keyframe; else
-            MuJoCo's qpos0.
-        nominal: Joint positions, shape (nu,) [rad, m], of the nominal stand: the stand of the
-            default `StandTask`.
+            MuJoCo's qpos0. The preparation may replace it by another keyframe or by a searched
+            stand.
+        nominal: Joint positions, shape (nu,) [rad, m], with which the default foot positions of
+            stands are computed. Joint positions of the nominal stand (the stand of the default
+            `StandTask`) may differ.
         stand_height: Height [m] of the base above the ground in the nominal stand. Without feet, it
             is 0; exception: if a task welds a fixed base, it is half the extent of the robot.
         imu: Frame with gyro and accelerometer; None if there is none.

@@ -221,7 +221,8 @@ def armature_differences(
 
     - An armature of the free joint. It usually comes from a default class, and adds inertia without
       weight to the base.
-    - Different armatures of a joint and its mirror image on the other side of the robot.
+    - Different armatures of a joint and its mirror image on the other side of the robot, unless the
+      motors seem to be identified individually (`find_unlike_pairs`).
 
     Args:
         values: Multibody tree with the armatures of the MJCF.

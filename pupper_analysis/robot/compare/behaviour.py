@@ -209,7 +209,7 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
     - Joint positions: uniform within the limits of the URDF, and within 1000 rad or m; +-pi [rad,
-      m] replaces a missing limit.
+      m] replaces a missing limit. A lower limit above the upper limit is exchanged with it.
     - Torques: uniform within the effort limits, and within 1e6 N m or N; +-1 [N m, N] replaces a
       missing limit.
     - Velocities: normally distributed with a standard deviation of 1 [m/s, rad/s].

@@ -169,7 +169,8 @@ def measure_tree_deviation(
 ) -> float:
     """Return the summed deviation of all joints, moved bodies and frames of two trees, in bits.
 
-    A deviation counts log2(1 + deviation / tolerance) bits (`measure_deviation_bits`).
+    Frames on the base, or on different bodies in both trees, are not included. A deviation counts
+    log2(1 + deviation / tolerance) bits (`measure_deviation_bits`).
 
     Args:
         first: First tree.

@@ -677,6 +677,8 @@ def copy_unknown_values(
 ) -> list[Diagnostic]:
     """Copy values of the URDF to joints of an MJCF that states these values as unknown, in place.
 
+    An effort of the URDF is copied only if it is positive, because 0 means unspecified.
+
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
         spec: The MJCF; modified.
@@ -834,8 +836,8 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
     """Find the robot's limbs among the children of the world, if the base is fused with the world.
 
     MuJoCo's import of a URDF merges a fixed base with the world: the limbs of the robot are then
-    children of the world. A limb has a joint with the name of a URDF joint, with or without
-    prefixes and suffixes, and no free joint.
+    children of the world. The first body of a limb has a joint with the name of a URDF joint, with
+    or without prefixes and suffixes, and no free joint.
 
     Args:
         spec: The MJCF.
