@@ -138,8 +138,8 @@ class Cause:
         code: Code of the cause; ``present.verdict.describe_cause`` has a text for each code.
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
-        remaining: Largest torque deviation that remains with all causes disabled, relative to the
-            largest computed torque. None if the cause cannot be disabled.
+        remaining: Torque error (`PublishedRun.torque_error`) that remains with all causes disabled;
+            0 if the cause is of a simulation from a keyframe. None if the cause cannot be disabled.
         difference: First difference between the two files, if that is the cause.
     """
 
@@ -191,16 +191,19 @@ class OwnRun(BodyMotion):
             servos etc., but with its own shapes.
         timestep: Time step (s) of an import, if its shapes require a smaller time step than the
             robot's; otherwise None.
-        keyframe: Name of the keyframe; "" if the simulation starts at the nominal stand.
+        keyframe: Name of the keyframe, such as "keyframe 1" if it has none. "" without a keyframe:
+            the simulation starts at the start pose (`Robot.home`), or, for a fixed base, at a given
+            posture.
         commands: Commands of the actuators.
-        limp: Whether most joints have no servo and no command: a torque motor, or no actuator.
+        limp: Whether more than half of the joints have no servo: a torque motor, or no actuator.
+            False if the keyframe's ctrl contains joint angles instead of torques.
         worst: Joint with the largest displacement; None if the simulation diverged.
         unheld: Joint with the largest displacement among the joints that neither a servo nor a
             coupling holds. None if no such displacement exceeds 0.05 rad or m
             (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have a servo, or if the
             simulation diverged.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
-            positions.
+            positions. None otherwise, or if most joints have no servo.
         standing: Whether the robot stands on the ground. If False, the base is fixed.
         causes: Causes of a failure, if found.
         missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
@@ -284,7 +287,7 @@ class OwnRun(BodyMotion):
     def fails(self) -> bool:
         """True if the published file does not stand in this simulation.
 
-        - If most joints have no servo and no command (``limp``): False.
+        - If most joints have no servo (``limp``): False.
         - With a keyframe: True if the robot ``falls``, ``is_tilted`` or ``has_left_stance``. The
           commands are the ctrl of the keyframe, or zeros if the keyframe has no ctrl.
         - Without a keyframe: True if a joint is not held (``unheld``).
