@@ -215,10 +215,10 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 
 
 def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
-    """Return the warning that MuJoCo refuses the published file because meshes are missing.
+    """Return the warning that MuJoCo refuses the published file because files are missing.
 
-    The missing meshes are known only from a simulation of the file from its keyframe. The result is
-    empty without such a simulation, or if no meshes are missing.
+    The missing files, such as meshes, are known only from a simulation of the published file from
+    its keyframe. The result is empty without such a simulation, or if no files are missing.
     """
     run = verdict.keyframe_run
     if run is None or not run.missing:

@@ -89,8 +89,9 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    - A level floor at z = 0 is kept. A tilted, higher or lower floor, or a floor on another fixed
-      body, is replaced by a level floor at z = 0. A missing floor is added.
+    - A level floor at z = 0 is kept, or replaced by an equal floor, for example if it is in a
+      ``<frame>``. A tilted, higher or lower floor, or a floor on another fixed body, is replaced by
+      a level floor at z = 0. A missing floor is added.
     - If no plane can collide, the first plane of the world body is the floor, and is not changed.
     - Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps
       are part of the task. Level planes of the world body at z = 0 are excepted.

@@ -134,8 +134,9 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     Args:
         robot: The robot.
         name: Name of a link of the URDF, or of a site, body or geom of the MJCF. By default, the
-            link at the end of the longest chain of joints. If this chain ends in fingers, the
-            default is the link to which the fingers are attached.
+            link at the end of the longest chain of joints, or of the first of several equally long
+            chains. If this chain ends in fingers, the default is the link to which the fingers are
+            attached.
 
     Raises:
         UnknownNameError: If there is no such frame; the message lists links and sites.
