@@ -422,7 +422,7 @@ class Motion:
     Attributes:
         name: Name of the motion.
         time: Times, shape (n,) [s].
-        qpos: Configurations in MuJoCo's coordinates, shape (n, nq).
+        qpos: Configurations, shape (n, nq), with the joints in actuator order.
     """
 
     name: Text

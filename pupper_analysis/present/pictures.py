@@ -277,7 +277,8 @@ def make_view(result: Any, robot: Robot | None = None) -> MotionView:
         robot: Robot of the result. Default: the robot that the result contains.
 
     Returns:
-        Robot on its ground, times (n,) [s], and configurations (n, nq) in MuJoCo's coordinates.
+        Robot on its ground, times (n,) [s], and configurations (n, nq) with the joints in
+        actuator order.
 
     Raises:
         ConfigurationError: If the type has no pictures, neither ``robot`` nor the result specifies

@@ -73,9 +73,10 @@ def build_robot(
         description: Contents of the URDF and the MJCF, contact points and other data.
         fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If a free base
             is fixed, contacts with fixed planes and height fields are disabled.
-        foot_depth: Distance [m] of the feet below the hips in the nominal stand (the stand of the
-            default `StandTask`). The distance determines the height of the base in this stand. By
-            default, the lowest foot touches the ground with the joint positions of ``Robot.home``.
+        foot_depth: Distance [m] of the feet (sphere centres) below the hips in the nominal stand
+            (the stand of the default `StandTask`). The distance determines the height of the base
+            in this stand. By default, the lowest foot touches the ground with the joint positions
+            of ``Robot.home``.
 
     Raises:
         ModelError: In these cases:

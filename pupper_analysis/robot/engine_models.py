@@ -85,7 +85,8 @@ class EngineModels:
 
         The shapes are primitives, and convex hulls of meshes, without the ground. Each shape is
         attached to a joint of ``pin_model``. The collision pairs are the pairs of geoms that MuJoCo
-        checks. Change only a copy (``.copy()``), because all callers share the cached object.
+        checks, if its contacts are enabled. Change only a copy (``.copy()``), because all callers
+        share the cached object.
 
         Raises:
             ModelError: If Pinocchio's collision library does not support a geom.

@@ -71,7 +71,7 @@ def efforts_of(
         mj_model: MuJoCo's model of the MJCF.
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
-        joint_names: Names of the joints; they define the order of the result.
+        joint_names: Names of the joints, in the order of ``convention`` and of the result.
         original_limits: {joint: limit that the user requested, or limit of a motor that a servo
             replaced}. If the models state the same bounds, up to rounding, the result contains this
             limit, because it names its source exactly.
@@ -287,7 +287,7 @@ class Robot(EngineModels):
         floating: Whether the base is free.
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
-        joint_names: Joints in actuator order.
+        joint_names: Joints in actuator order; joints without actuator come last.
         contact_points: Names of the contact points of feet and hands. A spherical foot has a single
             contact point, with the name of the foot. A flat foot has several.
         feet: {foot or hand: its contact points}, hands last.

@@ -148,7 +148,7 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
 
     Args:
         robot: Robot.
-        qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+        qpos: Configuration, shape (nq,), with the joints in actuator order.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -383,7 +383,7 @@ def make_skeleton_figure(
 
     Args:
         robot: Robot.
-        qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+        qpos: Configuration, shape (nq,), with the joints in actuator order.
         create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
             or ``pyplot.figure``.
     """
