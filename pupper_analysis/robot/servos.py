@@ -2,7 +2,8 @@
 
 A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at its joint.
 `model_with_servos` returns a copy of the model with requested gains. `resolve_servo_gains` returns
-only the gains. `with_options` returns a robot with other MuJoCo options.
+only the gains. `with_options` returns a robot with other MuJoCo options. If a joint has several
+actuators, only the last is considered as its motor or servo (`MujocoConvention.actuator_index`).
 """
 
 from __future__ import annotations
@@ -59,8 +60,10 @@ class Servos:
 
     Attributes:
         model: MuJoCo model with the servos, a copy of the robot's model.
-        kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of loops.
-        kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of loops.
+        kp: Stiffness of each joint's servo, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of
+            loops.
+        kd: Damping of each joint's servo, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of
+            loops.
         gear: Actuator length per joint position, shape (nu,); 1 for dependent joints of loops.
         integrator: Name of MuJoCo's integrator.
     """
@@ -224,8 +227,8 @@ def model_with_servos(
     """Create a copy of the robot's MuJoCo model in which position servos drive the joints.
 
     The force ranges of the servos are narrowed to the robot's effort limits. If kp or kd is given,
-    all joint motors become position servos with the resulting gains. A motor that was no servo then
-    loses its ``ctrlrange``.
+    the motor of each joint becomes a position servo with the resulting gains. A motor that was no
+    servo then loses its ``ctrlrange``. Other actuators of a joint are not changed.
 
     Args:
         robot: Robot.

@@ -287,8 +287,9 @@ class Stability(Result):
         timestep: Time step (s).
         radius: Largest absolute eigenvalue of a step, with dry friction.
         unstable: Modes that grow, fastest first. A mode that grows only without dry friction is
-            included if it grows within 12 s (``HOLD_DURATION``). In a result of ``confirm_growth``,
-            a simulation has confirmed the modes that leave the state within 12 s.
+            included if it oscillates, or grows within 12 s (``HOLD_DURATION``). In a result of
+            ``confirm_growth``, a simulation has confirmed the modes that leave the state within 12
+            s.
         least_damped: Oscillation with the smallest damping ratio among the oscillations that do not
             grow, with or without dry friction; None if there is none.
         speed: Largest absolute element of qvel at the evaluated state (m/s or rad/s). If the state
@@ -309,7 +310,7 @@ class Stability(Result):
 
     @property
     def at_rest(self) -> bool:
-        """True if ``speed``, the largest element of qvel, is at most 0.1 (m/s or rad/s).
+        """True if ``speed``, the largest absolute element of qvel, is at most 0.1 (m/s or rad/s).
 
         The growth rates of the modes are meaningful only if this is true.
         """
@@ -368,7 +369,7 @@ def step_stability(
 
     While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. This
     friction hides a mode until a push overcomes the friction. Therefore the spectrum without dry
-    friction is computed as well. The result includes its modes that grow within 12 s
+    friction is computed as well. The result includes its modes that oscillate, or grow within 12 s
     (``HOLD_DURATION``, `Mode.grows_within`), marked by ``Mode.without_dry_friction``. The friction
     of contacts is not changed.
 
