@@ -75,6 +75,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
             * a contact other than a weld is on the base;
             * two named parts other than feet move with the same joint, or both with the base, and
               one of them is welded or grips;
+            * the point ``offset`` is too far from the frame of a hand (`find_place`);
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
         ModelError: If the model with the contacts cannot be built.

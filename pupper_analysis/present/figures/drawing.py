@@ -366,9 +366,8 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     Args:
         figure: Figure.
         path: PNG file.
-        force: True to replace an existing file of any kind, except files that this run reads, and
-            files with measurements. If False, only an empty file or a picture of this package is
-            replaced.
+        force: True to replace an existing file of any kind, except files that this run reads. If
+            False, only an empty file or a picture of this package is replaced.
 
     Raises:
         OutputError: If the file cannot be written, or if the file exists and must not be replaced.

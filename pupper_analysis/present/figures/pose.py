@@ -125,7 +125,8 @@ class Skeleton:
             joints from the base to the foot, then the contact point. If the contact point has a
             sphere, the last point is the centre of the sphere.
         links: Lines of the limbs without feet, such as arms, each of shape (2, 3) [m], in the world
-            frame: from a joint to the next joint, or to the frame of the last body.
+            frame: from a joint, or the base frame, to the next joint, or to the frame of the last
+            body.
         base: Geoms of the base, and of the bodies without joints on the base.
         has_visuals: True if ``base`` contains the geoms that MuJoCo's viewer shows by default.
             False: the base has no such geoms, and ``base`` contains its other geoms, usually

@@ -528,8 +528,8 @@ def compare_files(
         mjcf: MJCF, or a file that is converted to MJCF; a path, or a model in memory.
         names: {name in the URDF: name in the MJCF} of joints or frames whose names differ.
         packages: {ROS package: folder}, for mesh paths in the URDF.
-        feet: Frames, as named in the MJCF, whose positions are compared; by default all frames of
-            both files.
+        feet: Frames, as named in the MJCF, whose positions are compared; by default all common
+            frames of both files.
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
         strict_names: If True, different joint names, missing damping or friction in the URDF, and
             the tilt of a fixed base count as disagreement.
