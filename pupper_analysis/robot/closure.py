@@ -216,7 +216,8 @@ class Closure:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Shape (nu, nu), units N m/rad for hinges and N/m for slides. Columns: joint positions.
+            Shape (nu, nu): rows are torques and forces [N m, N], columns are joint positions [rad,
+            m].
         """
         first, columns = self._num_coordinates - len(self._joint_names), []
         for joint in range(first, self._num_coordinates):

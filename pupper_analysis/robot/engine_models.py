@@ -68,9 +68,10 @@ class EngineModels:
         """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
         The caller may change the spec, or attach it to another spec. The model
-        ``mj_spec().compile()`` is equivalent to ``mj_model``. The spec contains the paths of mesh
-        files. Exceptions: if meshes are in memory (assets of a given spec, or meshes converted from
-        files such as COLLADA), the spec contains all meshes; an ``MjModel`` has them as vertices.
+        ``mj_spec().compile()`` is equivalent to ``mj_model``, but has no keyframes if the base is
+        fixed. The spec contains the paths of mesh files. Exceptions: if meshes are in memory
+        (assets of a given spec, or meshes converted from files such as COLLADA), the spec contains
+        all meshes; an ``MjModel`` has them as vertices.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
