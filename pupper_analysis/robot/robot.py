@@ -237,7 +237,8 @@ def with_task_friction(
 ) -> Mapping[str, ContactParameters]:
     """Return contact parameters with the sliding friction that a task specifies for feet and hands.
 
-    The task specifies the friction of the separate ground planes that these feet and hands touch.
+    The task specifies the friction of the separate ground planes that these feet and hands touch. A
+    contact with ``condim`` 1 stays frictionless.
 
     Args:
         contacts: {contact point: parameters of its contact with the ground}. Not changed.

@@ -312,9 +312,10 @@ def match_models(
     """Match a URDF and an MJCF of the same robot, and build a robot with equal names from both.
 
     Joints are matched by ``names``, by equal names, by names without affixes, and by structure.
-    Frames are matched by ``names`` and by equal names. Massless root links with a single fixed or
-    floating joint are removed from the URDF (`strip_roots`). Joints that only one file contains are
-    fixed at zero. If the base of the MJCF is fixed, the base of the URDF is fixed as well.
+    Frames are matched by ``names`` and by equal names; `common_frames` defines frames. Massless
+    root links with a single fixed or floating joint are removed from the URDF (`strip_roots`).
+    Joints that only one file contains are fixed at zero. If the base of the MJCF is fixed, the base
+    of the URDF is fixed as well.
 
     Args:
         urdf: The URDF.
