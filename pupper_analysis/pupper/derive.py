@@ -229,7 +229,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
     ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
     into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Meshes,
-    and capsules and cylinders along the link, become longer. The given mass of such a capsule or
+    and capsules and cylinders along the link, are stretched. The given mass of such a capsule or
     cylinder, and of the body's inertial, is multiplied by the scale. Other primitive shapes, such
     as the foot, keep their mass, and their size unless ``fromto`` determines it.
 

@@ -188,7 +188,7 @@ def compute_creep_speeds(
 
     Creep is the slow slip that MuJoCo's regularised friction permits. f_t is the predicted
     tangential force [N]. c is the viscosity [N s/m] of the friction (`GroundLaw`) at the depth of
-    the point in the stand.
+    the point in the stand. MuJoCo's no-slip solver, which prevents creep, is not considered.
 
     Args:
         robot: Robot.

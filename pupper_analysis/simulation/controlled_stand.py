@@ -326,7 +326,8 @@ class ControlledStand:
             Damping ratio [1], at most 1; 1 if no mode oscillates, negative if an oscillation grows.
             An eigenvalue z of the control period T is exp(s T). The damping ratio of the mode is
             -Re(s) / abs(s). A negative real z is an oscillation at half of the control rate. Modes
-            that decay within the delay (`_TRANSIENT_RATIO`) are not considered.
+            that decay within the delay plus a control period (`_TRANSIENT_RATIO`) are not
+            considered.
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd)).astype(complex)
         is_real = np.abs(values.imag) <= _DELAY_TOLERANCE
@@ -379,7 +380,7 @@ class ControlledStand:
                 displaced.
 
         Returns:
-            True if all conditions hold:
+            True if all conditions hold. Only joints with a motor are evaluated.
 
             - The joints come to rest, or the oscillation decays.
             - No joint displacement from the stand exceeds 0.1 rad or m (`_MAX_SHIFT`).

@@ -39,7 +39,7 @@ from pupper_analysis.stance.stand import Stand
 FALLEN_HEIGHT_RATIO = 0.5
 """Lower bound [1] of the height of the CoM above the feet, divided by the expected height. A robot
 with a lower CoM has fallen (`StandReference.has_fallen`). The CoM is represented by the point of
-the base at which it is in the expected stand. Chosen, not tuned."""
+the base at which it is in the expected stand. Walks use the same bound. Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
 """Upper bound of the tilt of the base [rad] of a robot that stands (`StandCheck.stands`). Chosen
@@ -453,7 +453,8 @@ tuned."""
 
 MEASURING_TIME = 1.0
 """Duration [s] of the interval in which settled torques, forces, heights and positions are
-averaged. The interval ends at the nudge. Chosen, not tuned."""
+averaged. The interval ends at the nudge; a settling simulation is never shorter. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -251,10 +251,10 @@ def _find_modes(
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
     If the state is at rest, the modes are therefore also computed without the contacts of such
-    bodies. A growing mode of this second spectrum is added if it grows faster than the known modes,
-    and also with dry friction. Measured for Pupper v3 with 2 kg and one foot on a slope of 10 deg:
-    the foot with 2e-4 of the load hid a mode with a doubling time of 4.3 s. MuJoCo's simulation
-    shows this mode after 12 s.
+    bodies. A mode of this second spectrum that grows within ``HOLD_DURATION`` is added if it grows
+    faster than the known modes, and also with dry friction. Measured for Pupper v3 with 2 kg and
+    one foot on a slope of 10 deg: the foot with 2e-4 of the load hid a mode with a doubling time of
+    4.3 s. MuJoCo's simulation shows this mode after 12 s.
 
     Args:
         model: MuJoCo model; unchanged after the call.

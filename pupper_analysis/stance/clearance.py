@@ -353,8 +353,9 @@ class ClearanceShapes:
     ) -> Array:
         """Compute the Jacobian (n, nv) by qvel of the heights of collision shapes above the ground.
 
-        The n shapes are those of ``parts``, which must be above the ground. The lowest point of a
-        shape is treated as fixed to the link.
+        The n shapes are those of ``parts``, which must be above the ground. The point of a shape
+        that is nearest to the ground is treated as fixed to the link. n is 0 if
+        `measure_part_heights` is empty.
 
         Args:
             at: Configuration.

@@ -214,8 +214,9 @@ class Stand(Pictured, Tabular):
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
         have separate planes, the ``foot_targets`` are moved out of the ground by the penetration
-        (`remove_penetration`). Otherwise these are the ``foot_targets``. Only horizontal positions
-        are needed to place a level step under a foot, and penetration does not change them.
+        (`remove_penetration`). Otherwise these are the ``foot_targets``: only horizontal positions
+        are needed to place a step under a foot. Penetration does not change them on level ground,
+        and changes them negligibly on a slope.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
@@ -416,8 +417,8 @@ def evaluate_stand(
         iterations: Number of solved or attempted quadratic programs.
 
     Raises:
-        ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
-            applies.
+        ConfigurationError: If the task requires a clearance that does not exist: without a ground,
+            without parts above the ground, or without links that are not neighbours.
     """
     robot, task = shapes.robot, targets.task
     at = shapes.move_to(qpos)

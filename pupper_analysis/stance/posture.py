@@ -84,8 +84,9 @@ def find_posture(
 
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
     their ranges. If a limit is infinite, the position is zero, or the limit that is nearest to
-    zero. Joints of loops and couplings that are not given move to close loops. If a joint then
-    leaves its range, only dependent joints that are not given move, if this keeps all ranges.
+    zero. Joints of loops and couplings that are not given move to close loops. If this is not
+    sufficient, given joints also move, by at most 1e-3 rad or m. If a joint then leaves its range,
+    only dependent joints that are not given move, if this keeps all ranges.
 
     Args:
         robot: Robot with a fixed base.
@@ -133,7 +134,7 @@ def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
     """Return joint positions (nu,) near ``qpos`` (nu,) that close all loops and couplings.
 
     The joints with the indices ``placed`` do not move. If the loops then cannot be closed, these
-    joints may move by `_MAX_CLOSING_DISPLACEMENT`.
+    joints may move by at most `_MAX_CLOSING_DISPLACEMENT`.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.

@@ -47,7 +47,8 @@ the points."""
 
 _NUM_RANDOM_POSES = 3
 """Number of random joint positions at which `can_move_com` tests the mobility of the CoM; a single
-configuration may be singular. Chosen, not tuned."""
+configuration may be singular. Robots with soles are tested at their nominal and home positions
+instead. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
 """Horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and m mixed),
@@ -233,8 +234,9 @@ def compute_targets(
             support region.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, the task is rejected, or
-            its ``ik_seed`` does not have one position per joint.
+        ConfigurationError: If the base is fixed, the robot has no feet, gravity does not point
+            downward, the task is rejected, or its ``ik_seed`` does not have one position per joint,
+            for example.
         UnknownNameError: If the task contains an unknown foot or joint.
     """
     com, nominal, limits = robot.compute_once(_make_defaults)

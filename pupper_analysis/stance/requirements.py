@@ -54,8 +54,8 @@ _MIN_HEIGHT_RATIO = 1e-3
 (``open`` in ``fields.toml``), such as the height. Chosen, not tuned."""
 
 _ROUNDING_ATOL = 1e-12
-"""Largest difference [m, rad] with which a relaxed value counts as equal to the requested value, or
-to the value in the nominal stand. Chosen as the size of rounding errors."""
+"""Difference [m, rad] below which a relaxed value counts as equal to the requested value, or to the
+value in the nominal stand. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
 """Largest change of a reported value by rounding, as a fraction of the difference from the value in

@@ -134,8 +134,8 @@ def solve_targets(context: SearchContext, targets: StandTargets, *, explain: boo
 
     Raises:
         StanceUnreachableError: If no stand meets the targets.
-        ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
-            applies.
+        ConfigurationError: If the task requires a clearance that does not exist, for example
+            because the model has no ground.
     """
     stand = search_stand(context, targets)
     if stand.solved:

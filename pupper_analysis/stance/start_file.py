@@ -39,11 +39,11 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         Configuration, shape (nq,).
 
     Raises:
-        ConfigurationError: If the file cannot be read, or contains no configuration, a number that
-            is not finite, or several rows of numbers in a CSV. Also if a configuration without
-            joint names has a wrong length or belongs to another robot, or if ``joint_positions``
-            and ``qpos`` at the same place in a JSON file differ. If a JSON file contains
-            configurations at several places, the first is read.
+        ConfigurationError: If the file cannot be read, or contains no configuration, or a number
+            that is not finite. A CSV without joint names must have a single row or a single column.
+            Also if a configuration without joint names has a wrong length or belongs to another
+            robot, or if ``joint_positions`` and ``qpos`` at the same place in a JSON file differ.
+            If a JSON file contains configurations at several places, the first is read.
         UnknownNameError: If the file contains a joint name that the robot lacks.
         OutputError: If the run will write this file.
     """
@@ -90,7 +90,7 @@ def _read_table(text: str) -> Any:
     """Read a CSV: a mapping {joint: position}, a list of numbers, or None.
 
     Cells that contain no number stay texts, which `_find_positions` rejects. None if the text has
-    another form, for example several rows of numbers.
+    another form, for example several rows of several numbers.
     """
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]

@@ -177,8 +177,9 @@ def support_corners(
 
 
 _NORMAL_TOLERANCE = 1e-12
-"""Largest difference between the components of two unit normals that count as equal (rounding).
-With equal normals the convex hull of the contacts is the support region."""
+"""Difference between components of two unit normals below which the normals count as equal
+(rounding). `support_corners` then returns the contact points, unless forces are prescribed or grips
+exist."""
 
 
 @functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its CoM position is searched

@@ -276,7 +276,8 @@ class EquilibriumScales:
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
         """Return the largest absolute element [1] of the residual, after scaling to common units.
 
-        Forces are divided by the weight, torques by weight x height, and lengths by the height.
+        Forces are divided by the weight, joint balances (N m, or N of a slide) and torques on the
+        base by weight x height, and lengths by the height.
 
         Args:
             residual: Shape (nv + 3 n,); balance, then three equations per touching contact.

@@ -102,7 +102,8 @@ def minimum_stiffness(
             1, the same kp at all joints.
 
     Returns:
-        kp [N m/rad] with which the robot stands: the upper end of the bracket.
+        kp [N m/rad] with which the robot stands: the upper end of the bracket. If the robot stands
+        with all tested kp, the smallest tested kp, which may be far above the least kp.
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
