@@ -139,9 +139,10 @@ class GrowthTrial(Result):
 def confirm_growth(
     stability: Stability, model: mujoco.MjModel, data: mujoco.MjData, ctrl: Array
 ) -> Stability:
-    """Test by simulation if modes that double within ``HOLD_DURATION`` in the linear model do grow.
+    """Test by simulation if modes that grow within ``HOLD_DURATION`` in the linear model do grow.
 
-    A mode is an eigenvector of MuJoCo's linearised simulation step. Each test simulates deviations
+    A mode is an eigenvector of MuJoCo's linearised simulation step. `Mode.grows_within` selects the
+    modes: an oscillation may grow at any rate. Each test simulates deviations
     along modes (`simulate_growth`). Modes that grow only without dry friction
     (``Mode.without_dry_friction``) are tested last, and only if no other mode is confirmed to grow
     within ``HOLD_DURATION``.

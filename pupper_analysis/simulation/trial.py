@@ -377,7 +377,8 @@ def is_near_limit(
     - A foot bears less than 2 % of the mean load (`_MIN_LOAD_RATIO`), and there are no welds or
       grips.
     - A joint is less than 0.02 rad or m from a limit (`_MIN_LIMIT_DISTANCE`). Joints whose range
-      permits no motion are ignored. A joint that moves no foot may rest on a limit.
+      permits no motion are ignored. A joint that moves no foot, and belongs to no loop or coupling,
+      may rest on a limit.
 
     The result is False if the statics have no CoM margin, or if the base is fixed or welded.
 

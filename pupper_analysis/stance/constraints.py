@@ -193,10 +193,10 @@ class Loops(Constraint):
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
     def violation(self, targets: StandTargets, at: Kinematics) -> float:
-        """Return the largest opening of a closed loop beyond the static deflection [m, rad].
+        """Return the largest deviation of closed loops from their static deflection [m, rad].
 
-        Infinite if a loop is assembled in another way than in the reference configuration, for
-        example with crossed rods.
+        The deviation is that of independent combinations of the equations. Infinite if a loop is
+        assembled in another way than in the reference configuration, for example with crossed rods.
         """
         if not self._closure.has_reference_assembly(at.qpos):
             return math.inf

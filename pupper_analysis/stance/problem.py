@@ -567,9 +567,10 @@ since the contact points of spheres with unequal radii depend on the normal of t
 not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot. A
-plane with a smaller component is more than 60 deg from horizontal: the mean position of the feet
-excludes its foot, and error messages call the plane a wall. Chosen, not tuned."""
+"""Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot. The
+mean position of the feet excludes a foot on a plane with a smaller component, which is more than 60
+deg from level ground. If a relaxed plane has a smaller magnitude of this component, the message may
+state that its foot is at the height of the ground. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
 """Extent [m] of a sole's contact points perpendicular to a fitted line, below which the points

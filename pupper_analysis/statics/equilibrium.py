@@ -143,11 +143,12 @@ class ForceDistribution(StrEnum):
 
     MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces. MuJoCo
     sustains these forces without creep. MuJoCo's regularised friction lets feet creep until
-    tangential forces that act against each other have vanished. On level ground and steps no
-    tangential force remains. On a slope all feet creep downhill together. The criterion is the
+    tangential forces that act against each other have vanished. On level ground and steps, gravity
+    requires no tangential force. On a slope all feet creep downhill together. The criterion is the
     minimum of sum f_t^2 / c, with the tangential force f_t and the viscosity c of each contact
     (`GroundLaw.viscosity`). The optimality condition is f_t = c (v + omega x r), with the creep
-    velocities v and omega and the contact position r. Use these torques for a robot or a simulator.
+    velocities v and omega and the contact position r. On level ground, for example in a motion, all
+    viscosities count as equal. Use these torques for a robot or a simulator.
 
     If a part is welded, contacts have no tangential force: the weld carries the rest of the load.
     The normal forces then minimise the sum of squared motor torques, or equal the prescribed
@@ -452,7 +453,7 @@ def differentiate_torques(
         Derivatives of the motor torques, shape (nu, k) [N m or N, per unit of the motion]. None if
         the matrix of the balance equations is singular. Also None if ``forces`` are not the
         minimum-norm forces of these equations. Examples are an active friction cone, an active
-        unilateral limit, and prescribed normal forces.
+        unilateral limit, prescribed normal forces, and unequal viscosities on a slope.
     """
     free, metric = carrying.free, carrying.metric
     transposed = carrying.transposed_jacobian(config)
@@ -482,7 +483,7 @@ def differentiate_torques(
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Check that loop and coupling constraints are satisfied, up to their static deflection.
+    """Check that loop and coupling constraints are satisfied, up to twice their static deflection.
 
     Args:
         config: State of the robot.
@@ -490,8 +491,8 @@ def check_loops(config: Configuration, left: Array) -> None:
             [N, N m]: static load minus the generalised contact forces.
 
     Raises:
-        ConfigurationError: If a constraint violation exceeds the static deflection, see
-            `Closure.check`, or the configuration is singular.
+        ConfigurationError: If a constraint violation exceeds the bound of `Closure.check`, 1e-6 m
+            or rad plus twice the largest static deflection, or the configuration is singular.
     """
     closure, robot = config.robot.closure, config.robot
     if closure is not None:
