@@ -136,7 +136,7 @@ class WorstMode(Result):
     Attributes:
         growth_rate: Growth rate (1/s); negative if the mode decays.
         frequency: Frequency (Hz); 0 without oscillation.
-        joints: Joints with the largest motion in the mode, largest first.
+        joints: Joints with a motor that have the largest motion in the mode, largest first.
     """
 
     growth_rate: float = field(metadata={"unit": "1/s"})

@@ -322,7 +322,7 @@ class Nudge(Result):
     """Response of a stand to a nudge, a small velocity of all coordinates.
 
     Attributes:
-        speed: Largest change of a coordinate's velocity by the nudge (m/s, rad/s).
+        speed: Upper bound of the velocity changes by the nudge (m/s, rad/s).
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of ``duration``, without creep (m/s, rad/s). For a

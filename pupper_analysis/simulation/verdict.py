@@ -282,9 +282,9 @@ def judge_stance(
 def _min_doubling_time(stability: Stability | None) -> float:
     """Return the smallest doubling time [s] of the modes that grow within ``HOLD_DURATION``.
 
-    For an oscillation, which may grow at any rate (`Mode.grows_within`), the time may be longer. The
-    result is infinite if there are no such modes, if all of them are sustained oscillations (which
-    have no doubling time), if the state is not at rest, or if ``stability`` is None.
+    For an oscillation, which may grow at any rate (`Mode.grows_within`), the time may be longer.
+    The result is infinite if there are no such modes, if all of them are sustained oscillations
+    (which have no doubling time), if the state is not at rest, or if ``stability`` is None.
     """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
