@@ -932,8 +932,8 @@ def describe_deviations(
 
 
 _SATURATION_RTOL = 1e-6
-"""Relative tolerance [1] with which a motor counts as saturated: its torque differs from its limit
-by at most this fraction of the limit. Chosen, not tuned."""
+"""Relative tolerance [1] with which a motor counts as saturated: its torque is beyond its limit, or
+below it by at most this fraction of the limit. Chosen, not tuned."""
 
 
 def describe_drive_limits(

@@ -49,8 +49,8 @@ _MAX_ITERATIONS = 50
 feet. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
-"""Number of successive iterations without a new smallest change of the feet's penetration depths,
-after which the fixed-point iteration fails. Example: a sole that is loaded at its edge tilts
+"""Number of successive iterations without a new smallest change of depths and loop openings, after
+which the fixed-point iteration fails. Example: a sole that is loaded at its edge tilts
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5

@@ -886,9 +886,9 @@ not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per mass [N m/kg] up to which a motor or passive joint counts as not loaded, since the
-lever arm is a rounding error. The mass is the payload mass in `find_mass_limit`, otherwise the mass
-of the robot: `compute_utilisation` then returns 0 for a motor with an effort limit of zero. Chosen,
-not tuned."""
+lever arm is a rounding error. The mass is that of the payload for payload limits, for example in
+`find_mass_limit`, and that of the robot for loads without payload: `compute_utilisation` then
+returns 0 for a motor with an effort limit of zero. Chosen, not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:

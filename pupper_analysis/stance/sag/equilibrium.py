@@ -312,8 +312,9 @@ x height (torques) and height (lengths). Chosen, not tuned."""
 _ROUNDING_RESIDUAL = 3e-16
 """Upper bound of the predicted scaled residual [1] after a Newton step, with which the step reuses
 the Jacobian of the previous step. The prediction is e[k]^2 / e[k-1], with the scaled residual e[k]
-(`EquilibriumScales.max_residual`) after k steps. Above this bound, a new Jacobian is computed.
-Chosen as the size of rounding errors."""
+(`EquilibriumScales.max_residual`) after k steps. Above this bound, a new Jacobian is computed. With
+``exact=False``, `SagEquilibrium.solve` uses a quarter of `RESIDUAL_TOLERANCE` instead. Chosen as
+the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration plus MuJoCo's contact margin, in units of `EquilibriumScales.length`, above which a

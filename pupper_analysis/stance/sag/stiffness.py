@@ -58,8 +58,8 @@ the smallest step, the equilibrium counts as lost. Smaller intervals of the bise
 one step. Chosen, not tuned."""
 
 _FIRST_CREEP_RATIO = 0.04
-"""Relative excess over the least kp of the static equilibrium, at which creep is simulated first.
-Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
+"""Relative excess over the largest kp without a static equilibrium, at which creep is simulated
+first. Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
 
 _MAX_PREDICTIONS = 4
 """Number of creep simulations of `_bisect_stiffness` at predicted kp: the first follows from
