@@ -453,8 +453,8 @@ tuned."""
 
 MEASURING_TIME = 1.0
 """Duration [s] of the interval in which settled torques, forces, heights and positions are
-averaged. The interval ends at the nudge; a settling simulation is never shorter. Chosen, not
-tuned."""
+averaged. The interval ends at the nudge, and ``verify_stand`` simulates at least this time before
+the nudge. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

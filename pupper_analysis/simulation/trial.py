@@ -416,8 +416,7 @@ def is_near_limit(
 def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayLike | None) -> bool:
     """Return True if the static torque of a servo is near an effort limit, above or below it.
 
-    The distance from the limit must be below kp times `_MIN_SATURATION_DEVIATION`: a smaller
-    deviation of the joint then changes between saturation and stiffness.
+    The distance from the limit must be below kp times `_MIN_SATURATION_DEVIATION`.
 
     Args:
         robot: Robot.

@@ -103,7 +103,7 @@ def minimum_stiffness(
 
     Returns:
         kp [N m/rad] with which the robot stands: the upper end of the bracket. If the robot stands
-        with all tested kp, the smallest tested kp, which may be far above the least kp.
+        with all tested kp, the smallest tested kp.
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
