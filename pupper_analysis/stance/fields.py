@@ -48,8 +48,9 @@ class Slider:
         low: Lower end of the range, in deg for angles, stand heights for lengths, and robot masses
             for a mass. The range of a gain is derived from the model's gains instead.
         high: Upper end of the range, in the unit of ``low``.
-        step: Step of the slider, in the unit of ``low``. None: derived from the range.
-        start: Initial value on a new page, in SI units. None: the nominal value.
+        step: Step of the slider of an angle [deg]. None: 0.1. Other steps are derived from ranges.
+        start: Initial value on a new page, in SI units; for a gain only if the model has no gains.
+            None: the nominal value, or 1 for a gain.
     """
 
     folder: str

@@ -74,10 +74,10 @@ def has_redundant_joints(robot: Robot) -> bool:
 def can_move_com(robot: Robot) -> bool:
     """Return True if the legs can move the CoM in both horizontal directions, with planted feet.
 
-    The base keeps height and orientation. Legs with three joints suffice. Legs with two joints in
-    one plane cannot move the CoM sideways. Joints that move no foot (neck, arms) do not count,
-    since they cannot centre the CoM: a turned head shifts the CoM by 0.5 mm. Also True for a robot
-    without contact points.
+    The base keeps height and orientation. Legs with hip roll, hip pitch and knee suffice, for
+    example. Legs that move in one plane cannot move the CoM sideways. Joints that move no foot
+    (neck, arms) do not count, since they cannot centre the CoM: a turned head shifts the CoM by 0.5
+    mm. Also True for a robot without contact points.
     """
     return robot.compute_once(_compute_com_mobility)
 

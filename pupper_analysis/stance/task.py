@@ -34,9 +34,9 @@ class StandTask:
 
     The default is the nominal stand. All feet are on level ground at z = 0. Each foot is at its
     horizontal position for the robot's nominal joint positions, with the base at the origin. The
-    CoM is above the centre of the feet, which is the mean of the stance contacts. Legs with two
-    joints cannot move the CoM to each place, since they cannot place feet sideways. The default of
-    ``com`` is then ``"inside"``.
+    CoM is above the centre of the feet, which is the mean of the stance contacts. Legs that move in
+    one plane cannot move the CoM to each place, since they cannot place feet sideways. The default
+    of ``com`` is then ``"inside"``.
 
     Attributes:
         height: Height of the base frame above the centre of the feet (m), positive without

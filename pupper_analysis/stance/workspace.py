@@ -61,7 +61,7 @@ rotations."""
 
 @dataclass(frozen=True)
 class Interval(Result):
-    """Reachable interval of one base coordinate, with all other coordinates unchanged.
+    """Reachable interval of one base coordinate, with the other requirements of a task unchanged.
 
     Attributes:
         low: Lower end (m, or rad).
@@ -95,10 +95,11 @@ class BaseWorkspace(Result):
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Find the interval of base heights [m] that satisfy all other requirements of a task.
 
-    Feet stay planted. The CoM keeps the horizontal position that the task requires. If the task
-    permits any position inside the support polygon, the CoM keeps its position in the task's stand,
-    or stays free if the legs cannot move it in two directions (`can_move_com`). With an ``offset``
-    in the task, the base keeps this offset instead.
+    The interval ends at the first height without a stand that the search finds. Feet stay planted.
+    The CoM keeps the horizontal position that the task requires. If the task permits any position
+    inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
+    legs cannot move it in two directions (`can_move_com`). With an ``offset`` in the task, the base
+    keeps this offset instead.
 
     Args:
         robot: Robot.
