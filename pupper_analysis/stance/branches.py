@@ -132,7 +132,7 @@ def find_branches(
     limbs at once.
 
     Args:
-        robot: Robot.
+        robot: Robot with a free base.
         qpos: Configuration, shape (nq,). The pose of the base and the positions of joints outside
             of limbs are not changed.
         foot_targets: {contact point: target of its sphere centre, shape (3,) [m], in the world

@@ -251,7 +251,8 @@ class StanceProgram:
 
         The sum of squared distances is minimised subject to the constraints of this program, in two
         runs. The unit of distance is the stand height in the first run, and the remaining distance
-        (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run.
+        (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run. The result is a local
+        minimum, or, after too many iterations, may violate the constraints.
 
         Args:
             qpos: Initial configuration, shape (nq,).

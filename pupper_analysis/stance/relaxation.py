@@ -224,7 +224,7 @@ class _RelaxationSearch:
     def _find_smallest(
         self, requirements: Sequence[str], starts: Iterable[Array]
     ) -> Relaxation | None:
-        """Find the smallest relaxation of some requirements with which a stand exists.
+        """Find the smallest relaxation of some requirements with which the program is feasible.
 
         The nonlinear program starts from each initial configuration (nq,) in ``starts``. It also
         starts from the stand of the task with nominal values of these requirements, if the default
@@ -270,7 +270,7 @@ class _RelaxationSearch:
         return relaxation
 
     def _reduce_requirements(self, relaxation: Relaxation | None) -> Relaxation | None:
-        """Reduce the number of relaxed requirements, if a stand still exists.
+        """Reduce the number of relaxed requirements, while the nonlinear program stays feasible.
 
         Requirements are left out one by one, the least relaxed first. A requirement is left out
         only if at least two other requirements are relaxed. None if ``relaxation`` is None.

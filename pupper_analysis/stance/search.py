@@ -439,10 +439,11 @@ def minimise_foot_errors(
 ) -> Stand:
     """Minimise the distances of the feet from their targets, and return the `Stand`.
 
-    The sum of the squared distances is minimised. The nonlinear program starts at the configuration
-    ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that the errors
-    vanish, and end before this minimum. ``iterations`` is the number of quadratic programs that the
-    search has solved before. The returned stand contains this number.
+    The sum of the squared distances is minimised; the minimum may be local. The nonlinear program
+    starts at the configuration ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton
+    steps assume that the errors vanish, and end before this minimum. ``iterations`` is the number
+    of quadratic programs that the search has solved before. The returned stand contains this
+    number.
     """
     feet = StanceProgram(context.shapes, targets, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, targets, feet.minimise_foot_distances(qpos), iterations)
