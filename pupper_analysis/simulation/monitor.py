@@ -70,7 +70,7 @@ class StandCheck(Result):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stands upright on the feet alone, and has not collapsed.
+        """Whether the robot is upright, touches the ground with feet only, and has not collapsed.
 
         Upright means a tilt of at most `MAX_STANDING_TILT` (10 deg).
         """

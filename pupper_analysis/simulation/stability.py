@@ -351,7 +351,7 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether all joints stayed within `MAX_JOINT_DISPLACEMENT` at all times after the nudge.
+        """Whether all joints moved by less than `MAX_JOINT_DISPLACEMENT` after the nudge.
 
         Creep, the slow motion before the nudge, is subtracted.
         """
