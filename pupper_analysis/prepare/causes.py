@@ -124,8 +124,8 @@ the first element (`add_line`)."""
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     """Return a copy of a cause that states the line of its first element in the MJCF.
 
-    The cause is returned unchanged if there are no elements, or if `_XML_SECTIONS` does not contain
-    the code of the cause.
+    The line is None if the element is not found. The cause is returned unchanged if there are no
+    elements, or if `_XML_SECTIONS` does not contain the code of the cause.
     """
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
@@ -522,9 +522,9 @@ TIE_CODES = ("weld", "connect", "tendon")
 def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield elements of a published model that tie a body to the world or to a mocap body.
 
-    These are initially active welds and connects, and spatial tendons from a body to a site or geom
-    of the world that have an active equality or a limited length. A tie may cause a deviation from
-    the prepared robot.
+    These are initially active welds and connects, and spatial tendons with an active equality or a
+    limited length. Some of the connected bodies are fixed to the world or are mocap bodies, and
+    others move. A tie may cause a deviation from the prepared robot.
     """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
@@ -644,8 +644,8 @@ def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
     There are at most two candidates: all shapes whose contacts the preparation disabled, and all
     obstacles. Bodies with added balls, and imports of a URDF, have no disabled shapes here. An
-    obstacle is a shape, other than a plane, that is fixed to the world or to a mocap
-    body.
+    obstacle is a shape, other than a plane, that can collide and is fixed to the world or to a
+    mocap body.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

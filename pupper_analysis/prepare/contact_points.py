@@ -23,8 +23,9 @@ from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import find_acting_contacts, ground_geom
 
 BALL_RADIUS = 2e-3
-"""Radius [m] of the balls that serve as contact points at the corners of a sole. Chosen small: a
-tilt of 1 mrad moves their contact by 2 um."""
+"""Radius [m] of the balls that serve as contact points at the corners of a sole, and at the lower
+end of a mesh that is neither round nor a sole. Chosen small: a tilt of 1 mrad moves their contact
+by 2 um."""
 
 TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Components, along two tangents of a sole, of the tilts of the sole's normal in a test [1]. The
@@ -177,6 +178,7 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
       the points.
     - The distance of these points from the surface is below `_MAX_SPHERE_DEVIATION` times the
       radius.
+    - The points do not lie in a plane.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -209,7 +211,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
 
 _MAX_SOLE_TILT = math.radians(25.0)
 """Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt
-touches the ground with an edge. Chosen, not tuned."""
+touches the ground with an edge. The tilt also raises the bound `_FOOT_SPHERE_RISE`. Chosen, not
+tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
 """Lower bound of the largest extent of a flat part along a coordinate axis [m]. A smaller flat part
@@ -261,9 +264,9 @@ cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
 """Three tolerances [m]. A point belongs to a sole if its distance from the plane of the sole, or
-from the lowest point of a mesh, is below this value. A sole may be higher than the lowest point of
-the foot by at most this value. Contact points before and after a small tilt count as equal if their
-distance is below this value. Chosen, not tuned."""
+its height above the lowest point of a mesh, is below this value. A sole may be higher than the
+lowest point of the foot by at most this value. Contact points before and after a small tilt count
+as equal if their distance is below this value. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +305,7 @@ def find_contact_points(
       cannot keep the sole flat (`can_keep_sole_flat`).
 
     Args:
-        model: Model, with a floor.
+        model: Model, with a floor and a free joint.
         data: Data after ``mj_kinematics``, in the start pose.
         body: Id of the moving body to which the geoms belong.
         geoms: Ids of the foot's geoms, at least one.
@@ -410,7 +413,7 @@ def _find_end_spheres(
 ) -> list[int]:
     """Return the ids of the sphere geoms among ``geoms`` that are at the lower end of a foot.
 
-    The lowest point of a sphere may be higher than that of the lowest geom, by at most
+    The lowest point of a sphere may be higher than that of the lowest geom, by less than
     `_FOOT_SPHERE_RISE` + tan(``lean``) * (horizontal distance of both centres). ``lean`` is the
     tilt that the foot may have [rad].
     """

@@ -154,8 +154,8 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     - The rest position agrees with the predicted equilibrium, unless URDF and MJCF describe
       different robots.
     - The motion after nudges of the base decays.
-    - The published MJCF with these servos comes to rest, too. This condition is omitted for a robot
-      with a URDF alone, and with a reduced time step.
+    - The published MJCF with these servos comes to rest, too. This condition is omitted without a
+      published MJCF (for example for a URDF alone), and with a reduced time step.
 
     A reduced time step is chosen only if no candidate with the time step of the file meets the
     first three conditions. For a robot with a URDF alone, a time step is no longer tried after
@@ -365,8 +365,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Detect passive joints, which no motor drives; list them in the robot's description.
 
-    A joint is passive if the effort limit is zero, the MJCF has no actuator at the joint, and the
-    position does not depend on other joints. The list is `Description.passive_joints`.
+    A joint is passive if the effort limit is zero, no actuator of the MJCF drives the joint, and
+    the position does not depend on other joints. The list is `Description.passive_joints`.
 
     The robot is returned unchanged if there are no passive joints, if the MJCF has no actuators, or
     if the MJCF was derived from the URDF. Reason: an effort of zero in a single file may be a
@@ -557,7 +557,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     The result is also True if URDF and MJCF describe different robots, since no gains help then.
     The prediction takes the penetration of soft ground into account, if it can be computed. The
     first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the predicted
-    equilibrium, the default duration is simulated.
+    equilibrium, the default duration is simulated, or less if the robot fails earlier.
 
     Args:
         robot: Robot.

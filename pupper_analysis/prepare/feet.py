@@ -35,9 +35,9 @@ from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
-"""Factor a [1] of a height bound. A limb counts as a leg if the lowest point of the limb is less
-than max(a h, b r) above the lowest point of the lowest limb [m]. The height of the base above the
-lowest limb is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
+"""Factor a [1] of a height bound. A limb counts as a leg if the lowest point of its last body is
+less than max(a h, b r) above that of the lowest limb [m]. The height of the base above this lowest
+point is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
 higher; feet in a start pose rarely differ by more than a few percent."""
 
 _MAX_LEG_RISE_FRACTION = 0.05
@@ -48,8 +48,8 @@ such as a spider's, which end near the height of the base. Chosen, not tuned.
 
 _MAX_SPHERE_DISTANCE = 0.02
 """Upper bound of the distance [m] between a foot frame that the user names and the centre of a
-sphere geom. If the nearest sphere of the body is closer than the bound, this sphere alone is the
-contact shape of the foot. Chosen, not tuned."""
+sphere geom. If the nearest sphere that can collide with the floor is closer than the bound, this
+sphere alone is the contact shape of the foot (`_select_sphere`). Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
@@ -75,9 +75,9 @@ class Foot:
 
 
 _MIN_DIRECTION_COSINE = 0.7
-"""Lower bound [1] of the component of the mean limb direction along an axis of the base, about 45
-deg. If the component is at least the bound, the limbs point along this axis. A note reports an axis
-that is not downwards. Chosen, not tuned."""
+"""Lower bound [1] of the magnitude of the component of the mean limb direction along an axis of the
+base, about 45 deg. If the magnitude is at least the bound, the limbs point along this axis. A note
+reports an axis that is not downwards. Chosen, not tuned."""
 
 
 _MIN_LIMB_LENGTH = 1e-3
@@ -444,9 +444,9 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 
 _CONTACT_POINT_TOLERANCE = 1e-6
-"""Upper bound of the displacement of a contact sphere between two successive fits to an ellipsoid
-[m]. If the sphere moves farther, the fit is repeated. Chosen: a hundredth of the depth of a loaded
-contact."""
+"""Upper bound of the displacement of a contact point between two successive fits of spheres to
+ellipsoids [m]. If a point moves farther, the fit is repeated. Chosen: a hundredth of the depth of a
+loaded contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:

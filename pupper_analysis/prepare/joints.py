@@ -1,9 +1,9 @@
 """Make the joints of URDF and MJCF consistent: limits, couplings, a single actuator per joint.
 
 Input is a robot with matched joints; output is the robot's description with changes, and notes. The
-joint limits of the URDF [rad, m] are narrowed to the limits of the MJCF. Continuous joints of
-closed loops get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with
-several actuators are rejected.
+joint limits of the URDF [rad, m] are narrowed to the limits of the MJCF. Continuous joints of a
+robot with closed loops or couplings get limits. ``<mimic>`` couplings of the URDF are added to the
+MJCF. Joints with several actuators are rejected.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     contain such a joint. The limits of a joint are kept in three cases:
 
     - The MJCF does not limit the joint.
-    - The ranges of both files do not overlap.
+    - The ranges of both files have no interval in common.
     - No limit of the MJCF is narrower than that of the URDF by more than 1e-3 rad or m
       (`_LIMIT_ATOL`).
 

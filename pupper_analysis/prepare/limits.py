@@ -93,8 +93,8 @@ def list_overloaded_joints(
     least-squares solution of tau = M F, with the torques tau of these joints and the levers M at
     the given joint positions. A joint then counts as overloaded in three cases:
 
-    - An actuator at a tendon of the joint exceeds a force limit.
-    - The tendons cannot exert the torque of the joint.
+    - Only tendons drive the joint, and an actuator at one of them exceeds a force limit.
+    - Only tendons drive the joint, and they cannot exert its torque.
     - The joint has a motor, and the remaining torque tau - M F exceeds the motor's limit.
 
     Tendons are not evaluated if the robot has no published MJCF, or has closed loops or couplings,

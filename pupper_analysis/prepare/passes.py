@@ -97,7 +97,8 @@ class LoadRequest:
             with ``home`` tried before all others.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are not replaced by balls.
-        visuals: True to convert the visual meshes. False: the robot has no visual geoms.
+        visuals: True to convert the visual meshes. False: visual geoms are omitted, if the user
+            names no feet.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -381,8 +382,8 @@ def _name_elements(draft: Draft) -> PassOutput:
 def _free_base(draft: Draft) -> PassOutput:
     """Add a free joint to a fixed base with two limbs, or with a free base in the URDF.
 
-    The conditions are those of the function `free_base`. If the base moves by slides and hinges, or
-    by a ball joint, and the URDF lacks these joints, the free joint replaces them.
+    The conditions are those of the function `free_base`. The free joint replaces slides and hinges,
+    or slides and a ball, that move the base and that the URDF lacks.
     """
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
@@ -489,7 +490,7 @@ def _find_feet(draft: Draft) -> PassOutput:
 
     If spheres replace ellipsoids, they are fitted again at the joint positions of the nominal
     stand, until the contact points no longer move, at most `_MAX_ELLIPSOID_FITS` times. The draft
-    is unchanged if the robot has no limb ends, or if the user passed an empty list of feet.
+    is unchanged if there are no feet, for example if the user passed an empty list.
 
     Raises:
         ModelError: If no limb ends below the base in a pose, or a named foot touches nothing.
@@ -874,7 +875,7 @@ def make_robot(
         name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from; None to choose a keyframe.
-        as_is: True to change neither actuators nor contacts.
+        as_is: True to add no servos, and to keep the contacts of all shapes (`LoadRequest`).
         visuals: True to convert the visual meshes.
         finish: Function that is applied to the robot after all steps, and to the robot without
             servos that `Robot.before_servos` returns. None: no function.

@@ -54,8 +54,8 @@ from pupper_analysis.robot.servos import (
 from pupper_analysis.simulation.rollout import settled_activations
 
 _BASE_POSE_ATOL = 1e-10
-"""Largest position and orientation error [m, rad] with which `place_at_state` accepts the pose of
-the base. Chosen, not tuned."""
+"""Upper bound of each component of the position and orientation error [m, rad], below which
+`place_at_state` accepts the pose of the base. Chosen, not tuned."""
 
 _MAX_NEWTON_STEPS = 20
 """Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen, not
@@ -66,14 +66,15 @@ _TRIAL_COMMAND = 1e-6
 against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Lower bound of the joint torque per unit of ctrl [N m or N per unit] with which a command has an
-effect. Below the bound, an external servo acts on the joint directly, not through the actuator.
-Chosen, not tuned."""
+"""Lower bound of the magnitude of the joint torque per unit of ctrl [N m or N per unit] with which
+a command has an effect. Below the bound, an external servo acts on the joint directly, not through
+the actuator. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
 value. The state of a slower filter, for example with ``timeconst="1e5"``, starts at zero, since
-such a filter does not settle within the simulated time. Chosen, not tuned."""
+such a filter does not settle within the simulated time. A slower filter is a candidate cause of a
+deviation (`prepare.causes`), and gets this time constant in the test. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -600,8 +601,8 @@ commanded only if `_has_unequal_gain` is True.
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:
     """Return True if a joint has a single position servo whose gain on ctrl is not its stiffness.
 
-    Its force is gain * ctrl - stiffness * length, so a position command does not hold exactly this
-    position.
+    Gain and stiffness must be positive, and the gain constant. The force is
+    gain * ctrl - stiffness * length, so a position command does not hold exactly this position.
     """
     if not drive.has_other_law or len(actuators) != 1:
         return False

@@ -3,8 +3,8 @@
 The published model (the user's file as compiled) is placed in the predicted equilibrium of a stand,
 and is simulated with the servo commands that hold this equilibrium. Then torques, height and joint
 positions are compared. Results are computed when a verdict is first requested, like the simulation
-from the keyframe (``own_run``). The cause of a deviation is an element of the file: if it is
-switched off in a copy of the model, the deviation disappears.
+from the keyframe (``own_run``). The cause of a deviation is usually an element of the file: if it
+is switched off in a copy of the model, the deviation disappears.
 """
 
 from __future__ import annotations
@@ -124,7 +124,8 @@ the deviation would still have to fall by a factor of five."""
 TORQUE_RTOL = 0.01
 """Upper bound of the deviation from the predicted torques, divided by ``torque_scale`` [1], with
 which the published file agrees with the predicted equilibrium. Chosen as for a verified stand
-(``FORCE_TOLERANCE``)."""
+(``FORCE_TOLERANCE``). Also the largest range of a torque at rest, and the largest difference of two
+deviations that count as equal."""
 
 MAX_REMAINING_SINKAGE = 1e-3
 """Upper bound of the height error of the CoM [m] in a test of a cause. The test simulates a model

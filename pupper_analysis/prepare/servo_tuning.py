@@ -62,7 +62,8 @@ and 20,000 N/m."""
 
 _DAMPING_TIME = 0.05
 """Default ratio kd / kp [s] between damping and stiffness of servos added to a standing robot.
-Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
+Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned. Also used for the
+bound ``soft_limit`` of `ServoRequirement.of_stand`."""
 
 _MIN_TORQUE_FRACTION = 0.02
 """Lower bound of a joint's design torque, divided by the largest gravity torque of all joints [1].
@@ -70,7 +71,8 @@ The stiffness of a servo is derived from the design torque. Chosen, not tuned.
 """
 
 _MIN_FREQUENCY = 4 * math.pi
-"""Lower bound of a servo's natural frequency [rad/s], 2 Hz. Chosen: a joint with a vertical axis
+"""Lower bound of a servo's natural frequency [rad/s], 2 Hz, for a robot with a fixed base. The
+bound that follows from the time step has priority. Chosen: a joint with a vertical axis
 holds no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64

@@ -45,15 +45,16 @@ _MIN_IMPRATIO = 1e-9
 is no friction."""
 
 _MAX_LENGTH = 1e4
-"""Upper bound of the magnitude of positions and contact margins in an MJCF [m]. Chosen: no robot is
-as large, and at this distance the square of a micrometre is lost in a double."""
+"""Upper bound of the magnitude of contact margins, and of the coordinates of moving bodies and of
+joints, in an MJCF [m]. Chosen: no robot is as large, and at this distance the square of a
+micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
     """Raise an error if a value of an MJCF is so extreme that a simulation has no meaning.
 
     Checked are the time step, ``impratio``, solver iterations and tolerance, rotor inertias,
-    positions of bodies and joints, contact margins, and gears.
+    positions of moving bodies and of joints, contact margins, and gears.
 
     Raises:
         ModelError: If a value is out of range; the error contains file, line and value.

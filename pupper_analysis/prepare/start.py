@@ -196,7 +196,7 @@ height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
 """Upper bound of the number of combinations of the legs' IK branches that are tried as initial
-guesses at each base height, nearest to the requested pose first. Chosen, not tuned."""
+guesses at each base height, in the order of `combine_branches`. Chosen, not tuned."""
 
 _NUM_HEIGHTS = 12
 """Number of base heights at which a stand is searched, between folded and straight legs
@@ -217,7 +217,7 @@ joints outside the legs (arms, waist) are reset to the requested pose. Chosen, n
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Required distances of the joints from their limits [rad, m], tried in this order until a start
-pose is found. Chosen, not tuned."""
+pose is found that remains within reach on soft ground. Chosen, not tuned."""
 
 _MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
 """Bounds of the horizontal distance of a foot from the hip, divided by the distance between foot
@@ -225,8 +225,9 @@ and hip [1]. Outside of the bounds, the foot is moved to `_TARGET_SIDE_DISTANCE`
 tuned."""
 
 _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
-"""Horizontal distance of a moved foot from the hip, and depth of all feet below the hips, divided
-by the distance between foot and hip [1] (`_spread_feet`). Chosen, not tuned."""
+"""Horizontal distance of a moved foot from the hip, and depth of a foot below the hip, divided by
+the distance between foot and hip [1]. All feet get the height of the lowest of these feet
+(`_spread_feet`). Chosen, not tuned."""
 
 _NUM_KEYFRAME_DIGITS = 6
 """Decimals of a written keyframe's joint positions [rad, m], height [m] and ctrl: 1 um. Chosen, not
@@ -328,7 +329,7 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     Returns:
         Copy of the robot with this stand as the nominal stand. None if no stand is found, or if
         gravity does not press the robot onto the ground. None also if no joint moves a contact
-        point, as with wheels: the base then has a single height.
+        point in the first pose, as with wheels: the base then has a single height.
     """
     if robot.gravity[2] >= 0:
         return None  # no contact force balances the weight
@@ -394,7 +395,8 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     """Bend the joints until all contact points are on the ground, with their centre below the CoM.
 
     The joint positions are a least-squares solution with a level base. The distance from ``pose``
-    is a small regularisation. The horizontal positions and the yaw of the feet are free.
+    is a small regularisation. The horizontal positions and the yaw of the feet are free. Limits
+    beyond +-pi [rad, m] count as +-pi.
 
     Args:
         robot: Robot with feet.
@@ -481,14 +483,14 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
     """Choose the start pose among candidates at successive base heights, the middle height first.
 
-    Each series of candidates is tried from the middle outwards. The first candidate with a nominal
-    stand (default `StandTask`) on soft ground is returned. Without such a candidate, the first with
-    a nominal stand on rigid ground is returned. A candidate may fail: the nominal stand needs the
-    CoM above the centre of the feet, and bending straight legs moves the CoM.
+    Each series of candidates is tried from the middle outwards. The first candidate whose nominal
+    stand (default `StandTask`) remains within reach on soft ground is returned. Without such a
+    candidate, the first with a nominal stand is returned. A candidate may fail: the nominal stand
+    needs the CoM above the centre of the feet, and bending straight legs moves the CoM.
 
     Args:
         runs: Series of robots that differ only in the start pose, each in the order of the base
-            heights. A later series is used only if no robot before has a stand on soft ground.
+            heights. A later series is used only if no robot before is within reach on soft ground.
 
     Returns:
         Robot with the chosen start pose; None if no candidate has a nominal stand.
@@ -530,8 +532,8 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     3. The start pose is the stand at the middle height. If the nominal stand (default `StandTask`)
        does not exist there, the next heights are tried.
 
-    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand on
-    soft ground is found. Without such a stand, the first stand on rigid ground is used.
+    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand is
+    found that remains within reach on soft ground. Without such a stand, the first stand is used.
 
     Args:
         robot: Robot with feet.
@@ -915,8 +917,8 @@ def find_start_pose(
        Without a stand at this height, the base is not lowered.
     3. A searched pose (`search_start`).
 
-    If no pose is found, a note reports the failure. The start pose is then the last keyframe that
-    step 1 or 2 tried; without such a keyframe, the start pose is unchanged. Contacts of shapes
+    If no pose is found, a note reports the failure. The start pose is then a keyframe that step 1
+    or 2 tried; without such a keyframe, the start pose is unchanged. Contacts of shapes
     other than the feet are ignored here: `touching` disables such contacts later.
 
     Args:

@@ -62,9 +62,9 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Lower bound of the fraction [1] of a foot's load that the present contact shape of the foot
-carries. With a larger fraction, the foot keeps this shape. Otherwise another shape of the same body
-carries more, and becomes the contact shape (`find_carrying_hulls`). Chosen, not tuned."""
+"""Bound of the fraction [1] of the load that the present contact shapes of soft feet carry on
+average. With a larger fraction, the feet keep these shapes. Otherwise other shapes of the same
+bodies become the contact shapes (`find_carrying_hulls`). Chosen, not tuned."""
 
 
 def find_carrying_hulls(

@@ -310,10 +310,10 @@ class UrdfBodies:
             self.efforts[name] = effort
 
     def _is_mimic(self, joint: UrdfJoint) -> bool:
-        """Return True if a joint follows a moving joint; add a note if it does not.
+        """Return True if a joint has a valid mimic; add a note if the mimic is invalid.
 
-        The leader of the joint may follow another leader. These leaders are invalid if a leader
-        does not exist, if the last leader is fixed, or if leaders follow each other in a circle.
+        The leader of the joint may follow another leader. The mimic is invalid if a leader does not
+        exist, if the last leader is fixed, or if leaders follow each other in a circle.
         """
         if joint.mimic is None:
             return False
@@ -477,7 +477,7 @@ class MjcfOptions:
     Attributes:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
         fixed_base: True for a fixed base, False for a free base. None: the base is free if it
-            floats in the URDF, or has at least two limbs.
+            floats in the URDF, or has at least two limbs and is not the link ``world``.
         armature: {joint: rotor inertia [kg m^2]}, which a URDF does not contain; None: no rotor
             inertia.
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
@@ -527,7 +527,7 @@ class ConvertedMjcf:
             output: Path of the new MJCF, which is not written.
             options: Options. ``fixed_base`` and ``feet`` are not used here.
             free: True for a free base, False for a fixed base. None: the base is free if it floats
-                in the URDF, or has at least `MIN_FREE_BASE_LIMBS` limbs.
+                in the URDF, or has at least `MIN_FREE_BASE_LIMBS` limbs and is not ``world``.
 
         Raises:
             ModelError: If no joint moves, or the URDF cannot be converted.

@@ -54,7 +54,7 @@ class UrdfLinks:
     """Converter from the bodies and joints of a MuJoCo model to links and joints of a URDF.
 
     A joint of a URDF moves about the origin of the child link. The frame of a link is therefore at
-    the last joint of the body, with the axes of the body.
+    the last joint of the body, with the axes of the body. Without joints, it is the body's frame.
 
     Attributes:
         file: MJCF.
@@ -325,10 +325,10 @@ def _set_zero_inertial(link: UrdfLink) -> None:
 
 
 def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
-    """Add a <mimic> for each active linear joint equality; return notes on other equalities.
+    """Add a <mimic> for active linear equalities of two joints; return notes on other equalities.
 
-    A joint gets at most a single <mimic>. Other equalities, such as loops, have no equivalent in a
-    URDF.
+    A joint gets at most a single <mimic>, and both joints must be in the URDF. Other equalities,
+    such as loops, have no equivalent in a URDF.
     """
     left, joints = [], tree.joints
     for index in range(model.neq):

@@ -39,7 +39,7 @@ not tuned.
 """
 
 _MAX_STALL_RATIO = 0.25
-"""Upper bound of the ratio of actual decrease to the predicted decrease of the undamped step. Below
+"""Upper bound of the ratio of actual decrease to the predicted decrease of the undamped step. Up to
 the bound, an accepted step with a small decrease of the cost (`min_relative_decrease` of
 `estimate_parameters`) is a stall. A larger ratio means that the iteration converges. Chosen, not
 tuned.

@@ -47,13 +47,14 @@ def fit(
         encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
             default. For stands only.
         hold_out: Measurements that are predicted instead of fitted: a fraction at the end of each
-            log (0.2 by default), or separate logs. For logs only.
+            run (part of a log without clock jumps; 0.2 by default), or separate logs. For logs
+            only.
 
     Raises:
         ConfigurationError: If an argument is invalid, or does not apply to the measurements. For
             stands also if the base is fixed, or the robot has closed loops, couplings, welds or
             grips.
-        FitError: If the iteration does not converge.
+        FitError: If the iteration does not converge, or the cost has no minimum.
         MeasurementError: If the measurements do not belong to this robot, or cannot be used.
         ModelError: For stands, if ``kp`` is passed and a joint has no motor. For logs, if a joint
             has no motor, or if a motor is no servo and ``kp`` and ``kd`` are not both passed.

@@ -77,8 +77,8 @@ since both correlations are high for similar commands. Chosen, not tuned.
 """
 
 _MAX_INTERVAL_DEVIATION = 0.3
-"""Upper bound of the ratio of the standard deviation to the median of the sampling intervals. Above
-the bound, the intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
+"""Upper bound of the ratio of the standard deviation of the sampling intervals, without gaps
+(`_MAX_GAP_RATIO`), to the median of all intervals. Above the bound, the intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
 """
 
 _MAX_INTERVAL = 0.1
@@ -329,7 +329,7 @@ rad.
 
 _MULTIPLE_TOLERANCE = 0.05
 """Tolerance of the ratio ``difference of two readings / encoder step``. The difference counts as a
-multiple of the step if the ratio deviates from a whole number by at most this tolerance. The
+multiple of the step if the ratio deviates from a whole number by less than this tolerance. The
 tolerance covers rounding in the file. Chosen, not tuned.
 """
 

@@ -43,7 +43,8 @@ from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_pr
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
 
 HOLD_OUT_FRACTION = 0.2
-"""Default fraction at the end of each log that is predicted, not fitted. Chosen, not tuned."""
+"""Default fraction at the end of each run (part of a log without clock jumps) that is predicted, not
+fitted. Chosen, not tuned."""
 
 
 _MAX_NOISE_RATIO = 2.0
@@ -82,14 +83,14 @@ def fit_motion(
         priors: Prior standard deviations, for example ``mass=50%`` or ``com:base=5mm``. With
             ``kp=0``, the stated kp is exact and is not estimated.
         hold_out: Measurements that are predicted instead of fitted: a fraction at the end of each
-            log, or separate logs.
+            run (part of a log without clock jumps), or separate logs.
         kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
         kd: Stated servo damping [N m s/rad, N s/m], a scalar or shape (nu,); the model's by
             default.
 
     Raises:
         ConfigurationError: If a prior, a gain or the fraction of ``hold_out`` is invalid.
-        FitError: If the iteration does not converge.
+        FitError: If the iteration does not converge, or the cost has no minimum.
         MeasurementError: If a log cannot be used or does not belong to this robot; if servo gains
             are neither stated in a file nor passed; or if a log to be predicted repeats a fitted
             motion.

@@ -544,8 +544,8 @@ def fit_stands(
         ConfigurationError: If a prior, kp, the weight or the encoder noise is invalid, the base is
             fixed, or the robot has closed loops, couplings, welds or grips.
         ModelError: If ``kp`` is passed, and a joint has no motor.
-        FitError: If the iteration does not converge. If a wrong ``weight`` is the cause, the fit
-            without ``weight`` is returned instead, with a failure.
+        FitError: If the iteration does not converge, or the cost has no minimum. If a wrong
+            ``weight`` is the cause, the fit without ``weight`` is returned instead, with a failure.
     """
     prior_list = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):

@@ -354,7 +354,7 @@ def choose_stands(
     five rounds (V. V. Fedorov, Theory of Optimal Experiments, 1972).
 
     Args:
-        informations: Information of each measurement, shape (n, n).
+        informations: Information of each measurement, shape (n, n); at least ``count`` matrices.
         prior_information: Information without measurements, shape (n, n).
         count: Number of measurements to choose.
         is_rare: Whether a measurement counts towards ``max_rare``.
