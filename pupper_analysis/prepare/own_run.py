@@ -745,11 +745,12 @@ def _joint_deviations(
 def _unheld_joints(
     published: PublishedModel, robot: Robot, joints: list[JointOff]
 ) -> list[JointOff]:
-    """Return the joints that moved because neither a servo nor a coupling holds them.
+    """Return the joints that moved because no position servo holds them.
 
     The displacement must exceed `MIN_UNHELD_DISPLACEMENT`. A joint is held by its position servo,
-    by a position servo at a tendon, or by a coupling (then the joint has neither actuator nor added
-    servo). The result is empty unless more than half of the joints have a position servo.
+    or by a position servo at a tendon. Joints with neither actuator nor added servo are omitted:
+    they are coupled or passive. The result is empty unless more than half of the joints have a
+    position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):

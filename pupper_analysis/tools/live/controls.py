@@ -53,8 +53,8 @@ class Controls:
         gui: viser's interface of the page.
         robot: Robot of the page before any change by the user.
         translator: Translator into the language of the page.
-        changed: Function that is called after the user has changed a control, and by `set_state`
-            with ``notify``.
+        changed: Function that is called after the user has changed a control, except the choice of
+            the foot; also by `set_state` with ``notify``.
     """
 
     def __init__(

@@ -64,8 +64,8 @@ class Design:
     Attributes:
         robot: Robot with payload and servo gains.
         stand: Solved stand.
-        own_servos: True if the servo gains are the gains of the file. The metric ``stands`` then
-            also evaluates the simulation of the published file.
+        own_servos: True if the design has no gain variable and no motor variable. The metric
+            ``stands`` then also evaluates the simulation of the published file.
         point: Position at which a payload is attached: (x, y, z) [m] in the base frame, or (frame,
             x, y, z).
         motors: {joint: motor} of the motor variables of the study; empty without motor variables.
@@ -95,8 +95,8 @@ class Design:
     def gains(self) -> dict[str, Any]:
         """Servo gains of this design, as keyword arguments ``kp`` and ``kd``.
 
-        Each array has the shape (nu,) [N m/rad, N m s/rad]. Empty if the design has the gains of
-        the file.
+        Each array has the shape (nu,) [N m/rad, N m s/rad]. Empty if `own_servos` is True: the
+        robot then has the gains of the file.
         """
         if self.own_servos:
             return {}
@@ -232,8 +232,8 @@ def text_key(metric: str) -> str:
 def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
 
-    If the design has the gains of the file, the simulation of the unmodified MJCF from the keyframe
-    must not fail either. If a mode grows in the linearised step but not in simulation, the growth
+    If `Design.own_servos` is True, the simulation of the unmodified MJCF from the keyframe must not
+    fail either. If a mode grows in the linearised step but not in simulation, the growth
     is ignored. The verdict of `judge_stand` must then pass as well.
 
     Raises:
@@ -426,7 +426,7 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 def resolve_metric_file(folder: Path, requested: object) -> object:
     """Prepend a folder to the file of a requested metric ``METRIC:FILE``.
 
-    Absolute paths, and requests without a file, are returned unchanged.
+    Absolute paths, and requests other than a metric with a required file, are returned unchanged.
 
     Args:
         folder: Folder to which the path is relative.

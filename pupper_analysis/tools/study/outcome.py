@@ -81,7 +81,7 @@ class MetricSummary(Result):
         maximum: Largest value.
         designs: Number of designs with a value.
         main_effects: {variable: fraction of the metric's variance due to this variable alone}, over
-            the designs with a value. Empty for a column ``NAME.KEY``.
+            the designs with a finite value. Empty for a column ``NAME.KEY``.
         interaction: Fraction of the metric's variance due to several variables together. None in
             these cases: samples, a column ``NAME.KEY``, fewer than two variables with several
             values, all main effects 0, or a design without a value.

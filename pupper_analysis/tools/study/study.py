@@ -412,7 +412,7 @@ class Study:
         """Read a study from a TOML file.
 
         Relative paths of robot files, motor files and files of metrics are relative to the folder
-        of the study file.
+        of the study file. Other names of robots and motors, without a file there, are unchanged.
 
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.
@@ -466,8 +466,8 @@ class Study:
             progress: Function that is called with the progress.
 
         Returns:
-            A row per design, in the order of the study: hash, variable values, measured values, and
-            the failure columns.
+            A row per different design, in the order of the study: hash, variable values, measured
+            values, and the failure columns.
 
         Raises:
             ConfigurationError: If an argument is not valid.

@@ -78,7 +78,8 @@ since both correlations are high for similar commands. Chosen, not tuned.
 
 _MAX_INTERVAL_DEVIATION = 0.3
 """Upper bound of the ratio of the standard deviation of the sampling intervals, without gaps
-(`_MAX_GAP_RATIO`), to the median of all intervals. Above the bound, the intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
+(`_MAX_GAP_RATIO`), to the median of all intervals. Above the bound, the intervals are reported as
+uneven. Measured with a late scheduler: 0.01 to 0.1.
 """
 
 _MAX_INTERVAL = 0.1

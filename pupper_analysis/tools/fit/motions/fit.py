@@ -43,8 +43,8 @@ from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_pr
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
 
 HOLD_OUT_FRACTION = 0.2
-"""Default fraction at the end of each run (part of a log without clock jumps) that is predicted, not
-fitted. Chosen, not tuned."""
+"""Default fraction at the end of each run that is predicted, not fitted. A run is a part of a log
+without clock jumps. Chosen, not tuned."""
 
 
 _MAX_NOISE_RATIO = 2.0
@@ -805,7 +805,7 @@ class SeriesNoise:
 
 
 def compute_rms(series: Iterable[Array]) -> float:
-    """Compute the root mean square of all finite values in several arrays, in the same unit.
+    """Compute the root mean square of all finite values in one or more arrays, in the same unit.
 
     NaN if there are no finite values.
     """
