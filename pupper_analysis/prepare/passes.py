@@ -228,8 +228,8 @@ class Pass:
         condition: Function that returns True if a draft needs the pass.
         after_refusal: True if the pass is also applied after an earlier pass found that no robot
             with a free base can be made (`Draft.refused`).
-        deferred: True if the pass is applied when a robot is first simulated or drawn, instead of
-            when it is loaded.
+        deferred: True if the pass is applied when its result is first needed, for example by a
+            simulation, instead of when the robot is loaded.
     """
 
     name: str
@@ -264,7 +264,7 @@ def _register_pass(
     The pass is named after the function. The arguments are the fields of `Pass`. ``does`` is the
     purpose of the pass in words. ``condition`` returns True if a draft (the robot in preparation)
     needs the pass. ``after_refusal`` applies the pass also if no robot with a free base can be
-    made. ``deferred`` postpones the pass until the robot is first simulated or drawn.
+    made. ``deferred`` postpones the pass until its result is first needed.
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
@@ -807,8 +807,8 @@ _IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferr
 meshes."""
 
 _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
-"""Passes that run when a robot is first simulated or drawn: servos, rest pose and visual meshes.
-"""
+"""Passes that run when their results are first needed, for example by a simulation: servos, rest
+pose and visual meshes."""
 
 
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
@@ -860,8 +860,9 @@ def make_robot(
     """Prepare a robot from two files as read; postpone the slow steps until needed.
 
     The options are those of `load_robot`. Three steps are slow: servos, rest pose (the start pose
-    with the feet in soft ground) and visual meshes. The slow steps are postponed until the robot is
-    first simulated, drawn, pickled or copied (`defer_stages`). Kinematics and statics do not need
+    with the feet in soft ground) and visual meshes. The slow steps are postponed until their
+    results are first needed, for example by a simulation or by access to ``notes``, or until the
+    robot is pickled or copied (`defer_stages`). Kinematics in Pinocchio, and statics, do not need
     the slow steps.
 
     Servos and rest pose are computed immediately if added servos change the order of the joints.

@@ -500,9 +500,10 @@ def compute_hold_commands(
     servo get an external servo, with the gains of the servo that the preparation added. A joint
     with neither is not held, for example a passive joint with a spring.
 
-    Position servos of a tendon hold the joints of the tendon that have no actuator. Of all tendon
-    forces that give the torques of these joints, those with the smallest norm are used. The tendon
-    also acts on other joints; the actuators of such joints compensate the torque of the tendon.
+    Position servos of a tendon hold the joints of the tendon that have no actuator. The tendon
+    forces are the least-squares solution for the torques of these joints, with the smallest norm.
+    The tendon also acts on other joints; the actuators of such joints compensate the torque of the
+    tendon.
 
     Args:
         published: Published model: the user's file as compiled.

@@ -66,8 +66,8 @@ class ModelPair:
 
         Args:
             file: URDF or MJCF.
-            defer_visuals: True to convert the visual meshes of a URDF later, when the robot is
-                first simulated or drawn (`make_robot`).
+            defer_visuals: True to convert the visual meshes of a URDF later, when they are first
+                needed (`make_robot`).
 
         Raises:
             ModelError: If the other format cannot represent the robot, for example because no joint
