@@ -244,7 +244,7 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
        `_GYRATION_RADIUS`.
     3. Otherwise, the moments are projected on those that satisfy A + B >= C in any order
        (`_project_moments`).
-    4. Each moment is raised to at least 10 `_MIN_INERTIA`.
+    4. After step 3, each moment is raised to at least 10 `_MIN_INERTIA`.
 
     MuJoCo's ``balanceinertia`` uses the mean of the moments instead, which is a larger change.
 

@@ -1,8 +1,8 @@
 """Convert an MJCF, as compiled by MuJoCo, to a URDF; select a robot of an MJCF with several.
 
 Input is an MJCF; output is a `ConvertedUrdf` with links, shapes and mimic joints. A link frame of
-the URDF is at the last joint of the body, because a joint of a URDF moves about the origin of the
-child link. Elements that a URDF cannot contain are reported.
+the URDF is at the last joint of the body, if the body has joints, because a joint of a URDF moves
+about the origin of the child link. Elements that a URDF cannot contain are reported.
 """
 
 from __future__ import annotations

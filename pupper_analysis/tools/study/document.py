@@ -399,8 +399,9 @@ def _make_row_table(
 def format_duration(seconds: float) -> str:
     """Format a duration [s] as text in s, min or h.
 
-    The unit is s below 120 s, min below 120 min, and otherwise h. Hours have a decimal. The text is
-    "-" if the duration is not finite.
+    The duration is rounded to seconds. The unit is s below 120 s, min below 120 min, and otherwise
+    h. Minutes are rounded down; hours have a decimal. The text is "-" if the duration is not
+    finite.
     """
     if not math.isfinite(seconds):
         return "-"

@@ -409,7 +409,7 @@ def without_visuals(description: Description) -> Description:
     """Return a copy of a description whose MJCF has no visual geoms, unused meshes and textures.
 
     The dynamics and the contacts are unchanged: a visual geom that contributes to the mass of a
-    body is kept. Models with many meshes compile several times faster.
+    body, or is the frame of a foot, is kept. Models with many meshes compile several times faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}

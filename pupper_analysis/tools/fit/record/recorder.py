@@ -124,10 +124,10 @@ class Recording(Result):
         recorded_stands: Names of the stands that were recorded now.
         existing_stands: Names of the stands that were in the file before.
         missing_stands: Names of the stands that are still missing.
-        friction_angles: {joint: half the difference of the positions at rest after a larger and
-            after a smaller command, median over the stands recorded now [rad, m]}. The product with
-            the servo stiffness is an estimate of the dry friction. Empty if positions are typed, or
-            no stand was recorded now.
+        friction_angles: {joint: half the absolute difference of the positions at rest after a
+            larger and after a smaller command, median over the stands recorded now [rad, m]}. The
+            product with the servo stiffness is an estimate of the dry friction. Empty if positions
+            are typed, or no stand was recorded now.
         findings: Reasons for skipped stands, for withdrawn rows, or for an early end of the
             recording.
     """
