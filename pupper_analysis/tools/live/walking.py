@@ -42,8 +42,9 @@ rate [rad/s], push [N s per kg of the robot]. Public policies are trained up to 
 range of pushes is that of `walk --vary`."""
 
 _AVERAGING_TIME, _TABLE_PERIOD, _FRAME_INTERVAL = 1.0, 0.25, 0.04
-"""Times of a walk on the page [s]: interval over which speeds and torques are averaged; interval
-between two tables; interval between two pictures. Chosen, not tuned."""
+"""Times of a walk on the page [s]: interval over which speeds and torques are averaged, also the
+largest delay that the simulation makes up; interval between two tables; interval between two
+pictures. Chosen, not tuned."""
 
 _COMMAND_AXES = ("forward", "left", "turning")
 """Names of the components of a velocity command: forward and left [m/s], turning left [rad/s]."""

@@ -24,7 +24,8 @@ from pupper_analysis.tools.fit.measurements.columns import Columns, MeasurementC
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
 
 MIN_STANDS = 3
-"""Smallest number of stands of a fit or a plan. Chosen, not tuned."""
+"""Smallest number of stands of a fit or a plan, and of the first ranking of wirings
+(`find_wiring`). Chosen, not tuned."""
 
 STAND_COLUMNS = (
     MeasurementColumn("stand", ""),

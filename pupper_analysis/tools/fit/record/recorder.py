@@ -49,11 +49,12 @@ moves from one stand of a plan to the next in about two seconds. Chosen, not tun
 """
 
 _COMMAND_INTERVAL = 0.02
-"""Time [s] between two commands of a ramp. Chosen, not tuned."""
+"""Time [s] between two commands of a ramp, and between two readings of the positions. Chosen, not
+tuned."""
 
 _MAX_POSITION_AGE = 0.3
 """Largest accepted age of a measured position [s]. Older positions mean lost messages or a stopped
-controller. Chosen, not tuned.
+controller. The recorder waits this time for newer positions. Chosen, not tuned.
 """
 
 _MAX_TRACKING_ERROR = 0.5

@@ -327,9 +327,9 @@ If the stated friction is implausible (`_MIN_FRICTION_RATIO`) and is scaled up, 
 applies. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
-"""Largest accepted deviation of a parameter or a reading, in standard deviations. A larger
-deviation is a failure. Derived: with a probability below 1e-3, any of a hundred normally
-distributed numbers exceeds 4.5 standard deviations.
+"""Largest accepted deviation of a parameter, of a reading, or of the total mass from the weight, in
+standard deviations. A larger deviation is a failure. Derived: with a probability below 1e-3, any of
+a hundred normally distributed numbers exceeds 4.5 standard deviations.
 """
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
