@@ -139,7 +139,7 @@ class ValueRepair(Result):
 
     @property
     def is_estimate(self) -> bool:
-        """Whether the new mass and inertia are guessed from the density of other links.
+        """Whether the new mass is guessed from the density of other links.
 
         The true density of the repaired link may differ.
         """

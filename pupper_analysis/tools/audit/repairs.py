@@ -1,6 +1,6 @@
 """Repairs of findings: new values of a file that should pass, and the reason.
 
-A repair replaces or adds attributes of elements. A finding has a single repair if only a single
+A repair replaces or adds attributes of elements, and may add the elements. A finding has a single repair if only a single
 value is proposed, several candidates if a few values are possible, and otherwise no repair. The
 rule is not run again with the new values. The new value is, for example, derived from the mirrored
 element, from equal limbs or from the joint of an actuator. The new value may also be the old value
@@ -313,9 +313,10 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
 
-    The new tensor is that of `_mirror_tensor` or, if there is none, the tensor of the solid shapes
-    (`_fill_shapes`). Physically impossible tensors are repaired for other rules. Nothing is
-    proposed if the masses of both sides differ by more than 1 %, since the mass may be wrong.
+    The first method with a result decides: `_mirror_tensor`; `_reorder_moments`, for a finding
+    about a wrong axis; the tensor of the solid shapes (`_fill_shapes`). Physically impossible
+    tensors are repaired for other rules. Nothing is proposed if the masses of both sides differ by
+    more than 1 %, since the mass may be wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
@@ -339,8 +340,9 @@ def _reorder_moments(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the nearly diagonal tensor of a link with its moments in the order of the shapes.
 
     The largest stated moment belongs to the axis about which a solid box around the shapes has the
-    largest moment. Two axes of nearly equal boxes (`MIN_MOMENT_RATIO`) give two candidates, unless
-    the stated moments of both are equal. Nothing is proposed for a turned inertial frame.
+    largest moment. The shapes include those of links that are fixed to the link. Two nearly equal
+    moments of the box (`MIN_MOMENT_RATIO`) give a further candidate, unless the corresponding
+    stated moments are equal. Nothing is proposed for a turned inertial frame.
     """
     link = robot.links[name]
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
@@ -379,8 +381,8 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the tensor of the solid shapes of a link, with the stated mass and a uniform density.
 
     The shapes are the collision shapes, or without collision shapes the visual shapes. The convex
-    hull replaces the solid of an open mesh. A stated CoM far outside of the shapes (`_MAX_OUTSIDE`)
-    is replaced, too. Nothing is proposed, for example, for a link with a shape of unknown size,
+    hull replaces the solid of an open mesh. A CoM that is missing or far outside of the shapes
+    (`_MAX_OUTSIDE`) is replaced, too. Nothing is proposed, for example, for a link with a shape of unknown size,
     without mass or <inertial>, or with an impossible density.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
@@ -632,7 +634,7 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
 
 
 def _format_vector(vector: Array) -> str:
-    """Format a vector with at most six significant digits; parts below 1e-9 are zero."""
+    """Format a vector with at most six significant digits; magnitudes below 1e-9 are zero."""
     return " ".join("0" if abs(part) < 1e-9 else _format_converted(float(part)) for part in vector)
 
 
@@ -650,8 +652,8 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the other limbs state equal origins (`_find_common_attributes`), the xyz is copied. If
-    the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
+    If the CoM is probably in mm (`_read_com_in_metres`), it is converted to m instead. If the other
+    limbs state equal origins (`_find_common_attributes`), the xyz is copied. If the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
     repaired. The selection compares the magnitudes of the CoM coordinates, in the link frame, with
     other limbs. If there are too few other limbs, or the other limbs differ, both links are
     candidates. If both links or neither deviate, there is no repair.
@@ -690,9 +692,11 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
 
 def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the CoM of a finding in m if the stated CoM is in mm: a thousandth is in the shapes.
+    """Yield the CoM of a finding in m if the stated CoM is in mm: a thousandth is in the hull.
 
-    The stated CoM must be outside by more than `_MIN_MM_OFFSET` times the extent of the shapes.
+    The convex hull is that of the shapes, frames and child joints. A thousandth of the CoM must be
+    inside, or outside by at most 5 % of the extent of the hull. The stated CoM must be outside by
+    more than `_MIN_MM_OFFSET` times this extent.
     """
     link = robot.links[found.name]
     element = _find_unique_child(robot, "link", link.name, "inertial/origin")
@@ -711,8 +715,8 @@ def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[Value
 
 
 _MIN_MM_OFFSET = 5.0
-"""Smallest distance of a CoM from the shapes, relative to their extent, with which a CoM may be
-in mm. Chosen, not tuned."""
+"""Distance of a CoM from the convex hull of shapes, frames and child joints, relative to the
+extent of the hull, above which the CoM may be in mm. Chosen, not tuned."""
 
 MAX_DENSITY_RATIO = 3.0
 """Largest ratio between the density of a repaired link and the median density of the other links,
@@ -730,7 +734,7 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
     tensor fits the stated mass (`_fits_shapes`), the tensor is divided as well.
 
     Another candidate is the volume times the median density, with the stated tensor. This candidate
-    requires a density below ten times `MAX_DENSITY`, and no mass of fixed links.
+    requires a known median, a density below ten times `MAX_DENSITY`, and no mass of fixed links.
     """
     link = robot.links.get(found.name)
     if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
@@ -1033,8 +1037,9 @@ def _turn_ancestors(
 
     For each joint above ``name`` or ``partner``, the rotation is replaced by the rotation of its
     own partner, with the signs of a mirror image or without. A repair puts all pairs of links below
-    this joint at mirrored positions. If at least `MIN_SIBLINGS` joints of other limbs have the
-    rotation of one side, up to signs, only the other side is returned.
+    this joint at mirrored positions. If there are at least `MIN_SIBLINGS` joints of other limbs, a
+    side whose roll, pitch and yaw equal those of the first such joint, up to signs, is not
+    repaired.
 
     Args:
         robot: Model of a URDF.
@@ -1090,7 +1095,10 @@ def _list_joints_above(robot: UrdfModel, name: str) -> Iterator[str]:
 def _turn_joint(
     robot: UrdfModel, mirror: MirrorPlane, name: str, twin: str
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of a joint's rotation that mirrors all links below; at most one."""
+    """Yield the repair of a joint's rotation that mirrors the positions of paired links below.
+
+    At most one repair is yielded. There must be at least two pairs of links.
+    """
     joint, links = robot.file.tree.joints[name], robot.links
     child = robot.joints[name].child
     base = links[robot.joints[name].parent].pose
@@ -1157,7 +1165,7 @@ def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
 
 
 def _same_mesh(first: etree._Element, second: etree._Element) -> bool:
-    """Return True if two <mesh> elements have equal scales, and file names with the same stem."""
+    """Return True if two <mesh> elements have equal texts of ``scale`` and equal file stems."""
     stems = {Path(mesh.get("filename", "")).stem for mesh in (first, second)}
     return len(stems) == 1 and first.get("scale", "1 1 1") == second.get("scale", "1 1 1")
 

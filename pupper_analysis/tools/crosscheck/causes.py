@@ -6,7 +6,7 @@ are explained. Some mistakes, such as wrong units, follow from the numbers alone
 
 Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
 second moments about the frame's origin are additive, so the difference of two combined bodies is
-the difference of the links. A mistake in inertials is undone link by link.
+the difference of the links. Most mistakes in inertials are undone link by link.
 """
 
 from __future__ import annotations
@@ -214,9 +214,9 @@ class PatternCase:
         """Return the differences between the URDF's tree and a modified tree of the MJCF.
 
         Args:
-            second: Modified tree.
-            only: Joints that are compared, with the attached bodies; by default all joints and the
-                base.
+            second: Modified tree. With ``only``, a tree with these joints and without a base.
+            only: Joints that are compared, with the attached bodies and frames; by default all
+                joints and the base.
 
         Returns:
             (kind, element) of each difference; all of ``keys`` if the trees have different joints.
@@ -269,16 +269,17 @@ PatternFindings = Iterator[PatternFinding]
 
 _EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 """Values of the MJCF's ``eulerseq`` that `find_angle_settings` tests: Euler angles about moving
-axes. Each is also tested in upper case, for fixed axes."""
+axes. Upper case, for fixed axes, is also tested; the stated sequence is not."""
 
 
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
-    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. The setting with which most
-    differences disappear is a finding if at least 60 % of the differences in rotations and axes
-    disappear. If no rotation or axis differs, at least 60 % of the differences in joint limits must
-    disappear. ``eulerseq`` is tested only if a body of the MJCF has Euler angles.
+    Each other setting is tested by a new comparison (`PatternCase.find_explained`). The setting
+    with which most differences disappear is a finding if at least 60 % of the differences in
+    rotations and axes disappear. If no rotation or axis differs, at least 60 % of the differences
+    in joint limits must disappear. ``eulerseq`` (`_EULER_SEQUENCES`) is tested only if a body of
+    the MJCF has Euler angles; ``angle`` is also tested if joint limits differ.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -337,8 +338,9 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged in either file.
 
-    A pair counts if it has two or more differences, of which at most `_MAX_REMAINING_FRACTION`
-    remain when the joint names are exchanged. All pairs together are one finding.
+    A limb consists of a joint of the base and all joints below; both limbs have equally many
+    joints. A pair counts if it has two or more differences, and after the exchange of the joint
+    names at most `_MAX_REMAINING_FRACTION` times as many. All pairs together are one finding.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
@@ -385,8 +387,8 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
 
 
 _MAX_REMAINING_FRACTION = 0.2
-"""Largest fraction of the differences of two limbs that may remain after an exchange of their
-names. If more differences remain, the exchange is not reported as a cause. Chosen, not tuned.
+"""Largest ratio between the numbers of differences of two limbs after and before an exchange of
+their names. With a larger ratio, the exchange is not reported as a cause. Chosen, not tuned.
 """
 
 _MAX_EXCHANGES = 60
@@ -449,9 +451,9 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find joint limits, masses, lengths or inertias that all differ by a common factor.
 
     The message names the wrong unit (such as degrees, g or mm) or a wrong decimal point, if this
-    explains the factor. Only the limits of hinges are compared. The factor of lengths is computed
-    from the joint positions. Differences of CoMs and frames are explained only if they have the
-    same factor.
+    explains the factor. Values that are zero in the URDF are ignored, and hinges with an infinite
+    limit. Limits of slides are not compared. The factor of lengths is computed from the joint
+    positions. Differences of CoMs and frames are explained only if they have the same factor.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -487,10 +489,10 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
-    """Return the differences that remain after all lengths of a tree are multiplied by a factor.
+    """Return the differences that remain after lengths are multiplied by a factor.
 
-    ``factor`` is length in the MJCF / length in the URDF. The tree with the larger numbers is
-    scaled, so that the tolerances apply to the smaller numbers.
+    `_scale_lengths` multiplies the lengths. ``factor`` is length in the MJCF / length in the URDF.
+    The tree with the larger numbers is scaled, so that the tolerances apply to the smaller numbers.
     """
     if factor > 1:
         return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
@@ -517,9 +519,9 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the factor second / first that pairs of proportional arrays have in common.
 
     Returns:
-        Common factor of all pairs. None if fewer than two first arrays are nonzero, or if the
-        arrays of a pair are not proportional within 0.1 %. None also if the ratios are not positive
-        or not equal within 0.1 %, or if the factor is 1 within 1 %.
+        Common factor of the pairs whose first array is not zero. None if there are fewer than two
+        such pairs, or if the arrays of such a pair are not proportional within 0.1 %. None also if
+        the ratios are not positive or not equal within 0.1 %, or if the factor is 1 within 1 %.
     """
     ratios = []
     for first, second in pairs:
@@ -653,7 +655,10 @@ def _keep_diagonal(inertia: Array) -> Array:
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of its largest entry."""
+    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of the largest entry.
+
+    The magnitudes are compared.
+    """
     off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
@@ -852,9 +857,9 @@ difference only contains six numbers."""
 
 
 _MAX_SUBSET_LINKS = 12
-"""Largest number of links of a body of which all subsets are tested as the links that one file
-lacks: 2^12 = 4096 subsets take a millisecond. If a body has more links, only the heaviest are
-tested."""
+"""Largest number of links of a body of which subsets are tested as the links that one file lacks:
+2^12 = 4096 subsets take a millisecond. If more links of the body are candidates, only the heaviest
+are tested. Links with more than 1.01 times the missing mass are no candidates."""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
@@ -870,9 +875,9 @@ _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
-    """Find inertial differences of bodies whose mass MuJoCo computes from geoms.
+    """Find inertial differences of bodies with a link whose mass MuJoCo computes from geoms.
 
-    Such bodies have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules it.
+    Such links have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules it.
     """
     geom_links = {
         moving_joint: [link.name for link in links if link.name in case.from_geoms]
@@ -1188,7 +1193,7 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Sine of the angle between two joint axes [1]. Below, the axes count as parallel when the distance
+"""Largest sine of the angle between two joint axes [1] that count as parallel when the distance
 between them is computed, since the angle may be rounding. Chosen, not tuned.
 """
 
@@ -1226,7 +1231,7 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
 
 
 def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
-    """Return a copy of a tree in which a joint has the position and axis of another tree.
+    """Return a copy of a tree in which a joint has the placement and axis of another tree.
 
     With all joint positions at zero, the bodies have the same poses as before.
 
@@ -1321,4 +1326,4 @@ _SEARCHES = (
     find_moved_axes,
 )
 """Functions that search for causes of differences, in the order of execution. A difference belongs
-to the first cause that explains it."""
+to the first reported cause that explains it."""

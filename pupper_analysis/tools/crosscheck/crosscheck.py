@@ -138,7 +138,8 @@ def compare_models(
             does not contain, damping and friction that the URDF does not state, and a fixed base
             that is tilted against the URDF. Otherwise the assumptions are reported in ``guessed``,
             ``notes`` and ``mount``.
-        configurations: Number of random configurations of the cross-check.
+        configurations: Number of random configurations of the cross-check, at least 1. Large robots
+            may be evaluated at fewer configurations.
         seed: Seed of the random numbers, at least 0.
         xacro: True to expand a xacro file, which evaluates the Python expressions in the file.
         xacro_args: {argument of the xacro file: value}, with ``xacro=True``.
@@ -148,7 +149,7 @@ def compare_models(
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, the robot has no mass, or
-            MuJoCo refuses the URDF of a large robot.
+            MuJoCo refuses the URDF of a large robot, for example.
         MissingPackageError: If the package that reads the format of a file is not installed.
         UnknownNameError: If a name does not occur in the file.
         ConfigurationError: If an argument is out of range, or if there is no ``mjcf`` and ``urdf``
@@ -231,7 +232,7 @@ def list_mass_shares(
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
     """List deviations between two engines that evaluate the same model, above `ENGINE_RTOL`.
 
-    A deviation on the MJCF is skipped if the found differences do not explain the whole deviation
+    A deviation on the MJCF is omitted if the found differences do not explain the whole deviation
     between URDF and MJCF. In this case the two engines may have received different models.
     """
     return tuple(
@@ -283,7 +284,7 @@ COMPARED_QUANTITIES = {
     "accelerometer": ("IMU", "m/s^2"),
 }
 """{compared quantity: (kind of object that each row describes, unit)}. The unit of a quantity of
-joints is a field name of `JointUnits`. Quantities that do not depend on the configuration are
+joints is a field name of `JointUnits`; axes have no unit. Masses, CoMs, inertias and axes are
 expressed in the world frame at zero angles, with a floating base at the origin.
 """
 
@@ -339,14 +340,15 @@ def collect_evaluation(
 
 
 def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
-    """Evaluate all compared quantities of a robot's Pinocchio model, for the cross-check.
+    """Evaluate the compared quantities of a robot's Pinocchio model, for the cross-check.
 
     Args:
         robot: Robot.
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`. Quantities of feet and of the IMU
+        are absent if the robot has no feet or no IMU.
     """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
@@ -412,7 +414,7 @@ def evaluate_in_mujoco(
     frames: Mapping[str, str],
     states: States,
 ) -> Evaluation:
-    """Evaluate all compared quantities of a MuJoCo model of a robot, for the cross-check.
+    """Evaluate the compared quantities of a MuJoCo model of a robot, for the cross-check.
 
     Args:
         robot: Robot that defines joints and feet.
@@ -422,7 +424,9 @@ def evaluate_in_mujoco(
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`. Quantities of feet are absent if
+        the robot has no feet; those of the IMU, if ``model`` has no gyro or accelerometer at the
+        robot's IMU.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.from_model(model, robot.joint_names)
@@ -614,7 +618,7 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 DEFAULT_RTOL = 1e-9
 """Default of the largest relative deviation between two evaluations that counts as agreement. The
 deviation is divided by the scale of the quantity: the largest absolute value in all rows, or in the
-same row. Chosen, not tuned.
+same row, with a lower bound. Chosen, not tuned.
 """
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
@@ -768,7 +772,8 @@ def cross_check(
     Args:
         robot: Robot.
         configurations: Number of states. Large robots may be evaluated at fewer states.
-        tolerance: Largest accepted relative deviation.
+        tolerance: Largest accepted relative deviation; also the tolerance with which joint
+            equalities are equivalent to ``mimics`` (`split_mimics`).
         seed: Seed of the random numbers, at least 0.
         mimics: Mimic joints of the URDF; by default read from the robot's description. An
             equivalent joint equality of the MJCF is disabled.
@@ -778,7 +783,7 @@ def cross_check(
 
     Raises:
         ConfigurationError: If an argument is out of range.
-        ModelError: If MuJoCo refuses the URDF of a large robot.
+        ModelError: If MuJoCo refuses the URDF of a large robot, for example.
     """
     validate_state_request(configurations, seed)
     if not tolerance > 0:

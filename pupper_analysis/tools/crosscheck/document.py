@@ -220,7 +220,8 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 def _describe_extent(comparison: Comparison) -> doc.Text:
     """Return a text with the number of differences and the largest deviation that they cause.
 
-    For files that agree, the text states the largest deviation of the evaluations instead.
+    For files that agree without differences, the text states the largest deviation of the
+    evaluations instead.
     """
     count = len(comparison.differences)
     if not count and comparison.agree:

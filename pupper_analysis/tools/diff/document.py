@@ -24,8 +24,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Smallest relative change of a gravity torque with which the table of torques lists the joint.
-Smaller changes hardly alter the four printed digits. Chosen, not tuned.
+"""Largest relative change of a gravity torque with which the table of torques omits the joint. The
+change is divided by the larger of both torques. Such changes hardly alter the four printed digits.
+Chosen, not tuned.
 """
 
 
@@ -64,7 +65,8 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
     """Yield the headline of a diff: old and new total mass [kg], or else the first change.
 
     The first change is yielded if the total mass is unchanged or the old mass is 0. If no change
-    is listed, the mass is yielded in these cases, too.
+    is listed, the mass is yielded in these cases, too. If both versions are the same, only the new
+    mass is yielded.
     """
     old, new = diff.mass
     if diff.same:
