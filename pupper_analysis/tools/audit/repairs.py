@@ -1,10 +1,10 @@
 """Repairs of findings: new values of a file that should pass, and the reason.
 
-A repair replaces or adds attributes of elements, and may add the elements. A finding has a single repair if only a single
-value is proposed, several candidates if a few values are possible, and otherwise no repair. The
-rule is not run again with the new values. The new value is, for example, derived from the mirrored
-element, from equal limbs or from the joint of an actuator. The new value may also be the old value
-with another unit or decimal point.
+A repair replaces or adds attributes of elements, and may add the elements. A finding has a single
+repair if only a single value is proposed, several candidates if a few values are possible, and
+otherwise no repair. The rule is not run again with the new values. The new value is, for example,
+derived from the mirrored element, from equal limbs or from the joint of an actuator. The new value
+may also be the old value with another unit or decimal point.
 """
 
 from __future__ import annotations
@@ -382,8 +382,8 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
     The shapes are the collision shapes, or without collision shapes the visual shapes. The convex
     hull replaces the solid of an open mesh. A CoM that is missing or far outside of the shapes
-    (`_MAX_OUTSIDE`) is replaced, too. Nothing is proposed, for example, for a link with a shape of unknown size,
-    without mass or <inertial>, or with an impossible density.
+    (`_MAX_OUTSIDE`) is replaced, too. Nothing is proposed, for example, for a link with a shape of
+    unknown size, without mass or <inertial>, or with an impossible density.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if (
@@ -653,8 +653,9 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
     If the CoM is probably in mm (`_read_com_in_metres`), it is converted to m instead. If the other
-    limbs state equal origins (`_find_common_attributes`), the xyz is copied. If the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
-    repaired. The selection compares the magnitudes of the CoM coordinates, in the link frame, with
+    limbs state equal origins (`_find_common_attributes`), the xyz is copied. If the finding only
+    reports that both CoMs differ, `select_deviating_pairs` selects the link to be repaired. The
+    selection compares the magnitudes of the CoM coordinates, in the link frame, with
     other limbs. If there are too few other limbs, or the other limbs differ, both links are
     candidates. If both links or neither deviate, there is no repair.
     """

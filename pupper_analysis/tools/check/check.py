@@ -195,7 +195,8 @@ def check_repository(
         Result for each pair, and all remarks.
 
     Raises:
-        ConfigurationError: If there is no configuration, or ``config`` is the text of a model.
+        ConfigurationError: If there is no configuration, or ``config`` is the text of a model, for
+            example.
         ModelError: If the configuration or the baseline is invalid (mostly with the line), or the
             files of the revision cannot be read, for example without git or repository.
         OutputError: If the baseline cannot be written, or an output file of the command is also a
@@ -289,7 +290,8 @@ def _is_failure(remark: Remark, config: GuardConfig) -> bool:
 def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
     """Audit and compare the files of a pair, and run the checks of other tools (module ``guard``).
 
-    Return the result of the pair, and remarks on all findings.
+    If a file cannot be read, the files are not compared. After any error, the checks of other tools
+    are not run. Return the result of the pair, and remarks on all findings.
     """
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []

@@ -237,7 +237,8 @@ def make_check_annotations(
 ) -> list[Annotation]:
     """Create annotations for a CI service from the remarks of a check.
 
-    Remarks that make the check fail have the level "error", whatever their severity.
+    Remarks that make the check fail have the level "error", whatever their severity. Of remarks
+    with a common cause, only the first is annotated.
 
     Args:
         check: Check.

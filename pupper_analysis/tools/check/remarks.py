@@ -101,7 +101,7 @@ class Remark(Result):
         """Key of the finding to which this remark belongs; remarks of one finding are counted once.
 
         Remarks of a pair and file with the same cause, or the same values at several elements, have
-        equal keys.
+        equal keys, if all or none of them are known.
         """
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
@@ -317,8 +317,8 @@ _HEADER_LINES: Final = _HEADER_TEXT.splitlines()
 """Lines of the comment at the top of a baseline."""
 
 _VALUE_RTOL: Final = 1e-6
-"""Largest difference of two numbers, relative to the largest number of their list, with which a
-finding has the same value as in the baseline. Values have 9 digits; rotated angles and inertias
+"""Largest relative difference of two numbers with which a finding has the same value as in the
+baseline. `values_agree` defines the divisor. Values have 9 digits; rotated angles and inertias
 agree to about 12 digits on different machines."""
 
 

@@ -217,7 +217,7 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
 
 
 def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
-    """Raise a ModelError if two deployments list joint names in different orders.
+    """Raise a ModelError if two successive deployments list joint names in different orders.
 
     A policy file with joint names decides the order, so that no error is raised with such a file. A
     deployment with motor numbers may refer to the order of a deployment without motor numbers, so

@@ -34,8 +34,9 @@ from pupper_analysis.tools.contract.orders import (
 )
 
 _NUMBER_RTOL = 2e-6
-"""Largest relative difference of two numbers that count as equal: rounding to single precision, or
-to seven printed digits."""
+"""Largest relative difference of two numbers that count as equal, except of the quantities in
+`_KIND_TOLERANCES`: rounding to single precision, or to seven printed digits. Also the relative
+tolerance of a number that is the negative of another (`_classify_mistake`)."""
 
 _KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
@@ -176,8 +177,8 @@ def find_disagreements(
 def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSource, str]]:
     """List the joints of models whose passive damping in the file represents the kd of a servo.
 
-    Another source states the same number as kd, and the model states no kd for the joint. The
-    damping of these joints is not compared between sources.
+    A source that is no model states the same number as kd, and the model states no kd for the
+    joint. The damping of these joints is not compared between sources.
 
     Returns:
         (model, joint) pairs.

@@ -119,7 +119,7 @@ def _stand_in_pose(
 ) -> DefaultPoseStand:
     """Compute the stand in a default pose, with height [m] and largest motor utilisation.
 
-    If the source states gains, the stand is also simulated, and the height loss [m] is computed.
+    With ``kp`` and ``kd``, the stand is also simulated, and the height loss [m] is computed.
 
     Args:
         robot: Robot.

@@ -516,7 +516,7 @@ _DEFAULT_ATTRIBUTES = {
     "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),
     "position": ("kp", "kv", "forcerange"),
 }
-"""Attributes that ``put_defaults`` moves into the top default class, for each element type."""
+"""Attributes that ``put_defaults`` may move into the top default class, for each element type."""
 
 
 def put_defaults(root: etree._Element) -> None:

@@ -151,7 +151,7 @@ def diff_models(
     Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
     Collision shapes are compared by surface. The comparison of MJCFs includes contact parameters,
     pairs, options, flags, keyframes, motors, tendons and equalities. Compiler settings are compared
-    if there is another change. Visual shapes and sensors are ignored.
+    if there is another change, or an effect in a simulation. Visual shapes and sensors are ignored.
 
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
@@ -169,7 +169,9 @@ def diff_models(
 
     Raises:
         ModelError: If a file cannot be read, git does not contain the file, the formats differ, or
-            the versions have no joint in common.
+            the versions have no joint in common, for example.
+        ConfigurationError: If an argument has a wrong type, or there are ``xacro_args`` without
+            ``xacro``, for example.
         VariantError: If an argument is probably a misspelled variant name.
     """
     tolerances = tolerances or Tolerances.strict()

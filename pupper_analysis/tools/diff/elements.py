@@ -255,14 +255,13 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 
 MIN_FELT_MOTION = 1e-4
-"""Smallest reported difference of a simulated coordinate [m, rad] between two versions, within
-`SIMULATION_SECONDS`. Smaller differences count as no effect. A stand is settled to 1e-5. Chosen,
-not tuned.
+"""Largest difference of a simulated coordinate [m, rad], or of the final CoM height [m], between
+two versions that counts as no effect. A stand is settled to 1e-5. Chosen, not tuned.
 """
 
 SIMULATION_SECONDS = 2.0
-"""Duration of a simulation of both versions [s], enough for a fall and for servos of some hertz to
-settle. Chosen, not tuned."""
+"""Duration of a simulation of both versions [s], unless `_MAX_SIMULATION_STEPS` are shorter: enough
+for a fall and for servos of some hertz to settle. Chosen, not tuned."""
 
 _MAX_SIMULATION_STEPS = 4000
 """Largest number of time steps of a simulation; with a small time step the simulated time is
@@ -274,8 +273,8 @@ Chosen, not tuned.
 """
 
 _MIN_FALL_HEIGHT = 1.0
-"""Smallest drop [m] of the CoM at which the new robot is reported as falling through or off the
-floor. The drop is the CoM height of the old version minus that of the new version, both at the end
+"""Drop [m] of the CoM above which the new robot is reported as falling through or off the floor.
+The drop is the CoM height of the old version minus that of the new version, both at the end
 of the simulations. Chosen, not tuned.
 """
 

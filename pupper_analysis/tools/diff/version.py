@@ -298,7 +298,8 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
         given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
             ``REVISION:PATH`` as for ``git show``. PATH is relative to the top of the repository, or
             to the current folder if PATH begins with ``./`` or ``../``. All files that the model
-            may include are extracted as well.
+            may include are extracted as well. A single letter other than ``@`` is no REVISION, but
+            a drive.
 
     Raises:
         ModelError: If git is not installed or does not contain the file, with git's message; or if

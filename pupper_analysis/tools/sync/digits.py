@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
-"""Relative tolerance of numbers in files. If a number in a file deviates less from the requested
-number, the text in the file is kept. The tolerance is relative to the largest number of the vector,
-or to a larger scale that the caller passes. A requested number whose magnitude is below the
-tolerance is written as 0. Chosen, not tuned: far below the tolerances of comparisons.
+"""Relative tolerance of numbers in files. If a number in a file deviates by at most this tolerance
+from the requested number, the text in the file is kept. The tolerance is relative to the largest
+magnitude of the vector, or to a larger scale that the caller passes. A requested number whose
+magnitude is at most the tolerance is written as 0. Chosen, not tuned: far below the tolerances of
+comparisons.
 """
 
 

@@ -98,7 +98,7 @@ class EditableMjcf:
             element.set(attribute, text)
 
     def is_in_frame_element(self, element: XmlElement) -> bool:
-        """Return True if an element is inside a <frame>.
+        """Return True if a <frame> is between an element and the next <body> above the element.
 
         The pose of the element is then relative to the frame.
         """

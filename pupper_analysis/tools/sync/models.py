@@ -106,9 +106,10 @@ def sync_models(
 ) -> Sync:
     """Make a URDF and an MJCF of the same robot agree: write numbers of a file into the other.
 
-    Only attributes with different numbers are written; all other bytes are unchanged. Changes are
-    first verified on copies. A change that does not remove the difference is not written. Without
-    ``partial``, nothing at all is written in this case, or if a chosen number cannot be written.
+    Only attributes with different numbers, and attributes that the format requires beside them, are
+    written; all other bytes are unchanged. Changes are first verified on copies. A change that does
+    not remove the difference is not written. Without ``partial``, nothing at all is written in this
+    case, or if a chosen number cannot be written.
 
     Two kinds of chosen differences always remain, and do not prevent other changes:
 
@@ -138,12 +139,13 @@ def sync_models(
         Written or planned changes, and remaining differences.
 
     Raises:
-        ModelError: If a file cannot be read, or the files cannot be matched.
+        ModelError: If a file cannot be read, or the files cannot be matched, for example.
         ConfigurationError: If a choice is not valid or matches no difference, a model has no file
-            (a robot in memory, or a text), or a value would be written to a scaled variant.
+            (a robot in memory, or a text), or a value would be written to a scaled variant, for
+            example.
         VariantError: If a model is probably a misspelled variant name, or the scales of a variant
             give no valid model.
-        OutputError: If a file cannot be written, or has uncommitted changes.
+        OutputError: If a file cannot be written, or, without ``force``, has uncommitted changes.
     """
     # The files of scaled variants are compared, and never written.
     with TemporaryDirectory() as name:

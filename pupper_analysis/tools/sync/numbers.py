@@ -79,7 +79,8 @@ class WrittenNumbers:
     ) -> list[Writing]:
         """Create the requests for `write_all` that write the new files into a folder.
 
-        Files that exist with the same content are left out.
+        Files that exist with the same content are left out. Stale temporary files of earlier runs
+        are removed from the folders (`remove_stale_files`).
 
         Args:
             folder: Output folder.

@@ -180,7 +180,7 @@ def _check_file(path: Path) -> None:
 def _check_depth(path: Path, text: bytes) -> None:
     """Check that the brackets of a USD text file are nested at most `MAX_DEPTH` deep.
 
-    Brackets in strings are ignored.
+    Brackets in strings with double quotes are ignored, except in strings of several lines.
 
     Raises:
         ModelError: If the brackets are nested deeper.
@@ -223,4 +223,4 @@ def _format_error(error: Any) -> str:
 _MISSING_ASSET: Final = re.compile(r"Could not open asset @([^@]*)@")
 """Pattern of USD's warning about a missing file."""
 _BRACKET_PATTERN: Final = re.compile(rb'"(?:[^"\\\n]|\\.)*"|[][{}()]')
-"""Pattern of strings and brackets in a text layer."""
+"""Pattern of brackets, and of strings with double quotes in a single line, in a text layer."""

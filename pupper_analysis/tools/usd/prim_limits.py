@@ -13,8 +13,9 @@ from typing import Any, Final
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_PRIMS: Final = 100_000
-"""Maximum number of prims of a file; a referenced prim counts at each reference. Larger files are
-refused. Chosen: robots have some thousand prims."""
+"""Maximum number of prims of a file, counted by `_PrimCounter`: a referenced prim counts at each
+reference, and prims of all variants count. Larger files are refused. Chosen: robots have some
+thousand prims."""
 
 
 def check_prim_count(path: Path) -> Diagnostic | None:

@@ -71,8 +71,9 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 def read_as_urdf(path: Path) -> UsdAsUrdf:
     """Convert a USD file to a URDF in memory, with the same links, joints and inertials.
 
-    Shapes are left out. Joints that close loops are left out and reported by a note. ``unknown`` of
-    the result lists the joints whose effort the USD does not state.
+    Bodies outside of the tree of the base, and shapes, are left out. Joints that close loops are
+    left out and reported by a note. ``unknown`` of the result lists the joints whose effort the USD
+    does not state.
 
     Raises:
         ModelError: If the file cannot be opened or has no readable robot, the tree of the base

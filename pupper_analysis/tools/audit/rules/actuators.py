@@ -119,7 +119,8 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MIN_SERVOS = 5
 """Smallest number of servos in an MJCF with which a single actuator without position feedback is
-reported as a probable mistake. Chosen, not tuned."""
+reported as a probable mistake, and of positive gears with which a single negative gear is reported.
+Chosen, not tuned."""
 
 
 @rule

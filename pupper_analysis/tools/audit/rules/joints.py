@@ -50,7 +50,7 @@ _AXIS_NAMES = (
     "hip_?yaw",
 )
 """Patterns of words in joint names that imply a rotation about x, y or z of the base, respectively.
-A hinge with another axis is reported."""
+`axis_contradicts_name` reports hinges with another axis."""
 
 _AXIS_PATTERNS = [
     re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _AXIS_NAMES
@@ -703,7 +703,7 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
     foot below the hip (`Leg.compute_reached_fraction`). A finding requires two conditions. With the
     stated limits, the fraction is less than `MIN_REACHED_FRACTION`. With the opposite sign of the
     knee limits, or of the hip limits, the fraction is above 95 %. Knee angles with a folded leg are
-    not counted. Legs without finite limits are skipped.
+    not counted. Legs with an infinite limit, or with lower >= upper, are skipped.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

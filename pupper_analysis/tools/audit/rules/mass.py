@@ -80,7 +80,8 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
     Links fixed to the moving link are included. WARNING instead of ERROR if moving links with mass
     are attached. In 1500 published links with mass, the smallest ratio is five thousandths. The
-    base of a robot with legs moves, too: without any mass of the base, the finding is an ERROR.
+    free base of a URDF with two or more legs (`_list_legs`) moves, too: if the base and its fixed
+    links have no mass, the finding is an ERROR.
     """
     if robot.format == "urdf" and robot.has_free_base and len(_list_legs(robot)) > 1:
         group = robot.fixed_group(robot.base)
@@ -110,7 +111,10 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _list_legs(robot: RobotModel) -> list[str]:
-    """Return the first moving links of the limbs at the base that contain a leg joint or link."""
+    """Return the first moving links of the limbs at the base that contain a leg joint or link.
+
+    A limb has two or more moving joints. `LEG_JOINT_NAME` defines the names.
+    """
     legs = []
     for part in robot.fixed_group(robot.base):
         for child in robot.children(part.name):
@@ -329,8 +333,8 @@ the largest distance from the CoM to the known shapes, joints and frames, and ma
 the link. Chosen, not tuned."""
 
 MIN_GYRATION_SQUARED = 1e-10
-"""Moment of inertia per mass [m^2] below which a moment counts as zero: a radius of gyration of
-0.01 mm. Chosen, not tuned."""
+"""Moment of inertia per mass [m^2] up to which a moment, or the excess in `triangle_inequality`,
+counts as zero: a radius of gyration of 0.01 mm. Chosen, not tuned."""
 
 MIN_REACH = 0.05
 """Lower bound of the radius R [m] for a link without shapes. The largest moment of inertia of the
@@ -419,8 +423,10 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     not read), k is 8, and R also includes the joints and frames of the link. If no size is known, k
     is 100. R then includes only the joints and frames, and is at least `MIN_REACH`.
 
-    The lower limit is 1 % of the moment of a solid box around the link's own shapes of known size,
-    m (a^2 + b^2) / 12. Links with less than 1e-4 of the robot's mass are skipped.
+    If all sizes are known, the moments about the principal axes of the shapes are limited as well
+    (`_find_excess_axis`). The lower limit is 1 % of the largest moment of a solid box around the
+    link's own shapes of known size, m (a^2 + b^2) / 12. Links with less than 1e-4 of the robot's
+    mass are skipped.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
@@ -467,9 +473,9 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_AXIS_EXCESS = 3.0
-"""Smallest ratio of a moment about a principal axis of the shapes to m d^2 that is reported; d is
-the largest distance of the shapes from this axis through the CoM. A body inside its shapes has at
-most 1. Chosen: shapes may be simplified."""
+"""Ratio of a moment about a principal axis of the shapes to m d^2 above which the moment is
+reported; d is the largest distance of the shapes from this axis through the CoM. A body inside its
+shapes has at most 1. Chosen: shapes may be simplified."""
 
 
 def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, float] | None:
@@ -613,7 +619,7 @@ Negligible links, copies and links of unknown volume are not counted. Measured o
 robots with measured masses: the largest fraction is 0.44."""
 
 MIN_COMPARED_LINKS = 4
-"""Smallest number of links with mass and known volume for which the rule `one_density` compares the
+"""Smallest number of links that the rule `one_density` counts, with which the rule compares the
 densities of a robot. Chosen, not tuned."""
 
 COPY_RTOL = 1e-3

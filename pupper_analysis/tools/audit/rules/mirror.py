@@ -120,7 +120,7 @@ def _find_plane_of_displaced_limb(
 
     The vectors from the parent links to the links must be mirror images in all pairs except one.
     The positions along the normal axis must be on different sides, with equal middles, in all
-    pairs. At least `MIN_RELATIVE_PAIRS` vectors must be longer than ``tolerance``.
+    pairs. At least `MIN_RELATIVE_PAIRS` mirrored vectors must be longer than ``tolerance``.
     """
 
     def list_vectors(names: list[str]) -> Array:
@@ -167,8 +167,8 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 
 MIN_PLANAR_COSINE = 0.9999
-"""Lower bound of the cosine between each hinge axis and the same axis of the base. Above the bound
-the robot counts as planar, and this axis is the normal of the plane. Chosen, not tuned.
+"""Lower bound of the absolute cosine between each hinge axis and the same axis of the base. Above
+the bound the robot counts as planar, and this axis is the normal of the plane. Chosen, not tuned.
 """
 
 
@@ -181,7 +181,8 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
 )
 """Largest differences between left and right that are not reported. In this order: positions [m],
 masses (relative), CoM [m] (plus 1 % of the distance from the origin of the base), inertia (relative
-to the largest entry), joint limits [rad or m]. Chosen, not tuned.
+to the largest entry), joint limits [rad or m]. In `find_copied_links`, predictions of offsets, CoMs
+and inertias that differ by no more count as equal. Chosen, not tuned.
 """
 
 
@@ -519,8 +520,8 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    Pairs at displaced positions, and copied limbs, are left out. The tolerance is that of
-    `_get_com_tolerance`.
+    Pairs at displaced positions, and copied limbs, for example, are left out
+    (`_list_inertial_pairs`). The tolerance is that of `_get_com_tolerance`.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
@@ -542,7 +543,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
     I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection. A
-    pair is reported if an entry of S I S - I' exceeds 10 % of the largest entry of both. If twice
+    pair is reported if the magnitude of an entry of S I S - I' exceeds 10 % of the largest entry of
+    both. If twice
     the rounding of the written digits is larger than 10 %, this tolerance is used instead, up to 50
     %. A pair is also reported if I' has products of inertia of the wrong sign (`_has_wrong_sign`).
     The message states the entry with the largest difference. Pairs with different masses or at
@@ -903,8 +905,9 @@ def select_deviating_pairs(
 
     Args:
         pairs: (link that may be wrong, link on the other side).
-        values: {link: lengths in the frame of the link that are equal on both sides [m]} of the
-            pairs and of other limbs, such as the magnitudes of CoM coordinates.
+        values: {link: numbers that are equal on both sides} of the pairs and of other limbs: the
+            magnitudes of CoM coordinates in the frame of the link [m], for example, or of tensor
+            entries relative to the largest entry [1].
 
     Returns:
         The selected pair as a list. All pairs if the wrong link is unknown: there are fewer than
@@ -924,8 +927,9 @@ def select_deviating_pairs(
 
 
 SIBLING_ATOL = 2e-3
-"""Largest difference between lengths on equal links of several limbs [m] that count as equal in
-`select_deviating_pairs`, for example between extents. Chosen, not tuned."""
+"""Largest difference between numbers of corresponding links of several limbs that count as equal in
+`select_deviating_pairs`: lengths [m], or tensor entries relative to the largest entry [1]. Chosen,
+not tuned."""
 
 
 @rule

@@ -196,8 +196,8 @@ MIN_LINK_LENGTH = 0.03
 is checked. Chosen, not tuned."""
 
 MIN_ALIGNMENT_COSINE = 0.966
-"""Smallest cosine between the long axis of a shape and the line between two joints of a link, with
-which the position of the shape is checked: 15 degrees. Chosen, not tuned."""
+"""Smallest absolute cosine between the long axis of a shape and the line between two joints of a
+link, with which the position of the shape is checked: 15 degrees. Chosen, not tuned."""
 
 
 def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
@@ -685,7 +685,8 @@ def _make_drawn_hull(robot: RobotModel, name: str) -> Mesh | None:
 def _measure_hull_gap(first: Mesh, second: Mesh) -> float:
     """Return a lower bound of the distance between two convex hulls [m]; negative if they overlap.
 
-    The bound is the largest gap along `COMPARISON_DIRECTIONS`.
+    The bound is the largest gap along `COMPARISON_DIRECTIONS` by which the second hull is ahead of
+    the first.
     """
     gaps = (second.vertices @ COMPARISON_DIRECTIONS.T).min(axis=0) - (
         first.vertices @ COMPARISON_DIRECTIONS.T

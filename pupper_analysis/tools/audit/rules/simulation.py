@@ -164,8 +164,8 @@ def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
     """Return the ids of the spherical geoms of feet.
 
     If `list_foot_geoms` finds no feet, the collision spheres at the ends of limbs count as feet.
-    The end of a limb is a moving body without moving children whose only collision geom is a
-    sphere.
+    The end of a limb is a moving body, or a body that is fixed to a moving body, without moving
+    children. The only collision geom of the body must be the sphere.
     """
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
@@ -313,8 +313,9 @@ def _is_end_touching(
 ) -> bool:
     """Return True if a geom of ``touching`` is at the end of a foot.
 
-    All geoms that are fixed to ``body`` count. The end is evaluated in the direction from the last
-    joint to the geoms with "foot" in their name; without such geoms, every geom is at the end.
+    All geoms that are fixed to ``body`` count. The end is evaluated in the direction from the first
+    joint of the body to the first geom with "foot" or "feet" in its name. Without such a joint or
+    geom, every geom is at the end.
     """
     weld = model.body_weldid[model.geom_bodyid]
     own = np.flatnonzero(weld == body).tolist()

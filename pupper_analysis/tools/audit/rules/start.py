@@ -217,8 +217,8 @@ def keyframe_base_half_turn(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_EQUAL_COMMANDS = 3
-"""Smallest number of joint angles other than zero from which a keyframe is reported whose torque
-commands all equal the joint angles. Chosen: torques do not equal angles by chance."""
+"""Smallest number of joint angles above 1 mrad in magnitude from which a keyframe is reported whose
+torque commands all equal the joint angles. Chosen: torques do not equal angles by chance."""
 
 
 @rule

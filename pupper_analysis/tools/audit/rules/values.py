@@ -174,12 +174,13 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about the notation of rotations.
 
 FULL_TURN = 2 * math.pi + 1e-3
-"""Largest angle of ``rpy`` [rad] that is not reported: a turn, with a tolerance for rounding."""
+"""Largest magnitude of an angle of ``rpy`` [rad] that is not reported: a turn, with a tolerance for
+rounding."""
 
 
 @rule
 def rpy_in_degrees(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find <origin> elements of a URDF with an ``rpy`` above 2 pi in magnitude [rad]."""
+    """Find <origin> elements of a URDF with an ``rpy`` above `FULL_TURN` in magnitude [rad]."""
     for element in robot.file.root.iter("origin"):
         rpy = parse_numbers(element.get("rpy"), "0 0 0")
         if np.abs(rpy).max() > FULL_TURN:
