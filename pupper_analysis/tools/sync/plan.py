@@ -341,7 +341,7 @@ class FileLayout:
 
         Args:
             main: Main file of the model.
-            needed: Other files that the model needs, except absolute paths.
+            needed: Other files that a copy needs (`list_urdf_files`, `list_mjcf_files`).
             within: ROS package folders, whose names the copy must keep.
         """
         files = tuple(dict.fromkeys((main, *needed)))

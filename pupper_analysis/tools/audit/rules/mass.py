@@ -328,9 +328,9 @@ moments by a factor of 1000 or more.
 """
 
 UNREAD_MESH_FACTOR = 8.0
-"""Largest ratio of a moment of inertia to m R^2 that is not reported if a mesh was not read. R is
-the largest distance from the CoM to the known shapes, joints and frames, and may be smaller than
-the link. Chosen, not tuned."""
+"""Largest ratio of a moment of inertia to m R^2 that is not reported if the sizes of some shapes
+are unknown, for example because a mesh was not read. R is the largest distance from the CoM to the
+known shapes, joints and frames, and may be smaller than the link. Chosen, not tuned."""
 
 MIN_GYRATION_SQUARED = 1e-10
 """Moment of inertia per mass [m^2] up to which a moment, or the excess in `triangle_inequality`,

@@ -301,8 +301,8 @@ The convex hull is the largest possible volume of the link. The densest of 1500 
 """
 
 UNREAD_MESH_FACTOR = 5.0
-"""Factor on `MAX_DENSITY` for a link with a mesh that was not read, since the known shapes may be
-smaller than the link. Chosen, not tuned."""
+"""Factor on `MAX_DENSITY` for a link with a shape of unknown size, for example a mesh that was not
+read, since the known shapes may be smaller than the link. Chosen, not tuned."""
 
 MIN_DENSITY = 2.0
 """Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air

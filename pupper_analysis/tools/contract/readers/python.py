@@ -325,8 +325,9 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
     """Yield the scales and offsets of a policy's action.
 
-    The offsets are the default joint angles ``angles`` if ``use_default_offset`` is True or not
-    stated. Otherwise the offsets are the stated ``offset``.
+    A scale that is not stated is 1, the default of the framework. The offsets are the default joint
+    angles ``angles`` if ``use_default_offset`` is True or not stated. Otherwise the offsets are the
+    stated ``offset``.
     """
     patterns = action.find_first("patterns").texts
     scale = action.get("scale")

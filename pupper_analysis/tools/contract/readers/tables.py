@@ -205,9 +205,9 @@ def _split_document(own: _View, depth: int) -> list[_View]:
     """Group a table and its nested tables into sources, and return a view of each source.
 
     All tables form one source, unless two tables state the same quantity of joints, or joint names.
-    This occurs, for example, in a file with several controllers. Tables for standing up and configurations of
-    trainers are separate sources. If some controllers run a policy and others do not, only the
-    controllers with a policy are returned.
+    This occurs, for example, in a file with several controllers. Tables for standing up and
+    configurations of trainers are separate sources. If some controllers run a policy and others do
+    not, only the controllers with a policy are returned.
 
     Args:
         own: The table, with keys in lower case.
