@@ -745,9 +745,9 @@ class _SimulatedRun:
 
 
 ROUNDING_NUDGE = 1e-9
-"""Initial velocity [rad/s, m/s] in a repeated simulation of the old version. If this nudge changes
-the motion by more than a tenth of the difference between the versions, the difference is attributed
-to rounding. Chosen, not tuned."""
+"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version. If this
+nudge changes the motion by more than a tenth of the difference between the versions, the difference
+is attributed to rounding. Chosen, not tuned."""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:

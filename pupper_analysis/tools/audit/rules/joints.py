@@ -378,8 +378,9 @@ def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 _MIN_HINGES, _HALF_TURN = 4, 3.1
-"""Bounds with which `range_placeholder` reports the common range of all hinges: smallest number of
-hinges, and smallest upper limit [rad], about half a turn. Chosen, so that 3.1 and 3.14 count."""
+"""Bounds with which `range_placeholder` reports the common range of all limited hinges: smallest
+number of these hinges, and smallest upper limit [rad], about half a turn. Chosen, so that 3.1 and
+3.14 count."""
 
 
 @rule

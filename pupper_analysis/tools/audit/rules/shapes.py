@@ -312,7 +312,8 @@ MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density is
 checked. Lighter links do not count for the median density, since the shapes of a light link may be
 markers instead of the real geometry. The density of a free base is checked with any mass. Lighter
-rotors need no collision shapes. Chosen, not tuned.
+rotors, and links between other links, need no collision shapes (`_is_light_part`). Chosen, not
+tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5

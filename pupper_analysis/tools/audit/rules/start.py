@@ -312,7 +312,7 @@ MIN_FEET = 2
 tuned."""
 
 MAX_LEG_JOINTS = 4
-"""Largest number of joints of a leg of which all combinations of signs are tried. Chosen, to bound
+"""Largest number of hinges of a leg of which all combinations of signs are tried. Chosen, to bound
 the time."""
 
 
