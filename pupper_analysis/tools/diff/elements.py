@@ -745,7 +745,7 @@ class _SimulatedRun:
 
 
 ROUNDING_NUDGE = 1e-9
-"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version. If this
+"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version. If the
 nudge changes the motion by more than a tenth of the difference between the versions, the difference
 is attributed to rounding. Chosen, not tuned."""
 
