@@ -763,8 +763,8 @@ def cross_check(
 ) -> CrossCheck:
     """Compare the dynamics of a robot's URDF and MJCF, each evaluated in Pinocchio and in MuJoCo.
 
-    States are random (`random_states`). Joint positions and torques are within the limits. A
-    floating base has any orientation, and a position within 1 m of the origin along each axis.
+    States are random: `random_states` defines the ranges of the configuration, the velocities and
+    the torques.
 
     If the robot was loaded from an MJCF alone, terms of the MJCF that a URDF cannot express are not
     compared, for example springs: there is no second file.

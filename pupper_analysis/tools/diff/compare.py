@@ -485,8 +485,8 @@ class RandomStates:
         """Random configurations with a fixed seed, shape (n, nq).
 
         A floating base has a position within 1 m of the origin along each axis, and a random
-        orientation. Joint positions are within the limits; a missing limit is replaced by pi or -pi
-        [rad or m].
+        orientation. Joint positions are between the lower and the upper limit; a missing limit is
+        replaced by -pi or pi [rad or m].
         """
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()

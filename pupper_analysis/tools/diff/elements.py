@@ -178,7 +178,7 @@ def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile)
 
 
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
-    """Return a unique name for each geom of a model, in the model's order.
+    """Return a name for each geom of a model, in the model's order.
 
     The name of a geom without name consists of the body and the number of the geom in the body:
     ``calf #2``.

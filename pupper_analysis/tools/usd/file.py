@@ -193,7 +193,7 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _name_prims(prims: list[Any]) -> dict[str, str]:
-    """Return a unique name for each prim: {name: path}.
+    """Return a name for each prim: {name: path}.
 
     The key of prims that share a name is the path without the leading slash.
     """

@@ -471,7 +471,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     Raises:
         ModelError: If a frame is sheared or mirrored, an operation of a transform has no value, a
             body is scaled unevenly, an attribute has the wrong type, or a joint refers to a missing
-            prim.
+            prim, for example.
     """
     from pxr import UsdGeom
 
@@ -962,7 +962,7 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
     """Split the transform of a prim into a pose and a scale.
 
     Raises:
-        ModelError: If the transform is sheared or mirrored.
+        ModelError: If the transform is sheared, mirrored or singular.
     """
     transform = np.array(matrix).T
     scale = np.linalg.norm(transform[:3, :3], axis=0)

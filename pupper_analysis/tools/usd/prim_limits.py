@@ -22,7 +22,7 @@ def check_prim_count(path: Path) -> Diagnostic | None:
     """Check the number of prims of a USD file before opening, and return the reason for a refusal.
 
     Returns:
-        None if the file has at most `MAX_PRIMS` prims, or cannot be opened.
+        None if `_PrimCounter` counts at most `MAX_PRIMS` prims, or the file cannot be opened.
 
     Raises:
         pxr.Tf.ErrorException: If the file is not valid.

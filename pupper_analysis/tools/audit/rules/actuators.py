@@ -2,7 +2,8 @@
 
 Force of a MuJoCo actuator: F = gain * ctrl + bias, clipped to ``forcerange``; joint torque: gear *
 F. A position servo has gain = kp and bias = -kp * l - kd * dl/dt, with the length l = gear * q.
-Source: MuJoCo documentation, "Computation: Actuation model".
+Source: MuJoCo documentation, "Computation: Actuation model". The rules check the actuators that
+`list_drives` yields: actuators with constant gain on a single hinge or slide.
 """
 
 from __future__ import annotations

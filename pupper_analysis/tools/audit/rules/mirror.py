@@ -520,7 +520,7 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    Pairs at displaced positions, and copied limbs, for example, are left out
+    Pairs at displaced positions and copied limbs, for example, are left out
     (`_list_inertial_pairs`). The tolerance is that of `_get_com_tolerance`.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -544,11 +544,10 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 
     I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection. A
     pair is reported if the magnitude of an entry of S I S - I' exceeds 10 % of the largest entry of
-    both. If twice
-    the rounding of the written digits is larger than 10 %, this tolerance is used instead, up to 50
-    %. A pair is also reported if I' has products of inertia of the wrong sign (`_has_wrong_sign`).
-    The message states the entry with the largest difference. Pairs with different masses or at
-    displaced positions, and copied limbs, are not compared.
+    both. If twice the rounding of the written digits is larger than 10 %, this tolerance is used
+    instead, up to 50 %. A pair is also reported if I' has products of inertia of the wrong sign
+    (`_has_wrong_sign`). The message states the entry with the largest difference. Pairs with
+    different masses, and those that `_list_inertial_pairs` leaves out, are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):

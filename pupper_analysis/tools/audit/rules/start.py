@@ -202,7 +202,8 @@ def keyframe_incomplete(robot: MjcfModel) -> Iterator[CheckFinding]:
 def keyframe_base_half_turn(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes with the base quaternion (0, 0, 0, 1): the identity in the order x, y, z, w.
 
-    In MuJoCo's order w, x, y, z, this is half a turn about z.
+    In MuJoCo's order w, x, y, z, this is half a turn about z. Only models with a single free joint
+    are checked, and at most `MAX_KEYFRAMES` keyframes.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.njnt:
