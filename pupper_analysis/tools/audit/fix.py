@@ -30,6 +30,9 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 
     Returns:
         Changed files, and the number of applied repairs. The files on disk are unchanged.
+
+    Raises:
+        InputError: If a file to be repaired cannot be read.
     """
     documents: dict[str, XmlDocument] = {}
     count = 0
@@ -79,6 +82,9 @@ def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 
     A xacro macro, for example, computes such values. `_has_old_values` tests each repair of
     `list_unique_repairs`.
+
+    Raises:
+        InputError: If a file to be repaired cannot be read.
     """
     repairs = list_unique_repairs(audits)
     documents = {file: read_xml_bytes(Path(file)) for file in {repair.file for repair in repairs}}

@@ -96,8 +96,8 @@ def read_deployment(
             robot, if a file contains several configurations and no name is passed, or if a source
             is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
             the only list of such a quantity has another length than the joint order of its file,
-            or if two deployments list the joints in different orders. Also if a file of ``sources``
-            is a robot model. If ``policy`` cannot be read, its metadata are left out.
+            or if two successive deployments list the joints in different orders. Also if a file of
+            ``sources`` is a robot model. If ``policy`` cannot be read, its metadata are left out.
     """
     requests, folders = split_arguments(sources)
     if folders:

@@ -25,6 +25,10 @@ def guard(
 
     Returns:
         Sources and quantities that were not compared, then disagreements, the most severe first.
+
+    Raises:
+        ModelError: For example, if no model can be read, or no source can be used
+            (`read_contract`).
     """
     contract = read_contract(*models, *sources, names=names, stand=False)
     return (*map(make_unread_finding, contract.unread), *contract.findings)

@@ -906,6 +906,9 @@ class Evaluator:
 
         The value of an expression that is not constant is an ``UnknownValue`` with the text of the
         expression.
+
+        Raises:
+            ModelError: If more than `MAX_VALUES` steps are needed.
         """
         self._count_step(expression, scope)
         try:

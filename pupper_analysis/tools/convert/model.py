@@ -396,6 +396,9 @@ def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRu
     Returns:
         Stability of the keyframe, response to the nudge, and reasons why the robot does not return
         to rest; None if the file has no keyframe.
+
+    Raises:
+        ValueError: If MuJoCo refuses the file.
     """
     model = mujoco.MjModel.from_xml_path(str(path))
     if not model.nkey:

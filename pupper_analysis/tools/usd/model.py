@@ -349,6 +349,9 @@ def read_body_mass(
     Returns:
         Mass properties, in SI units and the body frame. The inertial is None unless mass, CoM and
         inertia are all stated, or the mass is negative.
+
+    Raises:
+        ModelError: If an attribute has the wrong type.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
@@ -894,7 +897,11 @@ def read_value(prim: Any, name: str, kind: str) -> Any:
 
 
 def read_number(prim: Any, name: str, default: float = math.nan) -> float:
-    """Read the number of an attribute, in the unit of the file; ``default`` without a value."""
+    """Read the number of an attribute, in the unit of the file; ``default`` without a value.
+
+    Raises:
+        ModelError: If the value is no number.
+    """
     value = read_value(prim, name, "number")
     return default if value is None else float(recover_decimals(value))
 

@@ -44,7 +44,8 @@ def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint parameters that a URDF, MJCF or USD states, and the order of the joints.
 
     Parameters are, for example, effort limits and servo gains. The order is depth first, limb by
-    limb. Nothing is yielded for a model without moving joints.
+    limb. Nothing is yielded for a model without moving joints. `read_model_file` raises the errors
+    of a file that cannot be read.
     """
     model, notes = read_model_file(request.path), list[Diagnostic]()
     if isinstance(model, MjcfModel) and model.refusal is not None:

@@ -87,6 +87,9 @@ def read(request: Request) -> Iterator[JointSource]:
     Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
     and of the first output. Nothing is yielded for a file without joint names, joint values and
     tensor sizes.
+
+    Raises:
+        ModelError: If the file cannot be read, or is not an ONNX file, for example.
     """
     file = read_onnx(request.path)
     table = {

@@ -43,6 +43,10 @@ def read(request: Request) -> Iterator[JointSource]:
     constants of the file are read, and finally constants of the block ``if __name__ ==
     "__main__"``. Names that contain ``action_scale`` add action scales to sources that state a
     stiffness but no action scale, unless the request names a configuration. No code is executed.
+
+    Raises:
+        InputError: If the file cannot be read.
+        ModelError: If the file cannot be parsed, or needs too many steps, for example.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)

@@ -147,6 +147,10 @@ def read(request: Request) -> Iterator[JointSource]:
 
     A set belongs, for example, to one of several controllers, to MoveIt's joint limits, or to a
     policy in RTNeural's format. Joint values are, for example, gains.
+
+    Raises:
+        InputError: If the file cannot be read.
+        ModelError: If the file is not valid YAML or JSON, for example.
     """
     documents = read_yaml_nodes(request.path, read_text(request.path))
     for document in (document for document in documents if isinstance(document.value, dict)):
@@ -181,7 +185,11 @@ def read_nested_tables(
     Args:
         request: Request with the path of the file.
         document: Table {key: value or table}.
-        role: Role of the sources; `Role.DRIVER` for nodes of ROS 2.
+        role: Role of the sources; `Role.DRIVER` for nodes of ROS 2, ``TRAINER`` for configurations
+            of trainers.
+
+    Raises:
+        ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
     """
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
     nodes = {key: node.get("ros__parameters") for key, node in document.table.items()}
@@ -256,6 +264,9 @@ def read_table(
         table: Table; its keys are converted to lower case, but not those of nested tables.
         role: Role of the source; ``TRAINER`` instead if the table configures a trainer.
         sizes: Statements from elsewhere, such as the sizes of a network.
+
+    Raises:
+        ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
     """
     lowered = LocatedValue(
         {str(key).lower(): node for key, node in table.table.items()}, table.place
@@ -403,6 +414,10 @@ def list_numeric_keys(path: Path) -> tuple[str, ...]:
 
     Keys of lists, which more often contain a number per joint, are the first. Tables nested deeper
     than `_MAX_TABLE_DEPTH` are left out.
+
+    Raises:
+        InputError: If the file cannot be read.
+        ModelError: If the file is not valid YAML or JSON.
     """
     lists, numbers = list[str](), list[str]()
 
