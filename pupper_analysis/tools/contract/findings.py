@@ -219,8 +219,10 @@ def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     """List quantities in sources that are lost for the comparison with other sources.
 
     The reason is a value that is no number, a list that cannot be assigned to joints, or keys that
-    match no joint of the robot. A list that has another length than the joint order of its own file
-    is always reported; all other cases only if another source states the quantity.
+    match no joint of the robot; keys of models are not reported. Only quantities whose differences
+    have a severity are reported. A list that has another length than the joint order of its own
+    file is always reported; all other cases only if another source states the quantity (for keys:
+    for a joint without a number in this source).
 
     Returns:
         Messages, each about a quantity in a source.

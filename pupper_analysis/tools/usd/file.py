@@ -45,9 +45,9 @@ class UsdFile:
     Attributes:
         path: File.
         stage: `pxr.Usd.Stage`, with all payloads loaded.
-        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name or,
-            without a display name, the prim name. If several bodies share a name, the key is the
-            path without the leading slash.
+        bodies: {name: prim path} of the enabled rigid bodies. The name is the prim's display name
+            or, without a display name, the prim name. If several bodies share a name, the key is
+            the path without the leading slash.
         joints: {name: prim path} of the joints. Names are formed as for ``bodies``.
         notes: Notes on parts that were not read.
     """

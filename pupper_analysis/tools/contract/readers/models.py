@@ -189,10 +189,10 @@ def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator
 
 
 def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
-    """Return the file and line of an actuator's attribute, or of the actuator without attribute.
+    """Return the file and line that set an attribute of an actuator, or else of the actuator.
 
-    ``number`` is the index of the actuator. ``words`` are names of attributes; the first that the
-    file contains is used.
+    ``number`` is the index of the actuator. ``words`` are names of attributes, of which one is
+    sufficient. For an actuator without a name, the result is the place of the actuator.
     """
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
