@@ -858,8 +858,8 @@ difference only contains six numbers."""
 
 _MAX_SUBSET_LINKS = 12
 """Largest number of links of a body of which subsets are tested as the links that one file lacks:
-2^12 = 4096 subsets take a millisecond. If more links of the body are candidates, only the heaviest
-are tested. Links with more than 1.01 times the missing mass are no candidates."""
+2^12 = 4096 subsets take some milliseconds. If more links of the body are candidates, only the
+heaviest are tested. Links with more than 1.01 times the missing mass are no candidates."""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
