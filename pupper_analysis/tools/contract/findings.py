@@ -280,7 +280,8 @@ def facts_agree(first: Fact, second: Fact) -> bool:
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
     numbers are equal after rounding if one is the other, rounded to its decimals: the difference is
     at most half a unit of the last decimal of the rounded number, and at most 10 % of the other
-    number (or below 1e-9). The other number must have at least five decimals or be computed.
+    number (or below 1e-9). The other number must have at least five decimals or be computed. An
+    infinite number agrees with every number.
 
     Args:
         first: Number of one source, with its quantity.

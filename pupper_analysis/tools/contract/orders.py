@@ -601,8 +601,8 @@ def is_mirror_image(first: float | None, second: float | None, sign: int) -> boo
     Also True if a number is None or the sign is 0, since nothing can be compared.
 
     Args:
-        first: Number of the joint on one side.
-        second: Number of the joint on the other side.
+        first: Finite number of the joint on one side.
+        second: Finite number of the joint on the other side.
         sign: Sign between mirrored numbers: 1, -1, or 0 if unknown.
     """
     if first is None or second is None or not sign:

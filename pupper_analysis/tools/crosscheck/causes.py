@@ -1126,7 +1126,7 @@ def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
 
 
 def _is_scaling_by_ten(factor: float) -> bool:
-    """Return True if a factor is a power of ten other than 1; False for a change of sign."""
+    """Return True if a factor is within 0.2 % a power of ten other than 1, without sign change."""
     if factor <= 0:
         return False
     power = math.log10(factor)

@@ -169,9 +169,9 @@ def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
     """Read a URDF, and turn its COLLADA meshes to their up axis if only then the links fit.
 
     RViz, MoveIt and Pinocchio do not turn meshes, and most published files are right without. A
-    link fits if its shapes are nearer than `MIN_JOINT_GAP` to the next joints, or not twice as near
-    after the other choice. The meshes are turned if `MIN_AXIS_VOTES` links or more fit only turned,
-    and more than three times as many as fit only as read.
+    link fits if its shapes are at most `MIN_JOINT_GAP` from the next joints, or not more than twice
+    as far as after the other choice. The meshes are turned if `MIN_AXIS_VOTES` links or more fit
+    only turned, and more than three times as many as fit only as read.
     """
     as_read = read_urdf_model(file)
     names = list_turned_links(file)

@@ -137,7 +137,7 @@ printed numbers, such as 0.707 0.707 0. Chosen, not tuned."""
 
 @rule
 def axis_not_unit(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find the axes of URDF joints whose length differs from 1 by over `MAX_AXIS_LENGTH_ERROR`.
+    """Find axes of moving URDF joints whose length differs from 1 by over `MAX_AXIS_LENGTH_ERROR`.
 
     Axes of zero are reported by another rule.
     """
@@ -456,13 +456,13 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 MAX_JOINT_SPEED = 105.0
-"""Largest velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Motors of robots
-with their gears reach at most 45 rad/s, drives of wheels about 100. Chosen, not tuned."""
+"""Largest finite velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Motors of
+robots with their gears reach at most 45 rad/s, drives of wheels about 100. Chosen, not tuned."""
 
 
 @rule
 def velocity_implausible(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find velocity limits of hinges above `MAX_JOINT_SPEED`; all such joints are one finding."""
+    """Find finite velocity limits of hinges above `MAX_JOINT_SPEED`; all together are a finding."""
     fast = [
         joint
         for joint in robot.joints.values()
