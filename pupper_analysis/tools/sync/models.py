@@ -111,7 +111,7 @@ def sync_models(
     not remove the difference is not written. Without ``partial``, nothing at all is written in this
     case, or if a chosen number cannot be written.
 
-    Two kinds of chosen differences always remain, and do not prevent other changes:
+    Two kinds of chosen differences are not written, and do not prevent other changes:
 
     - differences that are no numbers of both formats;
     - numbers that the chosen file does not state.
