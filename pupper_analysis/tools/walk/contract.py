@@ -84,8 +84,8 @@ def find_term_name(name: str) -> str:
     """Return this package's name of an observation term, for example ``gravity``.
 
     Args:
-        name: Name of the term in a training library, for example ``projected_gravity``. Unknown
-            names are returned unchanged.
+        name: Name of the term in a training library, for example ``projected_gravity``. A name
+            without an alias is returned unchanged.
     """
     common = OBSERVATION_ALIASES.get(name, name)
     return _TERM_ALIASES.get(common, name)
@@ -146,9 +146,10 @@ class PolicyContract:
         phase_offsets: Phases at the start, shape (phases,) [rad], for example a phase per foot.
         signs: Direction of each joint of the policy relative to the robot's joint, 1 or -1, shape
             (n,).
-        feet: Number of feet of the robot, if contacts are observed; otherwise 0.
-        sources: Source of each key: {key: file, with the line if known}; "" if no file states the
-            key.
+        feet: Number of feet whose contacts are observed, from the size of the observation; 0
+            without contacts.
+        sources: Source of each key: {key: file, with the line if known; or framework, or
+            ``--effort``}; "" if no source states the key.
         origins: Origin of each key: {key: ``stated``, ``default`` of a framework, ``derived``,
             ``assumed`` or ``unknown``}.
     """
@@ -401,7 +402,8 @@ def make_contract(
         outputs: Number of outputs of the network.
 
     Raises:
-        ModelError: If a key is unknown, missing or not valid, or a size does not fit the network.
+        ModelError: If a key is unknown or not valid, a required key is missing, or a size does not
+            fit the network.
     """
     values, places, origins = _merge_statements(statements)
     merged = _MergedValues(values, places, path, outputs)
@@ -508,8 +510,9 @@ def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
 def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:
     """Return a contract in which the number of feet follows from the size of the observation.
 
-    The number of elements for the contacts of the feet is ``inputs`` of the network, minus the
-    elements of all other terms. Without contacts in the observation, the contract is unchanged.
+    The number of feet is ``inputs`` of the network, minus the elements of all other terms, divided
+    by the number of frames of the contacts: rounded down, at least 1. Without contacts in the
+    observation, the contract is unchanged.
     """
     contacts = [term for term in contract.terms if term.name == "contacts"]
     if not contacts:
@@ -685,7 +688,8 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
         outputs: Number of outputs of the network.
 
     Returns:
-        Values of the contract keys, with the file and line, and the origin, of each value.
+        Values of the contract keys, with the place and the origin of each value. The place is the
+        file, with the line if known, or the name of a known layout.
     """
     values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
 

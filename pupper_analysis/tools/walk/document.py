@@ -385,7 +385,7 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of a policy contract: main keys with value, origin and source.
 
-    A key is left out if no file states the key, and the value is missing or neutral
+    A key is left out if no file states the key, and the value is None or neutral
     (`_NEUTRAL_VALUES`). Keys of unknown origin are not left out, since the values of the robot's
     files apply. Position limits, signs and phases are not shown.
     """

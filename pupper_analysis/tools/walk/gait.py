@@ -54,7 +54,8 @@ SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
 """Relative and absolute [m/s] tolerance of the error of the mean horizontal velocity. A run tracks
 the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`. If v is not 0, the
 tolerance is at most (1 - `MIN_FOLLOWED_FRACTION`) v. Chosen: Pupper's public policy reaches 0.93 of
-the command.
+the command. `SPEED_ATOL` is also the speed up to which the cost of transport is unknown, and the
+smallest divisor of the relative error in `orders`.
 """
 
 TURN_ATOL = 0.1
@@ -351,8 +352,8 @@ def simulate_walk(
         policy: Policy.
         command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
         seeds: Number of runs. The first run starts in the default pose at rest. The initial states
-            of the other runs deviate by at most 0.05 rad at the joints, and by at most 0.05 m/s and
-            0.05 rad/s at the base.
+            of the other runs deviate by at most 0.05 rad (0.05 m) at each joint, and by at most
+            0.05 m/s and 0.05 rad/s in each component of the base velocity.
         seconds: Duration of each run [s], 3 to 600.
         warm_up: Duration of the warm-up [s].
         workers: Number of threads; by default the number of cores. The result does not depend on

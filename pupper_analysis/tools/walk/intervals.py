@@ -297,9 +297,9 @@ class TrackedIntervals(Result):
     def passed(self) -> bool:
         """Whether the policy tracks the command on the robot, and within all measured intervals.
 
-        The unchanged robot must track the command with all seeds. Each interval measured by a fit
-        must be within the interval of the same quantity that all seeds track. The files must state
-        the masses of all links.
+        The unchanged robot must track the command with all seeds. The measured interval of each
+        quantity in ``intervals``, if any, must be within the interval that all seeds track. The
+        files must state the masses of all links.
         """
         tracked = len(self.seeds) == self.requested_seeds
         inside = all(interval.inside is not False for interval in self.intervals)
@@ -475,7 +475,7 @@ def tracked_intervals(
             limit.
         seconds: Duration of each run [s], 3 to 600.
         measured: {quantity: interval of the real robot, (lower, upper)}, as from
-            `read_measured_intervals`.
+            `read_measured_intervals`. Entries of other quantities than ``quantities`` are ignored.
         workers: Number of threads; by default the number of cores.
 
     Raises:

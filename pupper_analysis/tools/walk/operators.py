@@ -299,7 +299,7 @@ def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
 def _make_reshape(_: dict[str, Any], __: int) -> Operation:
     """Create the ONNX operation Reshape, for arrays whose first axis is the axis of the runs.
 
-    A stated shape of three axes (1, c, n), without 0 for c and n, becomes (runs, c, n). Any other
+    A stated shape of three axes (any, c, n), without 0 for c and n, becomes (runs, c, n). Any other
     shape becomes (runs, 1, elements). Arrays with fewer than three axes are unchanged.
     """
 
@@ -317,9 +317,9 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
 def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
     """Create the ONNX operation Transpose; None for an order of axes that is not supported.
 
-    Three orders are supported: an exchange of the last two axes, no change, and an exchange of the
-    axis of runs with an axis of a single element. The last order changes nothing for a single
-    observation.
+    Three orders are supported: an exchange of the last two of three axes, no change, and an
+    exchange of the first two axes. The last order is refused for arrays with several channels. For
+    other arrays it does not reorder the numbers of a single observation, and changes nothing.
     """
     order = attributes.get("perm", [1, 0])
     if order == [0, 2, 1]:

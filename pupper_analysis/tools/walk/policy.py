@@ -219,8 +219,8 @@ def _find_toml_line(text: str, key: str) -> int:
 def refuse_malformed(path: Path) -> Iterator[None]:
     """Context manager that converts Python errors of a malformed policy file into a ModelError.
 
-    The readers check the values that the format uses. This function handles all other errors, for
-    all formats. Therefore a malformed file is not reported as a defect of the package.
+    The readers check the values that the format uses. This function converts the other errors that
+    a malformed file may cause. Therefore such a file is not reported as a defect of the package.
 
     Raises:
         ModelError: If the block raises a Python error that a malformed file may cause, such as
@@ -712,7 +712,7 @@ class _ScriptedModule:
         setattr(owner, attribute, value)
 
     def list_state_sizes(self) -> tuple[int, ...]:
-        """Return the last dimension of each tensor that starts with zeros.
+        """Return the last dimension of each tensor, except scalars, that starts with zeros.
 
         A network that stores previous observations is evaluated for one observation, whose size is
         no dimension of the weights.

@@ -42,8 +42,9 @@ run and the memory of the states.
 """
 
 _JOINT_SPREAD, _SPEED_SPREAD = 0.05, 0.05
-"""Bounds of the uniform differences between initial states: joint positions [rad], and base
-velocities [m/s, rad/s]. Chosen to resemble a robot put down by hand."""
+"""Bounds of the random deviations from the initial state of seed 0, for each joint position [rad,
+m] and each component of the base velocity [m/s, rad/s]. Chosen to resemble a robot put down by
+hand."""
 
 PUSH_TIME = 2.0
 """Start of the push of a run [s]. Chosen so that the robot walks by then."""
@@ -221,6 +222,9 @@ def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArr
         robot: Robot.
         contract: Contract of the policy.
         joints: Index of the robot's joint for each joint of the policy.
+
+    Raises:
+        ConfigurationError: If an applied limit is below `MIN_EFFORT`.
     """
     if contract.effort is None:
         return robot
@@ -550,7 +554,7 @@ class Observer:
 
     Attributes:
         controls: Applied controls at the time of the observation, shape (runs, model.nu). The
-            caller updates the array.
+            caller updates the array, as well as ``last`` and ``second_last``.
         last: Last actions of all runs, shape (runs, n).
         second_last: Actions before the last actions, shape (runs, n).
     """

@@ -45,8 +45,9 @@ MAX_DELAY_SAMPLES = 10
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
 the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about the
-mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
-effect of a wrong sign, scale, order or delay.
+mean) + `MATCH_ATOL`. Explanations of a difference omit deviations of a factor from 1 up to
+`MATCH_RTOL`, and offsets up to `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and
+float32 logs, below the effect of a wrong sign, scale, order or delay.
 """
 
 _DAMAGE_ERRORS = (
@@ -355,8 +356,8 @@ class TraceCheck(Result):
 def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
     """Compare a policy's contract with a recorded trace, to find wrong orders, signs or scales.
 
-    The actions of the network, each term of the observation, and the joint targets are compared
-    with the recorded signals.
+    The actions of the network, and each term of the observation and the joint targets for which the
+    trace contains a signal, are compared with the recorded signals.
 
     Args:
         robot: Robot.
@@ -365,8 +366,8 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
 
     Raises:
         ModelError: If the trace has another number of observations or actions than the network,
-            lacks a joint of the policy, or lacks a column per joint. Also if the policy names no
-            joints and has another number of joints than the robot.
+            lacks a joint of the policy, or has not exactly a column per joint. Also if the policy
+            names no joints and has another number of joints than the robot.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, observations = policy.contract, trace.arrays["observations"]
