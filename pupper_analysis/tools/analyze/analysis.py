@@ -98,8 +98,9 @@ class JointSummary(Result):
 def summarise_joints(robot: Robot) -> tuple[JointSummary, ...]:
     """Return the axis, limits and passive terms of each joint, in actuator order.
 
-    Axes are those at zero angles, in the base frame. Limits are in rad, rad/s and N m, passive
-    terms in kg m^2, N m s/rad and N m; for a sliding joint in m, m/s, N, kg, N s/m and N.
+    Axes are those at zero angles, in the base frame, or, for a fixed base, in the world frame.
+    Limits are in rad, rad/s and N m, passive terms in kg m^2, N m s/rad and N m; for a sliding
+    joint in m, m/s, N, kg, N s/m and N.
     """
     rest = Configuration(robot, robot.neutral())
     model, v = robot.pin_model, robot.pin_convention.v_index

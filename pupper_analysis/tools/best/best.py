@@ -75,9 +75,10 @@ def best_stance(
 
     Bounds of the coordinates, widened to contain the initial task:
 
-    - Base height: reachable heights without a fraction ``HEIGHT_RESERVE`` at either end.
     - Base x and y: reachable interval around the initial stand, as in `base_workspace`, but without
       a search in all IK branches.
+    - Base height: reachable interval as for x and y, without a fraction ``HEIGHT_RESERVE`` at
+      either end.
     - Roll, pitch, yaw: reachable interval as for x and y, within ``MAX_BASE_ROTATION`` of the
       initial task.
     - Feet, outwards from the centre of the feet: up to ``MAX_OUTWARD_STEP`` times the largest

@@ -108,8 +108,8 @@ def _format_lengths(*lengths: float) -> str:
 
 
 _MIN_PRINTED_ANGLE = 0.005
-"""Smallest magnitude [deg] of roll, pitch or yaw that the suggested command for the best stance
-contains: half of the last printed digit."""
+"""Magnitude [deg] of roll, pitch or yaw above which the suggested command for the best stance
+contains the angle: half of the last printed digit."""
 
 
 def _make_search_line(best: BestStance) -> doc.Text:

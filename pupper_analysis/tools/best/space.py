@@ -223,7 +223,7 @@ class StanceSpace:
         """True if the initial stand task is symmetric between left and right.
 
         Roll, yaw, lateral offset of the base, lateral slope, steps, swing feet, foot positions and
-        foot displacements are checked, not the robot.
+        foot displacements are checked; other fields of the task, and the robot, are not checked.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope

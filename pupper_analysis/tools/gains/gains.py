@@ -326,6 +326,7 @@ def study_gains(
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, if the torque limit of a motor is smaller than the torque of the stand, or
             if the ground cannot be added (``build_on_ground``).
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
     """
     _check_resolution(error, encoder_bits)
     robot, stand = resolve_stance(robot, stance)

@@ -97,8 +97,8 @@ def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
     result depends on the first condition that is met:
 
     - The motor is too weak: the largest torque of the motor, with the joint, in a single text.
-    - The final temperature or the limit is unknown, and the continuous torque is known: comparison
-      of the torque with the continuous torque.
+    - The final temperature is unknown, or finite with an unknown limit, and the continuous torque
+      is known: comparison of the torque with the continuous torque.
     - The winding reaches the limit: the time until then.
     - The final temperature is finite: the final temperature.
     - Otherwise: the temperature rises without bound.

@@ -100,6 +100,9 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         posture: Posture of the robot, with closed loops; the random postures keep the assembly mode
             of the loops in this posture.
         tool: Tool.
+
+    Raises:
+        ConfigurationError: If a closed loop is singular in a random posture.
     """
     samples = []
     for qpos in JointMotions(robot, posture).draw_postures(_NUM_REACH_POSTURES):
@@ -274,6 +277,9 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
           excess;
         - otherwise NaN, with "" for the joint, if a motor that bears the mass has an unknown limit;
         - infinite, with "" for the joint, above `UNLIMITED_MASS_RATIO` times the robot's mass.
+
+    Raises:
+        ConfigurationError: If a closed loop is singular in the posture.
     """
     config, limits = Configuration(robot, qpos), robot.effort_limits
     empty = config.transfer_to_motors(config.static_load())
@@ -393,9 +399,10 @@ class Hold(Tabular):
             in place of N m.
         tool: Point that carries payloads and external forces.
         tool_position: (3,) position of the tool in the posture, in the world (m).
-        limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
-            infinite without a stated limit.
-        limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
+        limits: (nu,) effort limits, from the files or requested (N m, or N for a slide); infinite
+            without a limit.
+        limit_origins: (nu,) origin of each limit: statement in a file, or request; None without a
+            limit.
         statics: Motor torques in the posture.
         verification: Simulation with feed-forward.
         sagging: Simulation without feed-forward.
@@ -493,7 +500,8 @@ def hold_posture(
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); default: values of the model.
 
     Raises:
-        ConfigurationError: If the base is free, or an argument is not valid for the robot.
+        ConfigurationError: If the base is free, an argument is not valid for the robot, or a closed
+            loop is open or singular.
         UnknownNameError: If the robot has no such joint, keyframe or tool.
         ModelError: If a joint has no motor, or no position servo while kp and kd are not both
             given, or if the mass or inertia of a body is invalid.

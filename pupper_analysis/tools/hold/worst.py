@@ -110,7 +110,8 @@ class TorqueSearch:
             starts: Start postures, each of shape (nu,).
 
         Returns:
-            ``sign`` times the torque [N m, N], and the posture (nu,).
+            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if the loops are singular in
+            all tried postures; posture, shape (nu,) [rad, m].
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:

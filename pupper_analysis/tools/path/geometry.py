@@ -219,7 +219,8 @@ def interpolate_task(
 
     Raises:
         StaticsInfeasibleError: If the CoM margin in the support polygon is smaller than the
-            required margin, interpolated between both tasks and at least 1e-6 m.
+            required margin, interpolated between both tasks, by more than 1e-9 m, or smaller than
+            1e-6 m.
     """
     first, last = segment.start.task, segment.end.task
 

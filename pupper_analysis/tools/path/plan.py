@@ -45,10 +45,10 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Smallest fraction [1] of the load that a path assigns to the solution with the remaining feet
-alone, while another foot is being unloaded. Smaller fractions count as 0. With such fractions, the
-zero-moment point would be close to the edge of the support polygon, and rolling friction would
-decide whether the remaining feet can carry the load. Chosen, not tuned.
+"""Lower bound of the fraction [1] of the load that a path assigns to the solution with the
+remaining feet alone, while another foot is being unloaded. Fractions up to this bound count as 0.
+With such fractions, the zero-moment point would be close to the edge of the support polygon, and
+rolling friction would decide whether the remaining feet can carry the load. Chosen, not tuned.
 """
 
 
@@ -64,8 +64,9 @@ def compute_path_sample(
 
     If fewer feet carry load in the previous or next segment of the path, the forces are a weighted
     mean of the solutions with all feet and with the fewer feet. The weights change along the path,
-    so that torques do not jump. Equilibrium is linear in the forces, so the mean satisfies the
-    equilibrium.
+    so that torques do not jump. The weight of the fewer feet is 0 if the zero-moment point is
+    outside of their support polygon; weights up to `MIN_FADED_LOAD` count as 0. Equilibrium is
+    linear in the forces, so the mean satisfies the equilibrium.
 
     Args:
         robot: Robot.

@@ -388,7 +388,8 @@ Chosen, not tuned.
 
 MIN_LOADED_FRACTION = 0.05
 """Planned load of a foot, divided by the robot's weight [1], above which the foot must touch the
-ground in the simulation. Chosen, not tuned.
+ground in the simulation. A foot with a negative planned load must touch the ground, too. Chosen,
+not tuned.
 """
 
 _NUM_CHECKED_STATES = 400
@@ -461,7 +462,7 @@ def track_path(
     A path is tracked if all these conditions hold:
 
     - The simulation does not diverge, and the robot does not fall.
-    - Joint and torque errors are within `MAX_JOINT_ERROR` and `MAX_TORQUE_ERROR`.
+    - Joint errors are below `MAX_JOINT_ERROR`; torque errors are at most `MAX_TORQUE_ERROR`.
     - No motor saturates; torques and speeds of the path are within the limits.
     - Loaded feet (`MIN_LOADED_FRACTION`) stay on the ground; lifted feet (`MIN_LIFTED_HEIGHT`) and
       other parts do not touch the ground.

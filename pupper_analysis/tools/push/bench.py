@@ -55,9 +55,10 @@ _REST_DURATION = 0.5
 """Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
 _MIN_CHECK_INTERVAL = 0.5
-"""Smallest simulated time between two tests whether a simulation can end early [s]. The time is
-also at least the duration of the push. Measured on v3-long-leg: with half of this time, slow phases
-of a fall are mistaken for rest, and the limits must be searched again.
+"""Simulated time between two tests whether a simulation can end early [s], at least the duration of
+the push. Before the requested time and the end, the time may be shorter. Measured on v3-long-leg:
+with half of this time, slow phases of a fall are mistaken for rest, and the limits must be searched
+again.
 """
 
 _SLOW_DURATION = 0.1
@@ -475,10 +476,10 @@ class PushBench:
     def _is_at_rest(self, states: Array) -> bool:
         """Return True if a pushed robot is at rest at the end of the simulated states.
 
-        All conditions must be met. The robot is upright, and slower than `_MAX_SLOW_SPEED` during
-        the last `_SLOW_DURATION`. No mode of the motion, linearised at the last state, grows within
-        `HOLD_DURATION`, with or without dry friction. The predicted motion of the base is small
-        (`_will_rest`).
+        All conditions must be met. The robot is upright, and not faster than `_MAX_SLOW_SPEED`
+        during the last `_SLOW_DURATION`. No mode of the motion, linearised at the last state, grows
+        within `HOLD_DURATION`, with or without dry friction. The predicted motion of the base is
+        small (`_will_rest`).
 
         Args:
             states: MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel, ...
@@ -606,7 +607,7 @@ Chosen, not tuned.
 """
 
 MAX_IMPULSE = 1e6
-"""Largest valid impulse [N s]. Chosen, not tuned."""
+"""Largest valid impulse, and largest valid resolution of an impulse [N s]. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
     The first case that applies:
 
     - The robot stays on the feet and torque limits are unknown: `audit`.
-    - The stand is passed: `best margin`, which finds a stance that tips at a larger push.
+    - The result passes: `best margin`, which finds a stance that tips at a larger push.
     - A disagreement or fault in the files caused the failure: `crosscheck` or `audit`.
     - Other failures: `stand`.
     """

@@ -106,7 +106,7 @@ class PushedStance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot stands without a push, and the motors exert the torques of the push.
+        """Whether the verdict without a push passes, and the motors exert the torques of the push.
 
         The sizes of survived pushes are not judged.
         """
@@ -357,15 +357,16 @@ def push_recovery(
 
     - The base tilts by at most 0.5 rad.
     - The point of the base at the initial CoM has at least half of the initial CoM height.
+    - The base is slow: the speed in the last 0.5 s is at most 0.01 m/s more than without a push.
     - The base is at rest: 1.5 times its motion, extrapolated over the remaining time (at least
       `HOLD_DURATION`), is at most a tenth of the CoM height.
-    - No mode of the linearised dynamics with dry friction grows, except at the end of the longest
-      simulation.
+    - No mode of the linearised dynamics with dry friction grows. At the end of the longest
+      simulation, modes are ignored if the base slows down or hardly moves.
 
-    A simulation ends early if another body touches the ground, or if the robot is at rest and no
-    mode grows. The returned limits were simulated to the end. If the robot is upright at the end
-    but not at rest, the simulation continues until the robot rests or falls, up to ten times as
-    long.
+    A simulation ends early if another body touches the ground, if it diverges, or if the robot is
+    at rest and no mode grows. The returned limits were simulated to the end. If the robot is
+    upright at the end but not at rest, the simulation continues until the robot rests or falls, up
+    to ten times as long.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, and then
     bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger

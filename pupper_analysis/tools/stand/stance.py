@@ -61,9 +61,10 @@ class Stance(Tabular):
         joint_positions: (nu,) joint positions of ``stand``, in actuator order (rad, m).
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
             in place of N m.
-        limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
-            infinite without a stated limit.
-        limit_origins: (nu,) element of the files that states each limit; None without a limit.
+        limits: (nu,) effort limits, from the files or requested (N m, or N for a slide); infinite
+            without a limit.
+        limit_origins: (nu,) origin of each limit: statement in a file, or request; None without a
+            limit.
         stand: Stand to which all other results refer, on MuJoCo's soft ground. The ground is rigid,
             with ``depths`` of 0, if the legs are too short, or if the depths of soft loops do not
             converge.
