@@ -495,8 +495,8 @@ class ComparisonRow(Result):
         base: Name of the base model, or the robot's files.
         total_mass: Mass of the robot (kg).
         mass_ratio: Total mass relative to the base model; None for a robot from files.
-        thigh_ratio: Thigh length relative to the base model; None for legs with fewer than two
-            joints, or a robot from files.
+        thigh_ratio: Thigh length relative to the base model; None if the thigh length is unknown,
+            or for a robot from files.
         height: Base height of the task (m).
         peak_torque: Largest torque magnitude (N m or N).
         peak_utilisation: Largest motor utilisation.

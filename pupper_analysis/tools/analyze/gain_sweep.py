@@ -65,8 +65,10 @@ class GainSweep(Tabular):
         kp: Stiffnesses, shape (n,) (N m/rad or N/m).
         kd: Dampings, shape (m,) (N m s/rad or N s/m).
         height_deviation: Standard deviation of the base height in the last second, shape (n, m)
-            (m); infinite if the robot fell or the simulation diverged.
-        fell: True if the robot fell or the simulation diverged, shape (n, m).
+            (m); infinite if the robot does not stand at the end.
+        fell: True if the robot does not stand at the end, shape (n, m): the base is tilted by more
+            than 10 degrees, the robot has collapsed, a body other than a foot touches the ground,
+            or the simulation diverged.
         lasts: True if the undisturbed robot comes to rest and remains at rest, shape (n, m). It
             remains at rest if no mode grows so fast that the robot leaves the rest within 12 s
             (``Stability.is_stable_for``).
@@ -138,7 +140,7 @@ def sweep_gains(
 
     Returns:
         For each pair the standard deviation of the base height in the last second [m], whether the
-        robot fell, and whether it stays at rest without the force.
+        robot no longer stands at the end, and whether it stays at rest without the force.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs

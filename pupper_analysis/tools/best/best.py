@@ -116,7 +116,7 @@ def best_stance(
         objective: Objective, or name, such as ``"margin"``.
         task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
-            frame of a link, site or body, or a `Tool`.
+            frame of a link, site, body or geom, or a `Tool`.
         kp: Servo stiffness for the payload [N m/rad, N/m], scalar or shape (nu,). Default: the
             model's.
         kd: Servo damping for the payload [N m s/rad, N s/m], scalar or shape (nu,). Default: the
@@ -267,7 +267,7 @@ def study_best(
         objective: Objective.
         task: Initial task, with all requirements that the search keeps.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
-            frame of a link, site or body, or a `Tool`.
+            frame of a link, site, body or geom, or a `Tool`.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
 

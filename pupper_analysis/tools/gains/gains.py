@@ -157,11 +157,11 @@ class JointClass(Result):
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
             (N m s/rad or N s/m); None without a bound, or if ``reference_kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
-            limit (N m/rad or N/m). None if no error was requested, if there is no positive limit,
-            and for slides.
+            limit (N m/rad or N/m). None if no error was requested, if there is no finite positive
+            limit, and for slides.
         largest_kd_of_encoder: Damping with which one encoder count per control period causes a
             torque of ``MAX_NOISE_RATIO`` times the torque limit (N m s/rad or N s/m). None if no
-            encoder was stated, if there is no positive limit, and for slides.
+            encoder was stated, if there is no finite positive limit, and for slides.
         recommended_kp: Recommended stiffness (N m/rad or N/m); None without a recommendation.
         recommended_kd: Recommended damping (N m s/rad or N s/m); None without a recommendation.
         are_slides: Whether the joints are slides.

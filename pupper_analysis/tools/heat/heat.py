@@ -69,7 +69,8 @@ class MotorHeat(Result):
         time_to_limit: Time until the winding reaches ``limit_temperature`` (s). Infinite if the
             winding never reaches the limit. None if unknown, or if the motor is too weak.
         continuous_torque: Largest permanent torque (N m), at most ``largest_torque``. Computed from
-            the thermal numbers if known, otherwise read from the data sheet. None if unknown.
+            the thermal numbers if known. Otherwise read from the data sheet, unless a temperature
+            (ambient or limit) is requested. None if unknown.
         largest_torque: Largest torque of the motor at rest (N m); None if unknown.
         limiting_number: Name of the motor data that limits the largest torque; empty if unknown.
         unknown: Names of the missing motor data without which the motor cannot be judged. If

@@ -83,7 +83,7 @@ def inverse_dynamics(
         config: State of the robot, with ``qvel``.
         qacc: Shape (nv,); generalised acceleration, the time derivative of ``qvel`` [m/s^2 in the
             world frame; rad/s^2 in the frame of the base, and of the joints].
-        contacts: Feet that carry load. Default: all feet; none for a fixed base.
+        contacts: Feet that carry load. Default: `Robot.bearing_points`; none for a fixed base.
         friction: Friction coefficient, for all feet or per foot. Default: MuJoCo's contact.
         normals: Per foot, a direction out of the ground, shape (3,), in the world frame. Default:
             upward.
@@ -95,8 +95,8 @@ def inverse_dynamics(
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If an argument is invalid, the robot has closed loops, or a robot with a
-            fixed base has contacts.
+        ConfigurationError: If an argument is invalid, the robot has loops, couplings, welds or
+            grips, or a robot with a fixed base has contacts.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     robot = config.robot

@@ -321,8 +321,8 @@ def stance_path(
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors.
 
     Raises:
-        ConfigurationError: If an argument is out of range; if the robot cannot stand, or has closed
-            loops, welds or grips; if a task has contacts or an offset; or if the stances cannot
+        ConfigurationError: If an argument is out of range; if the robot cannot stand, or has loops,
+            couplings, welds or grips; if a task has contacts or an offset; or if the stances cannot
             follow each other: for example, a loaded foot moves, fewer than three contact points
             carry load, or a joint jumps.
         NoEquilibriumError: If the rolling displacement does not converge.

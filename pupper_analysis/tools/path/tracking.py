@@ -410,7 +410,7 @@ class PathTracking(Result):
         timestep: Time step of the simulation.
         kp: Shape (nu,); servo stiffness.
         kd: Shape (nu,); servo damping.
-        joint_error: Largest deviation of a joint position from the path.
+        joint_error: Largest deviation of a joint position from the path with extended legs.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         height_error: Largest deviation of the height of the base.
         orientation_error: Largest angle between the orientation of the base and of the path, in
@@ -470,7 +470,7 @@ def track_path(
     Contacts and falls are checked at intervals (`_NUM_CHECKED_STATES`).
 
     Args:
-        robot: Robot without closed loops.
+        robot: Robot without loops, couplings, welds and grips.
         path: Path of this robot.
         kp: Servo stiffness [N m/rad, N/m]. Default: the gains of the model.
         kd: Servo damping [N m s/rad, N s/m]. Default: the gains of the model.
@@ -480,7 +480,7 @@ def track_path(
 
     Raises:
         ConfigurationError: If an argument is out of range, the path belongs to another robot, or
-            the robot has closed loops, welds or grips.
+            the robot has loops, couplings, welds or grips.
         ModelError: If a joint has no motor, or no position servo while kp and kd are not both
             given, or if the ground cannot be added (``build_on_ground``).
     """

@@ -88,8 +88,8 @@ def simulate_payload(
         robot: The robot.
         stance: Stand task, or a stand, of which only the task is used.
         mass: Mass of the payload [kg].
-        point: Position of the payload [m] in the frame of the base or of a named link, as in
-            ``with_payload``.
+        point: Position of the payload [m] in the frame of the base, or of a named link, site,
+            body or geom, as in ``with_payload``.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         duration: Simulated time after each nudge [s], 2 to 600. A simulation ends earlier if its
@@ -335,8 +335,8 @@ def payload_limit(
     Args:
         robot: The robot.
         stance: Stand task, or a stand, of which only the task is used. Default: the nominal stand.
-        point: Position of the mass [m] in the frame of the base or of a named link, as in
-            ``with_payload``.
+        point: Position of the mass [m] in the frame of the base, or of a named link, site,
+            body or geom, as in ``with_payload``.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
 

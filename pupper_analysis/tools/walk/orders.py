@@ -68,7 +68,8 @@ class Candidate(Result):
         tracked: Number of tracked commands.
         fallen: Number of commands with a fall.
         torque: Root mean square of all motor torques in all runs. All runs have equal weights.
-        error: Mean deviation of speed and turning rate, relative to the command; 1 for a fall.
+        error: Mean over the commands: norm of the errors of velocity and turning rate (m/s and
+            rad/s mixed) / norm of the command, at least 0.05; 1 for a fall.
         cost: Ranking value of candidates with equally many tracked commands: torque (1 + error) (N
             m).
     """
