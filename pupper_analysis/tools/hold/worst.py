@@ -53,8 +53,9 @@ largest torque stops. Also the largest relative variation of torque samples that
 
 _PEAK_POSITION_ATOL = 1e-6
 """Tolerance [rad, m] of the joint position at which a motor torque has a maximum between two
-samples: ``xatol`` of SciPy's bounded minimisation, and width at which bisections end. Derived: the
-torque of a hinge is A cos(x) near the maximum, so that an error of x changes it by 1e-12 A / 2."""
+samples: ``xatol`` of SciPy's bounded minimisation, width at which bisections end, and width up to
+which an interval is not searched. Derived: the torque of a hinge is A cos(x) near the maximum, so
+that an error of x changes it by 1e-12 A / 2."""
 
 _UNDEFINED_TORQUE = 1e300
 """Value larger than any torque [N m, N]. If a loop cannot be closed in a posture, or is singular,

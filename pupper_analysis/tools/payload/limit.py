@@ -139,14 +139,16 @@ SIMULATION_RTOL = 0.02
 """Relative tolerance [1] of bisections by simulation. `_bisect_simulation_bound` finds the largest
 payload that holds in simulation, with the absolute tolerance ``SIMULATION_RTOL**2`` times the
 smallest static bound. The other bisections find the largest payload of the servos, if a simulation
-contradicts the eigenvalues. Chosen, not tuned.
+contradicts the eigenvalues. Also the relative distance above the servo bound at which the first
+simulation checks this bound. Chosen, not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
 ``BINDING_BOUND_RTOL`` applies to the smallest bound, except if this is the bound of the servos.
 ``BOUND_RTOL`` applies to the other bounds, and is relative to the first mass that fails. Each bound
-is the lower end of the bracket. Chosen, not tuned.
+is the lower end of the bracket. ``BOUND_RTOL`` is also the relative distance below the smallest
+bound at which a simulation checks the servos. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
@@ -612,7 +614,8 @@ def _holds_in_simulation(verdict: Verdict) -> bool:
 
 _TOLERANCE_FACTOR = 1 + 1e-9
 """Factor on the tolerance of a bisection [1], so that a bracket whose width equals the tolerance up
-to rounding is not bisected again. Chosen far above rounding errors."""
+to rounding is not bisected again. Also used for the upper end of the second bisection in
+`_PayloadSearch.find_bounds`. Chosen far above rounding errors."""
 
 
 def _bisect_mass(

@@ -108,7 +108,8 @@ def _make_pass_table(
 
 MAX_UNREPORTED_RESIDUAL = 1e-4
 """Bound of the residual of the static balance in MuJoCo (`StandVerification.mujoco_residual`) [N, N
-m]. Above the bound, the report warns that the two models differ. Chosen, not tuned.
+m]. Above the bound, the report warns that the two models differ; this is also a case of
+`_select_next_step`. Chosen, not tuned.
 """
 
 

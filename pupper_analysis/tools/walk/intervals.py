@@ -1,6 +1,6 @@
 """Intervals of robot parameters within which a policy tracks the command.
 
-`tracked_intervals` changes each quantity alone, in both directions from the nominal value. The
+`tracked_intervals` changes each quantity alone, from the nominal value to both ends of a range. The
 range between a tracked and an untracked value is bisected. The output is, for each quantity and
 seed, the range of values with which the policy tracks the command.
 """
@@ -458,7 +458,8 @@ def tracked_intervals(
 
     A simulation tracks the command if the robot does not fall, and if the errors of the mean
     velocity and turning rate are within the tolerances (`evaluate_tracking`). Each quantity is
-    changed alone, in both directions, for each seed that tracks without changes. At first the bound
+    changed alone, for each seed that tracks without changes: in both directions, but delay and
+    payload upwards only. At first the bound
     of the quantity's range is simulated. If the command is not tracked at the bound, the range
     between a tracked and an untracked value is bisected `NUM_HALVINGS` times. The range between a
     value without and a value with a fall is bisected in the same way. If tracked and untracked

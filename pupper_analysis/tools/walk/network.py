@@ -22,8 +22,9 @@ Operation = Callable[..., Any]
 """Function of arrays that returns an array, or a tuple of arrays."""
 
 MAX_WEIGHTS = 50_000_000
-"""Maximum number of weights of a network; files with larger networks are refused. Chosen: networks
-that walk on the computer of a robot have about 1e6."""
+"""Maximum number of weights of a network; files with larger networks are refused. Also the maximum
+size of an observation or recurrent state. Chosen: networks that walk on the computer of a robot
+have about 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
 """Maximum number of elements of the result of a layer. A larger result is refused, unless an input

@@ -41,7 +41,8 @@ MIN_COST_RATIO = 1.1
 """Lower bound of the ratio of the costs (`Candidate.cost`) of the second-best and the best
 interpretation of a policy (joint order, signs, scale, history). The ratio is used if both track
 equally many commands, and at least a single command. Above the bound, the best interpretation is
-clearly better. Chosen: for Pupper's own policy on the model v3 the ratio is 1.2.
+clearly better; up to the bound, an interpretation is about as good as the best. Chosen: for
+Pupper's own policy on the model v3 the ratio is 1.2.
 """
 
 SCALE_FACTORS = (0.5, 2.0)

@@ -46,8 +46,9 @@ MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
 the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about the
 mean) + `MATCH_ATOL`. Explanations of a difference omit deviations of a factor from 1 up to
-`MATCH_RTOL`, and offsets up to `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and
-float32 logs, below the effect of a wrong sign, scale, order or delay.
+`MATCH_RTOL`, and offsets up to `MATCH_ATOL`. `MATCH_ATOL` also decides which signals count as
+constant. Chosen, not tuned: above the noise of encoders and float32 logs, below the effect of a
+wrong sign, scale, order or delay.
 """
 
 _DAMAGE_ERRORS = (
