@@ -62,9 +62,9 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw predicted and simulated motor torques of each robot, in percent of the effort limits.
 
     Magnitudes are drawn, in a panel per robot; motors without a finite positive limit have no
-    marks. Corresponding joints of all legs share a row, with
-    two marks per leg: the torque that Pinocchio predicts, and the torque of the simulation with
-    feed-forward. Other joints have a row each.
+    marks. Corresponding joints of all legs share a row, with two marks per leg: the torque that
+    Pinocchio predicts, and the torque of the simulation with feed-forward. Other joints have a row
+    each.
 
     Args:
         analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are

@@ -459,12 +459,11 @@ def tracked_intervals(
     A simulation tracks the command if the robot does not fall, and if the errors of the mean
     velocity and turning rate are within the tolerances (`evaluate_tracking`). Each quantity is
     changed alone, for each seed that tracks without changes: in both directions, but delay and
-    payload upwards only. At first the bound
-    of the quantity's range is simulated. If the command is not tracked at the bound, the range
-    between a tracked and an untracked value is bisected `NUM_HALVINGS` times. The range between a
-    value without and a value with a fall is bisected in the same way. If tracked and untracked
-    values alternate, the bisection finds a single boundary. The result does not depend on the
-    number of workers.
+    payload upwards only. At first the bound of the quantity's range is simulated. If the command is
+    not tracked at the bound, the range between a tracked and an untracked value is bisected
+    `NUM_HALVINGS` times. The range between a value without and a value with a fall is bisected in
+    the same way. If tracked and untracked values alternate, the bisection finds a single boundary.
+    The result does not depend on the number of workers.
 
     Args:
         robot: Robot.
