@@ -146,8 +146,9 @@ def sweep_gains(
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
             to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both passed, or if the ground cannot be added (``build_on_ground``).
+            both passed, or if the ground or a contact cannot be added.
         StaticsInfeasibleError: If no contact forces balance the stand.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
     robot = with_stand_contacts(robot, stand)
     check_duration(duration)

@@ -131,7 +131,7 @@ def best_stance(
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
         ModelError: If the objective is the payload, the model has no position servos, and kp and kd
-            are not both given.
+            are not both given; or if the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
         NotSettlingError: If the penetration depths of the feet do not converge.
@@ -281,7 +281,8 @@ def study_best(
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
         NotSettlingError: If the penetration depths of the feet do not converge.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If the robot has no position servos, and kp and kd are not both given; or if the
+            mass or inertia of a body is invalid, for example.
         NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
             task.
     """

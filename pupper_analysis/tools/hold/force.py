@@ -94,6 +94,9 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
         robot: Robot with a fixed base.
         posture: Posture of the robot.
         tool: Point of application of the force.
+
+    Raises:
+        ConfigurationError: If a closed loop is singular in the posture.
     """
     rows, margins = force_inequalities(Configuration(robot, posture.qpos), tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])

@@ -202,7 +202,8 @@ def tool_payload(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
 
     Raises:
-        ModelError: If the model has no position servos and no kp is given.
+        ConfigurationError: If kp is invalid, or a closed loop is singular in a posture.
+        ModelError: If a joint has no motor, or the model has no position servos and no kp is given.
     """
     mass, joint = posture_payload(robot, posture.qpos, tool)
     servos, servo = servo_payload(robot, posture, tool, kp)
@@ -320,7 +321,8 @@ def servo_payload(
         the mass.
 
     Raises:
-        ModelError: If the model has no position servos and no kp is given.
+        ConfigurationError: If kp is invalid, or a closed loop is singular in the posture.
+        ModelError: If a joint has no motor, or the model has no position servos and no kp is given.
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)

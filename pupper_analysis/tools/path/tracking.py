@@ -319,7 +319,7 @@ def study_path(
         ModelError: If a joint has no motor, or no position servo while kp and kd are not both
             given; if a number of a motor is unknown; if the mass or inertia of a body is invalid;
             or if the ground cannot be added (``build_on_ground``).
-        UnknownNameError: If the task names a foot or joint that the robot does not have.
+        UnknownNameError: If the task names a foot, joint or contact that the robot does not have.
     """
     stand = solve_stand(robot, task)
     path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)

@@ -186,8 +186,8 @@ def study_stance(
         NotSettlingError: If the penetration depths of the feet do not converge.
         ConfigurationError: If the task, or another argument, is not valid for the robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
-        UnknownNameError: If the task names a foot or joint that the robot does not have.
+            both given, or if the ground or a contact cannot be added, for example.
+        UnknownNameError: If the task names a foot, joint or contact that the robot does not have.
     """
     return simulate_stance(robot, stance, kp=kp, kd=kd).complete(stiffness=stiffness)
 
@@ -324,6 +324,9 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
         Largest press of each hand. A hand is omitted if the program is infeasible or unbounded.
         Empty if the task fixes a part of the robot to the world (weld or grip), since this
         constraint limits the force.
+
+    Raises:
+        ConfigurationError: If the stand belongs to another robot.
     """
     robot = stand.check(robot)
     carrying = replace(stand_contacts(robot, stand), stated=None)
