@@ -200,7 +200,7 @@ class GainStudy(Result):
         integrator: MuJoCo integrator of the model.
         timestep: Time step of the model (s).
         period: Control period (s).
-        delay: Delay between measurement and effect of a command (s).
+        delay: Delay between measurement and effect of a command, rounded to time steps (s).
         error: Position error at which the servo torque of hinges must not exceed the torque limit
             (rad); None if not requested.
         encoder_bits: Number of bits of the encoders: 2^bits counts per turn; None: not
@@ -216,7 +216,8 @@ class GainStudy(Result):
         sag_failure: Reason why the robot does not stand with the present stiffness if there is no
             feed-forward. None if the robot stands, or if the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
-        damping_ratio: Smallest damping ratio of an oscillation at the present gains.
+        damping_ratio: Smallest damping ratio of an oscillation at the present gains; 1 without an
+            oscillation, negative if an oscillation grows.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
         curve_dampings: Largest stable factor on the damping for each of ``curve_factors``, shape
             (n,); infinite without a bound, not a number if no tried damping is stable.
