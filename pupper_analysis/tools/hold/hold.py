@@ -102,7 +102,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         tool: Tool.
 
     Raises:
-        ConfigurationError: If a closed loop is singular in a random posture.
+        ConfigurationError: If a closed loop is singular in ``posture`` or in a random posture.
     """
     samples = []
     for qpos in JointMotions(robot, posture).draw_postures(_NUM_REACH_POSTURES):

@@ -81,6 +81,9 @@ class JointMotions:
             shape (nu,). False for joints of nonlinear motions.
         slides: True for a slide, shape (nu,).
         endless: True if a slide lacks a limit.
+
+    Raises:
+        ConfigurationError: If a closed loop is singular in the posture.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:

@@ -399,6 +399,9 @@ def worst_postures(
         near: Worst postures for another payload, from which searches start first.
         bearing: Whether each motor may carry a part of the payload, shape (nu,). The results of
             other motors are copied from ``near``; ignored without ``near``.
+
+    Raises:
+        ConfigurationError: If a closed loop is singular in ``posture``.
     """
     motions = JointMotions(robot, posture)
     starts = motions.draw_postures(_NUM_RANDOM_STARTS)
