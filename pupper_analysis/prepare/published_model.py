@@ -357,9 +357,9 @@ def place_at_state(
     """Place a published model at a state of the prepared robot's model; return the MuJoCo data.
 
     Hinges and slides outside the base body are matched by name and type. Joints without a match are
-    at zero; ball joints keep the reference position. The base is placed so that the
-    body of the robot's first joint has the same pose as in the robot's model, raised by
-    `ground_height`.
+    at zero; ball joints, and free bodies beside the robot, keep the reference position. The base
+    is placed so that the body of the robot's first joint has the same pose as in the robot's model,
+    raised by `ground_height`.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -372,11 +372,13 @@ def place_at_state(
     mujoco.mj_kinematics(robot.mj_model, state)
     model, body = published.model, robot.mj_model.body(robot.mj_base)
     base_joint = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
-    data = mujoco.MjData(model)
+    data, roots = mujoco.MjData(model), model.body_rootid
     for joint in range(model.njnt):
-        if int(model.jnt_bodyid[joint]) == published.base_body or model.jnt_type[joint] < 2:
+        joint_body = int(model.jnt_bodyid[joint])
+        if joint_body == published.base_body or model.jnt_type[joint] < 2:
             robot_type = robot.mj_model.jnt_type[base_joint]
-            if base_joint >= 0 and model.jnt_type[joint] == robot_type == 0:
+            is_of_base = roots[joint_body] == roots[published.base_body]
+            if base_joint >= 0 and model.jnt_type[joint] == robot_type == 0 and is_of_base:
                 address = model.jnt_qposadr[joint]
                 robot_address = robot.mj_model.jnt_qposadr[base_joint]
                 pose = state.qpos[robot_address : robot_address + 7]

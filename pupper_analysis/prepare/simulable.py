@@ -245,7 +245,7 @@ def find_solver_error(robot: Robot) -> float | None:
     qpos[2] -= _TEST_PENETRATION
     robot.mj_convention.set_state(data, qpos)
     residual = compute_solver_residual(model, data, base)
-    return residual if residual > MAX_SOLVER_RESIDUAL else None
+    return None if residual <= MAX_SOLVER_RESIDUAL else residual  # not a number: inaccurate
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:

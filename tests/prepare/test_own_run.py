@@ -620,6 +620,21 @@ def test_a_leg_that_touches_the_ground_with_a_link_above_its_foot_is_not_lifted(
     assert found == [True, False]
 
 
+def test_a_free_body_beside_the_robot_stays_at_its_place(tmp_path: Path) -> None:
+    """Reference: the ball's place in the file. It was put into the robot's base."""
+    pair = biped(tmp_path)
+    robot = pa.load_robot(mjcf=pair.mjcf)
+    ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1" mass="1"/></body>'
+    text = pair.mjcf.read_text().replace("</worldbody>", f"{ball}</worldbody>")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = published_model.place_published(
+        PublishedModel.from_model(model, robot), robot, robot.home
+    )
+    assert data is not None
+    assert data.body("ball").xpos == pytest.approx([2.0, 0.0, 0.1])
+    assert data.qpos[:3] == pytest.approx(robot.home[:3], abs=1e-6)
+
+
 def test_a_leg_that_the_keyframe_itself_lifts_may_move(tmp_path: Path) -> None:
     """At reset the right sole is 0.1 m above the ground; at the end also, with another knee."""
     robot = pa.load_robot(mjcf=biped(tmp_path).mjcf)
