@@ -305,7 +305,8 @@ def _summarise_metric(
     """
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     main_effects = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
-    is_complete = not sampled and len(column) == len(study) and len(main_effects) > 1
+    num_finite = int(np.isfinite(column.to_numpy(float)).sum())
+    is_complete = not sampled and num_finite == len(study) and len(main_effects) > 1
     metric_by_name = {entry.name: entry for entry in study.metrics}
     study_metric = metric_by_name[name if name in metric_by_name else name.partition(".")[0]]
     return MetricSummary(
