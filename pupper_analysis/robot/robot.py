@@ -1,7 +1,8 @@
 """``Robot``: Pinocchio's model of the URDF, MuJoCo's model of the MJCF, and the maps between both.
 
-The module also resolves the effort limit of each joint: the smallest limit in both files counts. A
-pool (`borrow`) keeps objects that are expensive to create for a robot, such as MuJoCo data.
+The module also resolves the effort limit of each joint: in each direction, the tightest bound of
+both files counts. A pool (`borrow`) keeps objects that are expensive to create for a robot, such as
+MuJoCo data.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ def efforts_of(
 ) -> tuple[EffortLimit, ...]:
     """Return the effort limit of each joint, resolved from the URDF and the MJCF.
 
-    The smallest stated limit of a joint counts (`resolve_effort_limit`).
+    In each direction, the tightest bound that is stated for the joint counts
+    (`resolve_effort_limit`).
 
     Args:
         mj_model: MuJoCo's model of the MJCF.
@@ -408,7 +410,11 @@ class Robot(EngineModels):
 
     @property
     def passive_joints(self) -> tuple[str, ...]:
-        """Names of the joints that no motor drives (`Description.passive_joints`)."""
+        """Names of the passive joints, which no motor drives (`Description.passive_joints`).
+
+        The effort limit of such a joint is zero, and the MJCF has actuators at other joints only.
+        Dependent joints of loops and couplings are not included.
+        """
         return self.before_servos.description.passive_joints
 
     def __repr__(self) -> str:
@@ -648,12 +654,19 @@ class Robot(EngineModels):
 
     @property
     def lower_limits(self) -> Array:
-        """Lower joint limits (nu,) [rad, m] of the URDF; -inf without a limit."""
+        """Lower joint limits (nu,) [rad, m] of ``pin_model``; -inf without a limit.
+
+        These are limits of the URDF. If the base is free, the preparation narrows them to the range
+        of the joint in the MJCF.
+        """
         return self._select_positions(self.pin_model.lowerPositionLimit, -np.inf)
 
     @property
     def upper_limits(self) -> Array:
-        """Upper joint limits (nu,) [rad, m] of the URDF; inf without a limit."""
+        """Upper joint limits (nu,) [rad, m] of ``pin_model``; inf without a limit.
+
+        Origin: see ``lower_limits``.
+        """
         return self._select_positions(self.pin_model.upperPositionLimit, np.inf)
 
     @property
@@ -666,8 +679,8 @@ class Robot(EngineModels):
     def efforts(self) -> tuple[EffortLimit, ...]:
         """Effort limit of each joint, with the file and element that states it, in actuator order.
 
-        The smallest limit of both files counts. If one file was generated from the other, only the
-        limit in the user's file is cited, as long as the value is the same.
+        In each direction, the tightest bound of both files counts. If one file was generated from
+        the other, only the limit in the user's file is cited, as long as the value is the same.
         """
         robot = self.before_servos
         limits = efforts_of(
