@@ -657,7 +657,8 @@ class Robot(EngineModels):
         """Lower joint limits (nu,) [rad, m] of ``pin_model``; -inf without a limit.
 
         These are limits of the URDF. If the base is free, the preparation narrows them to the range
-        of the joint in the MJCF.
+        of the joint in the MJCF, and adds limits to continuous joints of robots with closed loops
+        or couplings.
         """
         return self._select_positions(self.pin_model.lowerPositionLimit, -np.inf)
 
