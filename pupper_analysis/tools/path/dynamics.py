@@ -197,8 +197,8 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     Damping is the linear ``damping`` of joints. Dry friction is MuJoCo's ``frictionloss``
     constraint: (qacc + b qvel) / R, limited to +-frictionloss, with R = (1 - d) / d A, d the
     impedance of ``solimpfriction``, A the inverse inertia ``dof_invweight0``, and b the damping of
-    ``solreffriction``. Except at very low speeds, this is Coulomb friction.
-    (MuJoCo documentation, "Computation: Friction loss"; engine_core_constraint.c.)
+    ``solreffriction``. At speeds well above |qacc| / b and R frictionloss / b, this is Coulomb
+    friction. (MuJoCo documentation, "Computation: Friction loss"; engine_core_constraint.c.)
 
     Args:
         robot: Robot.

@@ -208,7 +208,7 @@ def _select_next_step(stance: Stance) -> NextStep:
     - The models differ, or the files describe two robots: `crosscheck`. For a robot of one file,
       `audit` replaces `crosscheck`.
     - The stance loses height: `stand` with the height that remains.
-    - Servos are too soft: `stand` with stiffer servos.
+    - Servos are too soft: `stand` with stiffer servos, or with ``--minimum-stiffness``.
     - The damping gain kd exceeds its bound, and no soft servos cause the failure: `gains`.
     - The minimum stiffness is already known: `payload` replaces its computation.
     """

@@ -219,8 +219,8 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
     """Return a function that creates a reduction, such as a mean, for ``OPERATION_MAKERS``.
 
     The operation reduces a single axis, or by default all elements of each run. A reduced axis
-    keeps a single element. The function returns None if the attribute ``axes`` states several
-    axes, or another axis than -1, 1 or 2.
+    keeps a single element. The function returns None if the attribute ``axes`` states no axis,
+    several axes, or another axis than -1, 1 or 2.
     """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
