@@ -206,8 +206,8 @@ class StanceSearch:
     def compute_objective(self, stand: Stand) -> float:
         """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation.
 
-        The peak utilisation is the largest motor torque / limit. The stand may be on soft or on
-        rigid ground.
+        The peak utilisation is the largest |motor torque| / limit of the motors with a known limit.
+        The stand may be on soft or on rigid ground.
         """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None

@@ -449,7 +449,7 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
     """Yield the texts of findings: sag of the tool [mm], payload [kg] and force limits [N].
 
     If no sag was predicted, the reason is yielded instead. Payload and force limits are left out if
-    effort limits are unknown.
+    the effort limit of a motor that may bear the payload is unknown.
     """
     if hold.tool_sag is not None:
         yield text(
