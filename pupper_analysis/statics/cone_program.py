@@ -334,6 +334,14 @@ class Balance:
         parts: Array = (self._contact_part(forces) * self.normals).sum(axis=1)
         return parts
 
+    def _normal_rows(self) -> Array:
+        """Create the matrix (n, size) whose product with forces (size,) is the normal forces."""
+        count = len(self.normals)
+        rows, index = np.zeros((count, count, 3)), np.arange(count)
+        rows[index, index] = self.normals
+        others = self.base_rows.shape[1] - 3 * count
+        return np.hstack([rows.reshape(count, 3 * count), np.zeros((count, others))])
+
     def _contact_part(self, forces: Array) -> Array:
         """Select the contact forces (n, 3) [N] from the forces of contacts, welds and grips.
 
@@ -349,8 +357,9 @@ class Balance:
     def _largest_violation(self, forces: Array, friction: Array) -> float:
         """Return the largest violation of a friction cone or grip limit [N].
 
-        The violation is ``|f_t| - mu f_n`` for a contact, and ``|f| - limit`` for a grip. Negative
-        if all forces are strictly inside, -inf without contacts and grips, NaN if a force is NaN.
+        The violation is ``|f_t| - mu f_n`` for a contact (without friction also ``-f_n``, since the
+        cone does not bound f_n), and ``|f| - limit`` for a grip. Negative if all forces are
+        strictly inside, -inf without contacts and grips, NaN if a force is NaN.
         """
         excess = []
         for force, normal, coefficient in zip(
@@ -360,7 +369,8 @@ class Balance:
             strict=True,
         ):
             pressing, tangential = split_force(force, normal)
-            excess.append(tangential - coefficient * pressing)
+            violation = tangential - coefficient * pressing
+            excess.append(violation if coefficient else max(violation, -pressing))
         grip_forces = forces[len(forces) - 3 * len(self.grips) :].reshape(-1, 3)
         pairs = zip(grip_forces.tolist(), self.grips.tolist(), strict=True)
         excess += [math.hypot(*force) - limit for force, limit in pairs]
@@ -468,6 +478,13 @@ class Balance:
         constants[4 * len(self.normals) :: 4] = self.grips * (1 - _CONE_MARGIN)
         matrix, right = [-rows @ free], [(rows @ particular + constants) / scale]
         cones: list[object] = [clarabel.SecondOrderConeT(4)] * (len(rows) // 4)
+        if not friction.all():  # the cone of a contact without friction does not bound f_n
+            normal_rows = self._normal_rows()[friction == 0]
+            left, right_side = -normal_rows @ free, normal_rows @ particular
+            if bounds is not None:
+                left = np.concatenate([bounds[0], left])
+                right_side = np.concatenate([bounds[1], right_side])
+            bounds = left, right_side
         if bounds is not None:
             matrix.insert(0, bounds[0])
             right.insert(0, bounds[1] / scale)

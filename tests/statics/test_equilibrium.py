@@ -824,6 +824,12 @@ def test_more_friction_needs_no_more_torque() -> None:
     assert torques[0] > 1.02 * torques[-1]
 
 
+def test_feet_without_friction_do_not_pull() -> None:
+    """The CoM of ``original`` is 3.8 mm outside of three feet. A foot that pulls balanced it."""
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"3\.8 mm outside"):
+        pa.gravity_compensation(at_stand("original"), ["FR", "RL", "RR"], friction=0.0)
+
+
 def test_forces_without_friction_are_vertical() -> None:
     """References: closed form, no tangential force; Newton and Euler."""
     result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
