@@ -30,9 +30,6 @@ from pupper_analysis.models.mjcf import JointKind, has_free_joint
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel
-from pupper_analysis.prepare.convert.load import load_mjcf_robot
-from pupper_analysis.prepare.self_check import explain_own_run, name_remaining_cause
-from pupper_analysis.present.verdict import describe_cause
 from pupper_analysis.robot.as_published import OwnCommands, OwnRun
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import BodyMotion, simulate_keyframe
@@ -411,13 +408,18 @@ def _compute_heights(
     return np.array(lowest)
 
 
+_SOLVER_PACKAGES = ("clarabel", "placo")
+"""Packages of the stance solver. An installation that only checks files does not have them."""
+
+
 @rule
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe from which the robot does not stand in a simulation of the unmodified file.
 
     The simulation is the one on which command ``stand`` bases its verdict (`OwnRun`), and so are
     its causes. A finding means that `OwnRun.fails` is True. If no legged robot can be loaded from
-    the file, for example without feet, a simpler criterion applies (`_find_collapse`). Robots
+    the file, for example without feet, a simpler criterion applies (`_find_collapse`). It also
+    applies if the packages of the stance solver are not installed (`_SOLVER_PACKAGES`). Robots
     without a free base, files that MuJoCo refuses and files with a time step below `_MIN_TIMESTEP`
     are skipped.
     """
@@ -430,9 +432,17 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     if not free or not step >= _MIN_TIMESTEP:
         return
     try:
+        # Imported late: these modules import the stance solver.
+        from pupper_analysis.prepare.convert.load import load_mjcf_robot
+        from pupper_analysis.prepare.self_check import explain_own_run, name_remaining_cause
+
         loaded = load_mjcf_robot(robot.file)
         run = explain_own_run(loaded)
     except PupperAnalysisError:  # the commands that simulate robots report this error
+        run = None
+    except ModuleNotFoundError as error:
+        if error.name not in _SOLVER_PACKAGES:
+            raise
         run = None
     if run is None or not run.keyframe:
         yield from _find_collapse(robot, base)
@@ -484,7 +494,11 @@ def _describe_fall(motion: BodyMotion, run: OwnRun | None = None) -> Diagnostic:
         run: The same simulation with the joints of the robot and the causes; None if the joints are
             unknown, and the robot collapses.
     """
-    causes = () if run is None else tuple(map(describe_cause, run.causes))
+    causes: tuple[Diagnostic, ...] = ()
+    if run is not None:
+        from pupper_analysis.present.verdict import describe_cause  # imports the stance solver
+
+        causes = tuple(map(describe_cause, run.causes))
     if motion.diverged:
         return diagnose("keyframe-diverges", causes=causes)
     stands = run is not None and not motion.collapses
