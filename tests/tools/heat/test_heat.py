@@ -104,7 +104,7 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
     assert "winding_resistance, winding_capacity" in first
     assert "A at 12 V" in second
     lacking = answer("heat", "v3", "--motor", "mit-mini-cheetah").stdout
-    assert "lack limit_temperature; state the limit temperature with --limit DEGC" in lacking
+    assert "lack limit_temperature: add --limit DEGC" in lacking
     assert "next: pupper-analysis heat v3 --motor mit-mini-cheetah --limit 100" in lacking
     few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
     assert few.returncode == 1
