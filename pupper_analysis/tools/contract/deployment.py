@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
@@ -227,7 +227,7 @@ def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
     if any(one.source.role is Role.POLICY for one in named):
         return
     deployments = [one for one in named if one.source.role is Role.DEPLOYMENT]
-    for first, second in pairwise(deployments):
+    for first, second in combinations(deployments, 2):
         has_same_kind = bool(first.source.motors) == bool(second.source.motors)
         if has_same_kind and first.order != second.order:
             message = diagnose("deployments-differ-in-order", other=_describe_order_place(first))

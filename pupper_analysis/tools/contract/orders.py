@@ -7,6 +7,7 @@ arrays.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -596,18 +597,18 @@ def _compute_unlike_fraction(
 
 
 def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
-    """Return True if first = sign x second, within 1e-3 |first| + 1e-9.
+    """Return True if first = sign x second, within 1e-3 of the larger or 1e-9, or both infinite.
 
     Also True if a number is None or the sign is 0, since nothing can be compared.
 
     Args:
-        first: Finite number of the joint on one side.
-        second: Finite number of the joint on the other side.
+        first: Number of the joint on one side.
+        second: Number of the joint on the other side.
         sign: Sign between mirrored numbers: 1, -1, or 0 if unknown.
     """
     if first is None or second is None or not sign:
         return True
-    return abs(first - sign * second) <= 1e-3 * abs(first) + 1e-9
+    return math.isclose(first, sign * second, rel_tol=1e-3, abs_tol=1e-9)
 
 
 def _get_motor_names(source: JointSource) -> dict[int, str]:

@@ -16,6 +16,7 @@ from pupper_analysis.present.document import Number, Table, word
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.document import contract_document
+from pupper_analysis.tools.contract.orders import is_mirror_image
 from tests.tools.contract.sources import (
     ANGLES,
     JOINTS,
@@ -392,6 +393,24 @@ def test_list_of_another_length_is_not_assigned_to_joints(
         line = next(i for i, text in enumerate(lines, 1) if format_list(given) in text)
         assert f"{name}:{line}: kp has" in str(warning).replace(":walker:", ":")
         assert not found.passed
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "sign", "expected"),
+    [
+        (math.inf, math.inf, 1, True),
+        (math.inf, -math.inf, 1, False),
+        (math.inf, -math.inf, -1, True),
+        (math.inf, 2.0, 1, False),
+        (1.0, 1.0009, 1, True),
+        (1.0, 1.002, 1, False),
+    ],
+)
+def test_mirrored_numbers_agree_also_if_both_are_infinite(
+    first: float, second: float, sign: int, expected: bool
+) -> None:
+    """Two limits of inf were reported as no mirror images."""
+    assert is_mirror_image(first, second, sign) is expected
 
 
 def test_contract_without_a_model_is_refused(sources: dict[str, Path]) -> None:

@@ -561,6 +561,10 @@ def test_two_deployments_with_different_joint_orders_are_refused(tmp_path: Path)
     for files in ((first, second), (second, first)):
         with pytest.raises(ModelError, match=rf"{files[1].name}:1: .*{files[0].name}:1"):
             read_deployment(load("v3"), files)
+    motors = tmp_path / "motors.yaml"  # stands between the two on the command line
+    motors.write_text(make_deploy(joint_ids_map=str(list(range(12)))))
+    with pytest.raises(ModelError, match=r"second\.yaml:1: .*first\.yaml:1"):
+        read_deployment(load("v3"), [first, motors, second])
     second.write_text(make_deploy())
     assert read_deployment(load("v3"), [first, second]).joints == tuple(JOINTS)
 
