@@ -404,9 +404,10 @@ class SelfClearanceTask(PostureTask):
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add a soft constraint on the distances [m] between links to PlaCo's solver.
+        """Add a soft constraint to PlaCo's solver: links keep at least ``distance`` [m].
 
-        The distances are linearised in the joint positions before each iteration.
+        The constraint applies to pairs of links that must not collide. Their distances are
+        linearised in the joint positions before each iteration.
         """
         constraint = solver.add_joint_space_half_spaces_constraint(np.zeros((0, 1)), np.zeros(0))
         constraint.configure("self clearance", "soft", CLEARANCE_WEIGHT * weight)

@@ -635,7 +635,7 @@ MJCF_MUJOCO = "MJCF in MuJoCo"
 
 MJCF_AS_IT_IS = "MJCF as it is"
 """Name of the evaluation of the MJCF with MuJoCo, including the terms that a URDF cannot express,
-without couplings that the URDF has too."""
+for example friction. Couplings that both files contain are disabled in this evaluation."""
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 """Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""

@@ -83,7 +83,7 @@ def read(request: Request) -> Iterator[JointSource]:
 def _read_names(
     request: Request, evaluator: py.Evaluator, own_names: Mapping[str, LocatedValue]
 ) -> tuple[list[tuple[LocatedValue, JointSource]], list[JointSource]]:
-    """Return the sources that the names of a Python file define: configurations and tables.
+    """Return the joint numbers (`JointSource`) that the top-level names of a Python file define.
 
     Args:
         request: File.
@@ -91,8 +91,8 @@ def _read_names(
         own_names: {name: value} of the module, without imported names.
 
     Returns:
-        (configuration, source) for each object, and the sources of tables ``{key: value}``, alone
-        or in a list.
+        (configuration, source) for each name of an instance of a configuration class, and a source
+        for each table ``{key: value}`` or list of tables.
     """
     roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():
