@@ -415,8 +415,9 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
     """Yield the names of arrays, geoms and options in which two compiled models differ.
 
-    Compared are the arrays of `_COMPARED_PREFIXES`, all geoms and all options. ``model`` is the
-    original. ``made`` is compiled from the reconstructed spec.
+    Compared are the arrays of `_COMPARED_PREFIXES` except `_IGNORED_ARRAYS`, the points of all
+    geoms (`_outline`) and all options. ``model`` is the original. ``made`` is compiled from the
+    reconstructed spec.
     """
     for name in dir(model):
         if not name.startswith(_COMPARED_PREFIXES) or name in _IGNORED_ARRAYS:

@@ -391,7 +391,7 @@ def _free_base(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lifts the base's frame off the ground"), _has_free_base_request)
 def _place_base_frame(draft: Draft) -> PassOutput:
-    """Raise the MJCF's base frame to the CoM of the base, if needed (`place_base_frame`)."""
+    """Raise the MJCF's base frame to the base's CoM height, if needed (`place_base_frame`)."""
     file = draft.mjcf
     messages = place_base_frame(
         draft.spec, file.model, file.path, insert_visuals=file.deferred_visuals

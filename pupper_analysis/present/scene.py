@@ -301,10 +301,11 @@ def collect_visible_shapes(
 
 
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the indices of the robot's geoms that MuJoCo's viewer shows by default.
+    """Return the indices of the robot's geoms in the groups that MuJoCo's viewer shows by default.
 
-    If the viewer shows no geom, all supported geoms are returned. Geoms of the world body and kinds
-    of geoms that are not in `NUM_SIZES` are excluded.
+    These groups are 0 to 2. If no geom is in these groups, all supported geoms are returned.
+    Transparent geoms (alpha 0) are included, although the viewer does not show them. Geoms of the
+    world body and kinds of geoms that are not in `NUM_SIZES` are excluded.
     """
     own = [
         geom

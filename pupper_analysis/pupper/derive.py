@@ -294,14 +294,18 @@ def _project_in_plane(offset: Array, normal: Array) -> Array:
 def _stretch_body(
     body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a body of an MJCF along an axis, with its geoms, sites, joints and inertia.
+    """Stretch a body of an MJCF along an axis, in place, except for its meshes.
 
-    The body and the positions of its children are changed in place; meshes are not.
+    - The positions of children, sites, joints and geoms are stretched, and an explicit inertia.
+    - Geoms with ``fromto``, and capsules and cylinders along the axis, are stretched. If such a
+      geom is along the axis and has a given mass, the mass is multiplied by ``factor``.
+    - Other geoms, for example spheres, keep their size and their given mass. The mesh of a geom is
+      scaled by the caller.
 
     Args:
         body: Body of the spec.
         axis: Unit vector (3,) of the stretched direction, in the body frame.
-        factor: Factor of lengths along the axis, and of the mass.
+        factor: Factor of lengths along the axis, and of the mass of an explicit inertia.
         meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the meshes
             of the body; the caller must scale the meshes.
 

@@ -477,11 +477,13 @@ def _build_pinocchio_model(
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Build Pinocchio's model of the URDF; a fixed base has the pose that the MJCF states.
+    """Build Pinocchio's model of the URDF, with the gravity that the MJCF states.
+
+    A fixed base has the pose that the MJCF states.
 
     Raises:
-        ModelError: If Pinocchio cannot read the URDF, or if the joints differ from the joints of
-            the MJCF, or are not supported.
+        ModelError: If Pinocchio cannot read the URDF, if the joints differ from the joints of the
+            MJCF, if a joint is planar or floating, or if its axis has no direction.
     """
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)

@@ -218,7 +218,10 @@ class Structure:
 
 
 def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
-    """Return a Pinocchio model without armature, whose velocities have the axes of MuJoCo's qvel.
+    """Return a Pinocchio model whose velocities have the axes of MuJoCo's qvel.
+
+    Kinematics, inertias, frames and gravity are copied; armature, damping, friction and limits are
+    not.
 
     A free flyer becomes a translation joint (velocity in world axes) and a spherical joint
     (velocity in body axes), as in MuJoCo's free joint. Results of Pinocchio then need no rotation

@@ -143,6 +143,6 @@ def _chain_length(model: mujoco.MjModel) -> float:
 
 
 _MAX_LIMIT_RATIO = 2.0
-"""Upper bound of the position of a slide joint in a simulation, divided by the larger of its limits
-[1]. Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft.
-Chosen, not tuned."""
+"""Upper bound of the absolute position of a slide joint in a simulation, divided by the larger
+absolute value of its two limits [1]. Used for the upper bound of the robot's displacements, because
+limits in MuJoCo are soft. Chosen, not tuned."""

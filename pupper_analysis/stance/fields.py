@@ -139,7 +139,10 @@ class Field:
 
     @property
     def axes(self) -> str:
-        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty if the field is no point."""
+        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty for other kinds.
+
+        Also empty for the kind ``"place"``, whose value is a point (x, y) or a word.
+        """
         return _AXES_BY_KIND.get(self.kind, "")
 
     @property

@@ -730,8 +730,9 @@ def _make_statics_result(
 _UNLIMITED_FRICTION = 1e4
 """Friction coefficient with which a contact practically cannot slide; also the factor on grip
 limits with which a grip practically cannot fail. If balance is possible with this value but not
-with the real value, the error states friction or the grips as the cause. The search for the
-smallest sufficient value (`_find_threshold`) ends at this value. Chosen, not tuned."""
+with the real value, the error states friction or the grips as the cause, unless a prescribed
+contact force is out of reach. The search for the smallest sufficient value (`_find_threshold`) ends
+at this value. Chosen, not tuned."""
 
 
 def explain_infeasibility(

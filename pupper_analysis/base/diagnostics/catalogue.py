@@ -49,7 +49,8 @@ _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings
 """Catalogue files of terms, of texts of documents, and of descriptions of the fields of results."""
 
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
-"""Catalogue files in which each entry is a single line ``key = { en = "...", zh = "..." }``."""
+"""Catalogue files in which each entry is a single line ``key = { en = "...", zh = "..." }``, with
+an optional third text ``short``."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""

@@ -194,7 +194,10 @@ def _make_shape(
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
-    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read."""
+    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read.
+
+    A mesh without a hull, for example a flat mesh, is returned itself.
+    """
     path = file.resolve_mesh(tag.get("filename", ""))
     hull = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")

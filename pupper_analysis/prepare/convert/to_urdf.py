@@ -508,8 +508,9 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
        there are other roots.
     2. If exactly one root has a free base, the root is the robot. Other roots may be doors or
        drawers.
-    3. If ``<connect>`` or ``<weld>`` couples all remaining roots, the roots are a single robot
-       whose base is the world (0): for example, a linkage with two fixed pivots.
+    3. If ``<connect>`` or ``<weld>`` elements that are active at the start, and refer to bodies
+       (not sites), couple all remaining roots, the roots are a single robot whose base is the
+       world (0): for example, a linkage with two fixed pivots. The rule does not apply to objects.
     4. A single remaining root is the robot.
 
     The base is the body of the root that has the free joint; without a free joint, the root.
@@ -519,7 +520,7 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
         model: Compiled model of the MJCF.
 
     Raises:
-        ModelError: If there are several robots, or none.
+        ModelError: If there are several robots, or several objects and no robot, or no root.
     """
     joints = Counter(int(model.body_rootid[body]) for body in model.jnt_bodyid)
     floating = model.jnt_bodyid[model.jnt_type == JointKind.FREE]

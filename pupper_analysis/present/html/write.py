@@ -84,7 +84,7 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
     Returns:
         Robot, motions, contacts and ground; lengths in m, forces in N. Contacts, ground and CoM are
         expressed in the world frame. Shapes and joint axes are expressed in the frames of the
-        bodies. None if the scene contains nothing to show.
+        bodies. An implementation may return None for a scene that contains nothing to show.
 
     Raises:
         TypeError: If there is no implementation for this type of scene.

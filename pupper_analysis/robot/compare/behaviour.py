@@ -257,8 +257,8 @@ bound limits the number of states: 106 states for 306 degrees of freedom, 10 sta
 Chosen, not tuned."""
 
 _MIN_STATES: Final = 2
-"""Smallest number of random states at which a large robot is compared. A single state might be
-singular. Chosen, not tuned."""
+"""Smallest number of random states to which the comparison of a large robot is limited; a smaller
+requested number is kept. A single state might be singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:

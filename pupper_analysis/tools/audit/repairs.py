@@ -241,13 +241,14 @@ def _repair_number(
 ) -> Iterator[ValueRepair]:
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
-    - At least `MIN_SIBLINGS` other limbs have equal numbers: the partner that deviates from this
-      number gets the number of the other partner. If both partners or neither deviate, there is no
-      repair.
-    - Fewer other limbs, or different numbers: there are two candidates, in which either partner
+    - There are at least `MIN_SIBLINGS` other limbs, and all have equal numbers: the partner that
+      deviates from this number gets the number of the other partner. If both partners or neither
+      deviate, there is no repair.
+    - Fewer other limbs, or not all numbers equal: there are two candidates, in which either partner
       gets the number of the other.
 
-    Only positive numbers are proposed.
+    Only positive numbers are proposed, and only if the file states the number of both partners and
+    their names are unique.
 
     Args:
         robot: Model of the URDF.

@@ -471,7 +471,8 @@ def _is_baseline(file: BinaryIO) -> bool:
 
 BASELINE_FILE: Final = OutputKind("baseline", _is_baseline, edits=True)
 """Kind of the baseline file (list of accepted findings). The same run may read and rewrite this
-file. An existing file with neither the header nor an entry of a baseline is not overwritten."""
+file. An existing file that is not empty, and has neither the header nor an entry of a baseline, is
+not overwritten."""
 
 
 def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry]) -> None:

@@ -69,10 +69,10 @@ class KeyRule:
     inverse: bool = False
 
     def accepts(self, node: LocatedValue) -> bool:
-        """Return True if a node has a value of the required shape: number, list or table.
+        """Return True if a node has a value, and the value has the required shape (``shape``).
 
-        Each value that is neither a list nor a table with entries, such as a text, counts as a
-        number.
+        A value other than None that is neither a list nor a table with entries, such as a text,
+        counts as a number.
         """
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"

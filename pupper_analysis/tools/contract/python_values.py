@@ -29,8 +29,9 @@ from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MAX_VALUES, LocatedValue, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
-"""Largest size of an integer [bit] that the evaluation of a source accepts; a larger result counts
-as unknown. Larger integers would grow without bound in a loop. Chosen, not tuned."""
+"""Largest size [bit] of an integer that an operation or a function of Python may return in the
+evaluation of a source; a larger result counts as unknown. Larger integers would grow without bound
+in a loop. Chosen, not tuned."""
 
 MAX_CALL_DEPTH: Final = 40
 """Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.

@@ -634,8 +634,9 @@ MJCF_MUJOCO = "MJCF in MuJoCo"
 """Name of the evaluation of the MJCF with MuJoCo, without the terms that a URDF cannot express."""
 
 MJCF_AS_IT_IS = "MJCF as it is"
-"""Name of the evaluation of the MJCF with MuJoCo, including the terms that a URDF cannot express,
-for example friction. Couplings that both files contain are disabled in this evaluation."""
+"""Name of the evaluation of the passive MJCF (`make_passive_model`: no contacts, limits, dry
+friction or servos) with MuJoCo. It includes the other terms that a URDF cannot express, for example
+springs. Couplings that both files contain are disabled."""
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 """Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""

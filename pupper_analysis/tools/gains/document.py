@@ -187,12 +187,12 @@ def _select_next_step(study: GainStudy) -> NextStep:
 def _make_class_table(study: GainStudy) -> doc.Table:
     """Create the table of the joint classes (joints with equal gains), a row per class.
 
-    The columns of kp are the present value, the reference value if it differs from the present
-    value (`GainStudy.by_inertia`), the smallest stable value, the limit by the torque and the
-    recommended value. The columns of kd are the present value, the reference value, the largest
-    stable value if all classes are scaled, the largest stable value if only this class is scaled,
-    the limit by the encoder and the recommended value. Units are N m/rad and N m s/rad, or N/m and
-    N s/m for slides.
+    The first column names the class. The columns of kp are the present value, the reference value,
+    the smallest stable value, the limit by the torque and the recommended value. The columns of kd
+    are the present value, the reference value, the largest stable value if all classes are scaled,
+    the largest stable value if only this class is scaled, the limit by the encoder and the
+    recommended value. The reference values are present only if `GainStudy.by_inertia`. Units are
+    N m/rad and N m s/rad, N/m and N s/m for slides, or both for a robot with hinges and slides.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (

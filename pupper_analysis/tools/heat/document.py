@@ -93,12 +93,13 @@ def _format_minutes(seconds: float) -> str:
 def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
     """State the result of the motor that the report names first (`HeatStudy.first`).
 
-    The first text is the result, the second text names the joint, its torque and its loss. The
-    result depends on the first condition that is met:
+    The first text is the result; the second text names the joint, its torque and, if known, its
+    loss. The result depends on the first condition that is met:
 
     - The motor is too weak: the largest torque of the motor, with the joint, in a single text.
     - The final temperature is unknown, or finite with an unknown limit, and the continuous torque
-      is known: comparison of the torque with the continuous torque.
+      is known: comparison of the torque with the continuous torque. The second text then names the
+      joint and the motor only.
     - The winding reaches the limit: the time until then.
     - The final temperature is finite: the final temperature.
     - Otherwise: the temperature rises without bound.

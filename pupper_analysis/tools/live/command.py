@@ -130,7 +130,8 @@ def command(
     Only this machine can reach the page. With --host, other machines can open the page with the
     printed address, which contains a token. The page is served until Ctrl-C.
 
-    With --mujoco or --drop MuJoCo's own viewer opens instead.
+    With --policy, the page shows the walking robot instead. With --mujoco or --drop, MuJoCo's own
+    viewer opens instead; with --headless, no window opens.
 
     \b
     Examples:

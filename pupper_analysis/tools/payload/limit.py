@@ -121,8 +121,9 @@ MAX_BOUND_RATIO = 10.0
 """Factor [1] on the first payload that fails by one of three criteria (stance, motors, servos), or
 on the robot's mass if that is larger. The search for the payloads at which the other criteria fail
 ends at the product, or when the stance fails. A criterion that has not failed then has an infinite
-bound. If simulations refute a servo bound of 0, the factor on the robot's mass also bounds the
-simulated masses. Chosen, not tuned.
+bound; that of the servos is finite if a simulation just below the other bounds fails. If
+simulations refute a servo bound of 0, the factor on the robot's mass also bounds the simulated
+masses. Chosen, not tuned.
 """
 
 VERIFIED_FRACTION = 0.97

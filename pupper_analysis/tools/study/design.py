@@ -268,7 +268,9 @@ def make_robot_source(robot: Any) -> RobotSource:
 def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
-    The hash depends on the content of mesh files, and not on the folder of the robot's files.
+    The hash depends on the URDF text, the MJCF with the content of its mesh files, the contact
+    points, the feet and the nominal pose, and not on the folder of the MJCF. Other attributes, for
+    example ``efforts`` and ``mimics``, are not included.
     """
     parts = {
         "urdf": description.urdf,

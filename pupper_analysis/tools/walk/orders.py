@@ -281,11 +281,16 @@ def _list_interpretations(
 def _permute_joints(
     stated_joints: tuple[str, ...], limbs: Sequence[Sequence[int]]
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield distinct joint orders with exchanged limbs, also grouped by kind of joint.
+    """Yield distinct joint orders with exchanged limbs or with the other grouping of the joints.
+
+    Limbs with equal numbers of joints are exchanged (`_list_limb_orders`). Each order is also
+    regrouped (`_group_by_kind`); the stated order only with up to `_MAX_PERMUTED_LIMBS` limbs. The
+    stated order itself is not yielded.
 
     Yields:
         "limbs", or "by-kind" for a changed grouping; exchanges as text, ``old > new`` with the
-        first joint of each limb; joints in the new order.
+        first joint of each exchanged limb, empty if only the grouping changes; joints in the new
+        order.
     """
     yielded = {stated_joints}
     for size, count in Counter(len(limb) for limb in limbs).items():

@@ -155,10 +155,12 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
 
 
 MIN_JOINT_GAP = 0.03
-"""Largest distance [m] between the shapes of a link and its next joints at which the link's mesh
-counts as correctly oriented (`choose_mesh_axes`, `mesh_lies_across`). Measured on 15 public URDFs
-whose distances depend on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170
-mm in 11 links of each of iCub's two files."""
+"""Largest distance [m] between the shapes of a link and the farthest of the next moving joints
+(`measure_joint_gap`) at which the link's mesh counts as correctly oriented (`choose_mesh_axes`,
+`mesh_lies_across`). In `choose_mesh_axes`, a larger distance also counts as correct if it is at
+most twice the distance after the other choice. Measured on 15 public URDFs whose distances depend
+on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links of each
+of iCub's two files."""
 
 MIN_AXIS_VOTES = 2
 """Smallest number of links that need the turn, with which the meshes of a URDF are turned. Chosen,

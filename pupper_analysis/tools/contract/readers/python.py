@@ -88,11 +88,12 @@ def _read_names(
     Args:
         request: File.
         evaluator: Evaluator that has loaded the file.
-        own_names: {name: value} of the module, without imported names.
+        own_names: {name: value} of the module, without imported names; only the requested name if
+            the request names a configuration.
 
     Returns:
-        (configuration, source) for each name of an instance of a configuration class, and a source
-        for each table ``{key: value}`` or list of tables.
+        (configuration, source) for each object with a robot, actions or settings of a trainer
+        (`_read_root`), and the sources of tables ``{key: value}``, alone or in a list.
     """
     roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():

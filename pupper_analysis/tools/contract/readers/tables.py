@@ -180,7 +180,10 @@ def read_nested_tables(
     """Yield the sources of a document with nested tables.
 
     Nested tables are, for example, robots in files of rl_sar, controllers, and nodes in files of
-    ROS 2. If the request has a name, only the table with this name is read.
+    ROS 2. If the request has a name, only the source with this name is read. The name is the key of
+    the table in lower case, with or without the keys of the tables that contain it (``a/b``); for a
+    node of ROS 2, the key as in the file. Tables that are merged into a single source of the whole
+    document cannot be selected.
 
     Args:
         request: Request with the path of the file.
