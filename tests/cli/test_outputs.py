@@ -284,7 +284,7 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
             messages = (*words, *force, result)
             assert result.returncode == 2, messages
             assert one_line(result), messages
-            refusals = ("this run reads", "it is the plan", "this format is not written")
+            refusals = ("this run reads", "this file is the plan", "this format is not written")
             assert not force or any(text in result.stderr for text in refusals), messages
             count += 1
         shutil.rmtree(folder / "into", ignore_errors=True)
