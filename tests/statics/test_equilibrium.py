@@ -830,6 +830,20 @@ def test_feet_without_friction_do_not_pull() -> None:
         pa.gravity_compensation(at_stand("original"), ["FR", "RL", "RR"], friction=0.0)
 
 
+def test_foot_without_friction_is_unloaded_beside_the_com() -> None:
+    """The CoM is near the edge of the feet, so that a foot has no load. Reference: the forces with
+    friction, which are vertical as well."""
+    robot = load("v3")
+    config = pa.Configuration(
+        robot, pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.045))).qpos
+    )
+    smooth, rough = (pa.gravity_compensation(config, friction=mu) for mu in (0.0, 0.6))
+    loads = [float(smooth.contact_forces[point][2]) for point in smooth.contact_forces]
+    assert min(loads) == pytest.approx(0.0, abs=1e-4)
+    for point, force in smooth.contact_forces.items():
+        assert force == pytest.approx(rough.contact_forces[point], abs=1e-3)
+
+
 def test_forces_without_friction_are_vertical() -> None:
     """References: closed form, no tangential force; Newton and Euler."""
     result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
