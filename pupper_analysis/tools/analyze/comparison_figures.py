@@ -91,8 +91,11 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             for (joint, leg), offset in zip(joints_and_legs, offsets, strict=True):
                 style = {"color": "0.3", "marker": "o"} if leg is None else _get_leg_style(leg)
                 place = row + offset
+                style |= {"clip_on": False}  # a torque of zero lies on the axis
                 axes.plot(percent[joint] * predicted[joint], place, ls="", ms=5, **style)
-                axes.plot(percent[joint] * simulated[joint], place, "|", color="k", ms=8)
+                axes.plot(
+                    percent[joint] * simulated[joint], place, "|", color="k", ms=8, clip_on=False
+                )
             peak = max(joints, key=lambda joint: predicted[joint])
             share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
             axes.annotate(f"{predicted[peak]:.3f} {units[peak]}{share}", (1, row),
