@@ -142,8 +142,8 @@ def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
         body.explicitinertial = True
         body.mass, body.inertia = 1.0, [1.0, 1.1, 1.2]
         body.ipos, body.iquat = [0.1, 0.2, 0.3], [0.8, 0.2, 0.4, 0.4]
-    for name, (owner, position) in parameters.frames.items():
-        bodies[owner].add_site(name=name, pos=position + 1.0)  # not zero, as above
+    for name, (owner, _) in parameters.frames.items():
+        bodies[owner].add_site(name=name, pos=[0.1, 0.2, 0.3])  # not zero, as above
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
     return compile_spec(spec, Path(spec.modelname))
 

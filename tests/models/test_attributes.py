@@ -103,6 +103,26 @@ def test_joint_attributes_are_kept_in_models_of_both_engines(files: tuple[Path, 
             np.testing.assert_array_equal(getattr(compiled, one.mujoco)[-1], VALUES[one.kind])
 
 
+@pytest.mark.parametrize("position", [(0.1, 0.0, -0.2), (0.0, 0.0, 0.0), (-1.0, -1.0, -1.0)])
+def test_frame_is_at_its_position_in_the_compiled_model(
+    files: tuple[Path, Path], position: tuple[float, float, float]
+) -> None:
+    """Reference: MuJoCo's position of the site [m], with the joint at zero and the base at the
+    origin.
+    """
+    model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
+    tree = from_pinocchio(model, "a", ["j"], {})
+    framed = replace(tree, frames={"tip": ("j", np.array(position))})
+    here, origin = MujocoTree(framed), MujocoTree(tree)
+    here.copy_parameters(framed)
+    origin.copy_parameters(tree)
+    data, reference = mujoco.MjData(here.model), mujoco.MjData(origin.model)
+    mujoco.mj_kinematics(here.model, data)
+    mujoco.mj_kinematics(origin.model, reference)
+    expected = reference.xpos[-1] + reference.xmat[-1].reshape(3, 3) @ position
+    np.testing.assert_allclose(data.site("tip").xpos, expected, atol=1e-12)
+
+
 SPRUNG = MJCF.replace('damping="0.125"', "").replace(
     'stiffness="0.7"', 'stiffness="9" springdamper="0.2 0.5"'
 )
