@@ -1069,6 +1069,9 @@ _EXTRA_ARGUMENTS = re.compile(r"Got unexpected extra arguments? \((.*)\)")
 _NUMBER_START = re.compile(r"[+-]?\d+([.,]\d+)?")
 """Number at the start of a text, with or without a decimal point or comma."""
 
+_XACRO_ASSIGNMENT = re.compile(r"^([^=]*?):=")
+"""Name and first separator of a text in xacro's form ``NAME:=VALUE``."""
+
 _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 """Example of a value with an equals sign in the help of an option, such as ``e.g. FR=30mm.``"""
 
@@ -1452,7 +1455,8 @@ def parse_xacro_args(texts: Sequence[str]) -> dict[str, str]:
     Raises:
         ConfigurationError: If a text has another form.
     """
-    return dict(parse_assignment("xacro-arg", text.replace(":=", "=", 1)) for text in texts)
+    forms = (_XACRO_ASSIGNMENT.sub(r"\1=", text) for text in texts)
+    return dict(parse_assignment("xacro-arg", text) for text in forms)
 
 
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pupper_analysis.cli.shared import parse_point, parse_quantity
+from pupper_analysis.cli.shared import parse_point, parse_quantity, parse_xacro_args
 from tests.support.commands import run_command
 
 
@@ -29,6 +29,12 @@ def test_a_quantity_has_a_number_and_a_unit(kind: str, text: str, value: float) 
 
 def test_a_point_has_two_quantities() -> None:
     assert parse_point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
+
+
+def test_only_the_first_separator_of_a_xacro_argument_is_replaced() -> None:
+    texts = ("arm:=true", "mode=a", "remap=old:=new", "pair:=x:=y")
+    expected = {"arm": "true", "mode": "a", "remap": "old:=new", "pair": "x:=y"}
+    assert parse_xacro_args(texts) == expected
 
 
 @pytest.mark.parametrize(
