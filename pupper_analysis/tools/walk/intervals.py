@@ -479,8 +479,9 @@ def tracked_intervals(
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is invalid or out of range, the base is fixed, the robot
-            has no feet, or the policy acts more than once per time step.
+        ConfigurationError: If an argument is invalid or out of range, ``measured`` contains none of
+            the quantities, the base is fixed, the robot has no feet, or the policy acts more than
+            once per time step.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)
@@ -489,6 +490,9 @@ def tracked_intervals(
         if name not in VARIED_QUANTITIES:
             problem = diagnose("none-of", value=name, known=tuple(VARIED_QUANTITIES))
             raise ConfigurationError("vary", problem)
+    if measured is not None and not any(name in measured for name in quantities):
+        problem = diagnose("fit-of-other-quantities", measured=tuple(measured))
+        raise ConfigurationError("vary", problem)
     stage = prepare_stage(robot, policy)
     outcomes: dict[tuple[str, float, int], Tracking] = {}
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.tools.walk.document import intervals_document
 from pupper_analysis.tools.walk.gait import evaluate_tracking
 from pupper_analysis.tools.walk.intervals import (
@@ -50,6 +50,17 @@ def test_interval_of_motor_strength_does_not_depend_on_the_workers(still: Policy
     assert one.below[0] < one.least[0] < 1.2 * one.below[0]
     assert math.isnan(one.above[0])
     assert (found[1].intervals[0].least == one.least).all()
+
+
+def test_fit_without_a_varied_quantity_is_refused(still: Policy) -> None:
+    with pytest.raises(ConfigurationError, match="measured only kp, delay"):
+        tracked_intervals(
+            load("v3"),
+            still,
+            (0, 0, 0),
+            quantities=("mass",),
+            measured={"kp": (0.9, 1.1), "delay": (0.0, 0.01)},
+        )
 
 
 def test_changed_cases_have_the_changed_parameters(still: Policy) -> None:
