@@ -161,67 +161,100 @@ def study_pushes(
             or if a number of an assigned motor is unknown.
     """
     stands = [solve_stand(robot, task) for robot in robots]
-    results = {}
-    for robot, rigid_stand in zip(robots, stands, strict=True):
-        stand = solve_stand_as_simulated(robot, rigid_stand)
-        verification = verify_stand(robot, stand, kp=kp, kd=kd, duration=HOLD_DURATION)
-        recovery = push_recovery(
+    return {
+        robot.name: _study_robot(
             robot,
             stand,
+            (motors or {}).get(robot.name, {}),
             kp=kp,
             kd=kd,
             directions=directions,
             resolution=resolution,
+        )
+        for robot, stand in zip(robots, stands, strict=True)
+    }
+
+
+def _study_robot(
+    robot: Robot,
+    rigid_stand: Stand,
+    motors: Mapping[str, Motor],
+    *,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+    directions: int,
+    resolution: float,
+) -> PushedStance:
+    """Find the largest pushes from which one robot recovers, and the verdict without a push.
+
+    Arguments and errors as in `study_pushes`; ``motors`` are those of this robot, {joint: motor}.
+    """
+    stand = solve_stand_as_simulated(robot, rigid_stand)
+    verification = verify_stand(robot, stand, kp=kp, kd=kd, duration=HOLD_DURATION)
+    recovery = push_recovery(
+        robot,
+        stand,
+        kp=kp,
+        kd=kd,
+        directions=directions,
+        resolution=resolution,
+        verification=verification,
+    )
+    statics = stand_statics(robot, stand)
+    verdict = judge_simulation(
+        robot, rigid_stand, verification, statics=statics, question=Question.LASTS, kp=kp, kd=kd
+    )
+    unknown_limits = unknown_push_limits(robot)
+    peaks, region_peaks, beyond_times, energy = None, None, None, None
+    if (unknown_limits or motors) and not recovery.failures_without_push:
+        bench = make_push_bench(
+            robot,
+            stand,
+            np.array([recovery.weakest_direction]),
+            duration=recovery.duration,
+            kp=kp,
+            kd=kd,
+            feedforward=True,
+            integrator=None,
             verification=verification,
         )
-        statics = stand_statics(robot, stand)
-        verdict = judge_simulation(
-            robot, rigid_stand, verification, statics=statics, question=Question.LASTS, kp=kp, kd=kd
-        )
-        unknown_limits = unknown_push_limits(robot)
-        peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
-        if any(limit.without_torque for limit in list_driven_limits(robot)):
-            code = EffortCode.ZERO
-        assigned = (motors or {}).get(robot.name, {})
-        region_peaks, beyond_times, energy = None, None, None
+        samples = bench.simulate_motors(0, recovery.weakest_impulse)
         if unknown_limits:
-            code, impulse = EffortCode.UNKNOWN, math.nan
-        if (unknown_limits or assigned) and not recovery.failures_without_push:
-            bench = make_push_bench(
-                robot,
-                stand,
-                np.array([recovery.weakest_direction]),
-                duration=recovery.duration,
-                kp=kp,
-                kd=kd,
-                feedforward=True,
-                integrator=None,
-                verification=verification,
-            )
-            samples = bench.simulate_motors(0, recovery.weakest_impulse)
-            if unknown_limits:
-                peaks = np.abs(samples.torques).max(axis=0)
-            if assigned:
-                region_peaks, beyond_times = _compare_with_regions(robot, samples, assigned)
-                series = samples.integrated, samples.speeds, samples.period
-                energy = compute_motor_energy(assigned, robot.joint_names, *series)
-        results[robot.name] = PushedStance(
-            name=robot.name,
-            joint_names=robot.joint_names,
-            stand=stand,
-            recovery=recovery,
-            impulse=impulse,
-            code=code,
-            unknown_limits=unknown_limits,
-            peak_torques=peaks,
-            torque_units=robot.compute_once(list_force_units),
-            verdict=verdict,
-            motors={joint: motor.name for joint, motor in assigned.items()},
-            region_peaks=region_peaks,
-            beyond_times=beyond_times,
-            energy=energy,
-        )
-    return results
+            peaks = np.abs(samples.torques).max(axis=0)
+        if motors:
+            region_peaks, beyond_times = _compare_with_regions(robot, samples, motors)
+            series = samples.integrated, samples.speeds, samples.period
+            energy = compute_motor_energy(motors, robot.joint_names, *series)
+    return PushedStance(
+        name=robot.name,
+        joint_names=robot.joint_names,
+        stand=stand,
+        recovery=recovery,
+        impulse=math.nan if unknown_limits else recovery.weakest_impulse,
+        code=_find_effort_code(robot, unknown_limits),
+        unknown_limits=unknown_limits,
+        peak_torques=peaks,
+        torque_units=robot.compute_once(list_force_units),
+        verdict=verdict,
+        motors={joint: motor.name for joint, motor in motors.items()},
+        region_peaks=region_peaks,
+        beyond_times=beyond_times,
+        energy=energy,
+    )
+
+
+def _find_effort_code(robot: Robot, unknown_limits: Sequence[str]) -> EffortCode:
+    """Find whether the torque limits of a robot are stated, zero or unknown.
+
+    Args:
+        robot: Robot.
+        unknown_limits: Joints whose torque limits are unknown.
+    """
+    if unknown_limits:
+        return EffortCode.UNKNOWN
+    if any(limit.without_torque for limit in list_driven_limits(robot)):
+        return EffortCode.ZERO
+    return EffortCode.STATED
 
 
 def _compare_with_regions(
