@@ -543,11 +543,7 @@ def measure_gait(
         foot: sum(foot in sample.feet for sample in samples) / max(1, len(samples))
         for foot in robot.feet
     }
-    base_rotations = rotations_from_quaternions(sampled_states[:, 1 + convention.qpos_index[3:7]])
-    fall_limits = (FALLEN_TILT, (1 - FALLEN_HEIGHT_RATIO) * stage.upright.com_height)
-    used_fraction = (
-        1.0 if run.fallen else max(run.lean / fall_limits[0], run.lost / fall_limits[1], 0.0)
-    )
+    roll, pitch, bounce = _compute_base_deviations(stage, sampled_states)
     stride = max(1, round(_MOTION_PERIOD / step))
     motion_states = run.states[::stride][is_finite[::stride]]
     torque_samples = round(1.0 / step)
@@ -574,15 +570,38 @@ def measure_gait(
         static=_root_mean_square(np.array([sample.static for sample in samples]))
         if samples and not run.case.seed
         else None,
-        roll=float(np.std(np.arctan2(base_rotations[:, 2, 1], base_rotations[:, 2, 2]))),
-        pitch=float(np.std(np.arcsin(np.clip(-base_rotations[:, 2, 0], -1, 1)))),
-        bounce=float(np.std(sampled_states[:, 1 + convention.qpos_index[2]])),
-        margin=max(0.0, 1.0 - used_fraction),
+        roll=roll,
+        pitch=pitch,
+        bounce=bounce,
+        margin=_compute_fall_margin(stage, run),
         motion_time=motion_states[:, 0].copy(),
         motion=np.round(motion_states[:, 1 + convention.qpos_index], 5),
         torque_time=times[-torque_samples:].copy(),
         torques=np.round(torques[-torque_samples:], 5),
     )
+
+
+def _compute_base_deviations(stage: Stage, states: Array) -> tuple[float, float, float]:
+    """Compute the standard deviations of roll [rad], pitch [rad] and height [m] of the base.
+
+    Args:
+        stage: Robot, policy and model of the simulation.
+        states: Full physics states of MuJoCo, shape (n, size).
+    """
+    columns = 1 + stage.robot.mj_convention.qpos_index
+    rotations = rotations_from_quaternions(states[:, columns[3:7]])
+    roll = np.arctan2(rotations[:, 2, 1], rotations[:, 2, 2])
+    pitch = np.arcsin(np.clip(-rotations[:, 2, 0], -1, 1))
+    return float(np.std(roll)), float(np.std(pitch)), float(np.std(states[:, columns[2]]))
+
+
+def _compute_fall_margin(stage: Stage, run: PolicyRun) -> float:
+    """Compute the unused share of the limits of tilt and height loss; 0 if the robot fell."""
+    if run.fallen:
+        return 0.0
+    height_limit = (1 - FALLEN_HEIGHT_RATIO) * stage.upright.com_height
+    used_fraction = max(run.lean / FALLEN_TILT, run.lost / height_limit, 0.0)
+    return max(0.0, 1.0 - used_fraction)
 
 
 def _compute_run_energy(
