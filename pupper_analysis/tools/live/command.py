@@ -257,11 +257,18 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
     from pupper_analysis.tools.live.access import is_loopback
     from pupper_analysis.tools.live.server import serve
 
-    click.echo(f"{page.address}  (Ctrl-C ends it)")
-    if not is_loopback(host):
+    local = is_loopback(host)
+    reach = (
+        "only this machine can open the page; --host HOST admits others"
+        if local
+        else (f"every machine that reaches {host} can open the page with this address")
+    )
+    click.echo(f"SERVING {page.address} until Ctrl-C")
+    click.echo(f"  {reach}")
+    if not local:
         click.echo(
-            f"warning: whoever can reach {host} and has this address, with its token, can use the "
-            "page; what is said on the way is not encrypted",
+            "warning: everyone with this address, which contains the token, can use the page; the "
+            "connection is not encrypted",
             err=True,
         )
     restore_garbage_collection()

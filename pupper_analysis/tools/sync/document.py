@@ -77,9 +77,10 @@ def sync_document(
 
 
 def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
-    """Yield the number of differences, and the difference to repair first; or that none exists."""
+    """Yield the number of differences and the difference to repair first, or that none exists."""
     if not sync.differences:
         yield text("no-difference-to-sync")
+        yield text("nothing-to-write")
         return
     yield text("differences-listed-count", count=len(sync.differences))
     first = doc.diagnostic_text(sync.differences[0].diagnostic)

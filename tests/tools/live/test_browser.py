@@ -206,8 +206,9 @@ def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) 
     )
     assert process.stdout is not None
     said = process.stdout.readline()
-    found = re.match(r"(http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)$", said)
+    found = re.match(r"SERVING (http://127\.0\.0\.1:\d+/) until Ctrl-C$", said)
     assert found is not None, said
+    assert process.stdout.readline().startswith("  only this machine can open the page")
     port = int(found[1].split(":")[2].rstrip("/"))
     for nonsense in (b"", b"\x00\xff\r\n\r\n", b"GET /../../etc HTTP/1.1\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as knocks:
