@@ -160,8 +160,8 @@ def command(
         _run_study(study, folder, executor, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
     step = None
-    if outcome.is_measured and not (chosen or numbers):
-        step = NextStep("study", ("-o", str(folder), "--minimise", study.metrics[0].name))
+    if outcome.varying_metrics and not (chosen or numbers):
+        step = NextStep("study", ("-o", str(folder), "--minimise", outcome.varying_metrics[0]))
     shared.show_results([("", outcome)], style, everything=everything, next_step=step)
     shared.write_page(report_path, outcome)
     passed = outcome.is_measured

@@ -142,14 +142,9 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
     Nothing is yielded if no metric varies.
     """
-    measured = [
-        summary
-        for summary in outcome.measured
-        if summary.designs and summary.minimum < summary.maximum
-    ]
-    if not measured:
+    if not outcome.varying_metrics:
         return
-    metric = measured[0].metric
+    metric = outcome.varying_metrics[0]
     values = outcome.table[metric].to_numpy(dtype=float)
     designs = outcome.table[list(outcome.variables)]
     scale, unit = _find_shown_unit(metric, outcome.units)

@@ -135,6 +135,15 @@ class StudyOutcome(Result):
     feasible: int
 
     @property
+    def varying_metrics(self) -> tuple[str, ...]:
+        """Metrics with different finite values among the designs, in the order of ``measured``."""
+        return tuple(
+            summary.metric
+            for summary in self.measured
+            if summary.designs and summary.minimum < summary.maximum
+        )
+
+    @property
     def is_measured(self) -> bool:
         """Whether a stored design has no failure, or has a value of a metric despite a failure."""
         failed = sum(group.designs for group in self.failures)

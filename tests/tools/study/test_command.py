@@ -22,3 +22,20 @@ def test_study_whose_designs_all_fail_has_status_1_and_a_reason(
     assert verdict.startswith("NONE MEASURED v3: 2 designs, 2 failed")
     assert "first failed design: stance out of reach" in reason
     assert "--minimise" not in out
+
+
+@pytest.mark.slow
+def test_next_command_minimises_the_first_metric_that_varies(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The static torques do not depend on kp; the sag does."""
+    file = tmp_path / "gains.toml"
+    file.write_text(
+        'robot = "v3"\nmeasure = ["peak_utilisation", "servo_sag"]\n[vary]\nkp = [5.0, 10.0]\n'
+    )
+    status, out, err = run_command(capfd, "study", str(file), "-o", str(tmp_path / "out"))
+    assert status == 0, err
+    verdict, answer, step, *_ = out.splitlines()
+    assert verdict.startswith("MEASURED v3: 2 designs")
+    assert answer.split()[0] == "servo_sag"
+    assert step.endswith("--minimise servo_sag")
