@@ -1187,7 +1187,12 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
         links = [case.first.bodies[name].link or name for name in foreign]
         yield PatternFinding(
             "inertial",
-            diagnose("inertials-of-another-robot", bodies=links),
+            diagnose(
+                "inertials-of-another-robot",
+                bodies=links,
+                one=Quantity(case.first.bodies[foreign[0]].mass, "kg"),
+                two=Quantity(case.second.bodies[foreign[0]].mass, "kg"),
+            ),
             {(kind, name) for kind in kinds for name in foreign},
         )
 
