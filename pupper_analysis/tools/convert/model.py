@@ -154,43 +154,69 @@ def convert_model(
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
     comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
-    verification, kept, robot = None, None, None
-    failures = list(_list_disagreements(comparison, draft))
-    agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
-    if draft.failure is not None:
-        failures.append(draft.failure)
-    failures += draft.lost
-    remarks: tuple[Diagnostic, ...] = ()
-    if draft.failure is None:
-        robot = _make_converted_robot(draft, *_read_converted_pair(file, draft, output), feet)
-        remarks = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
-        failures += [remark for remark in remarks if remark.severity is Severity.ERROR]
-    if robot is not None and draft.stands:
-        verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
-        failures += verification.failures
-        if isinstance(file, UrdfFile):
-            kept = run_from_keyframe(output)
-            why = [] if kept is None else kept.failures
-            failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
+    disagreements = tuple(_list_disagreements(comparison, draft))
+    checks = _check_new_file(file, draft, output, feet)
+    failures = (*disagreements, *checks.failures)
     return Conversion(
         source=name,
         output=str(output),
         written=tuple(map(str, contents)),
         notes=(
-            *_list_changed_servos(variant, robot),
-            *(remark for remark in remarks if remark.severity is not Severity.ERROR),
+            *_list_changed_servos(variant, checks.robot),
+            *(remark for remark in checks.remarks if remark.severity is not Severity.ERROR),
             *draft.notes,
         ),
         not_converted=draft.not_converted,
         repairs=draft.repairs,
         comparison=comparison,
-        verification=verification,
-        kept=kept,
-        floating=robot is not None and robot.floating and bool(robot.feet),
-        failures=_put_impossible_first(failures, remarks),
-        agree=agree,
+        verification=checks.verification,
+        kept=checks.keyframe_run,
+        floating=checks.robot is not None and checks.robot.floating and bool(checks.robot.feet),
+        failures=_put_impossible_first(failures, checks.remarks),
+        agree=not (disagreements or comparison.only_urdf or comparison.only_mjcf),
         passed=not failures,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _NewFileChecks:
+    """Results of loading and simulating a converted file.
+
+    Attributes:
+        failures: Reasons why the conversion fails.
+        robot: Robot of the source and the new file; None if the draft has a failure.
+        remarks: Remarks on the robot, of any severity.
+        verification: Simulation of the stand; None if no stand is expected.
+        keyframe_run: Simulation of a new MJCF from its keyframe; None if there is none.
+    """
+
+    failures: tuple[Diagnostic, ...]
+    robot: Robot | None = None
+    remarks: tuple[Diagnostic, ...] = ()
+    verification: StandVerification | None = None
+    keyframe_run: KeyframeRun | None = None
+
+
+def _check_new_file(
+    file: UrdfFile | MjcfFile, draft: ConversionDraft, output: Path, feet: Feet | None
+) -> _NewFileChecks:
+    """Load the source with the new file and, if the robot should stand, simulate its stand."""
+    if draft.failure is not None:
+        return _NewFileChecks((draft.failure, *draft.lost))
+    robot = _make_converted_robot(draft, *_read_converted_pair(file, draft, output), feet)
+    remarks = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
+    failures = [*draft.lost]
+    failures += [remark for remark in remarks if remark.severity is Severity.ERROR]
+    if not draft.stands:
+        return _NewFileChecks(tuple(failures), robot, remarks)
+    verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
+    failures += verification.failures
+    keyframe_run = run_from_keyframe(output) if isinstance(file, UrdfFile) else None
+    if keyframe_run is not None:
+        failures += [
+            diagnose("fails-from-keyframe", problem=problem) for problem in keyframe_run.failures
+        ]
+    return _NewFileChecks(tuple(failures), robot, remarks, verification, keyframe_run)
 
 
 def _name_source(source: str | Path | ModelObject | VariantSpec) -> str:
