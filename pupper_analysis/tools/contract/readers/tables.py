@@ -294,22 +294,9 @@ def _read_view(
         sizes: Statements from elsewhere, such as the sizes of a network.
     """
     root = view.tables[0]
-    joint_names, motors = view.find_first("joints"), view.find_first("motors")
-    indices = _read_motor_numbers(motors)
-    notes = (
-        [diagnose("contract-motors-unread", file=name)] if motors.is_present and not indices else []
-    )
-    unread = _describe_unread_values(view) | _describe_unread_terms(view)
-    if indices and joint_names.texts and len(indices) != len(joint_names.texts):
-        unread["motors"] = diagnose(
-            "contract-motors-length",
-            file=str(motors.place),
-            count=len(indices),
-            joints=len(joint_names.texts),
-            order=str(joint_names.place),
-            sources=motors.place.source,
-        )
-        indices = []
+    joint_names = view.find_first("joints")
+    indices, notes, unread_motors = _read_motors(name, view)
+    unread = _describe_unread_values(view) | _describe_unread_terms(view) | unread_motors
     if isinstance(joint_names.value, list) and joint_names.value and not joint_names.texts:
         notes.append(diagnose("contract-names-unread", file=str(joint_names.place)))
     is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
@@ -329,17 +316,7 @@ def _read_view(
         or any(not find_quantity_kind(statement.quantity).is_setting for statement in statements)
     ):
         return
-    commands = view.get("cmd_scale")
-    if len(commands.items) == len(_COMMAND_PARTS):
-        statements += [
-            item.make_statement(f"observation commands {part}")
-            for part, item in zip(_COMMAND_PARTS, commands.items, strict=True)
-            if item.number is not None
-        ]
-    rate, repeat = view.get("update_rate"), view.get("repeat_action")
-    if rate.number and repeat.number:
-        step = repeat.number / rate.number
-        statements.append(Statement("policy step", step, repeat.place, origin=Origin.DERIVED))
+    statements += _list_command_scales(view)
     observation_names = view.get("observation_names")
     named_terms = (
         ObservedTerm(term.strip(), None, observation_names.place)
@@ -359,6 +336,45 @@ def _read_view(
         name_lists={} if joint_names.texts else _collect_name_lists(view),
         unread=unread,
     )
+
+
+def _read_motors(
+    name: str, view: _View
+) -> tuple[list[int], list[Diagnostic], dict[str, Diagnostic]]:
+    """Read the motor number of each joint, in the joint order of the tables.
+
+    Returns:
+        Motor numbers, empty if none can be used; notes; {"motors": message} if the numbers of
+        motors and of joints differ, otherwise empty.
+    """
+    joint_names, motors = view.find_first("joints"), view.find_first("motors")
+    indices = _read_motor_numbers(motors)
+    if motors.is_present and not indices:
+        return [], [diagnose("contract-motors-unread", file=name)], {}
+    if indices and joint_names.texts and len(indices) != len(joint_names.texts):
+        message = diagnose(
+            "contract-motors-length",
+            file=str(motors.place),
+            count=len(indices),
+            joints=len(joint_names.texts),
+            order=str(joint_names.place),
+            sources=motors.place.source,
+        )
+        return [], [], {"motors": message}
+    return indices, [], {}
+
+
+def _list_command_scales(view: _View) -> Iterator[Statement]:
+    """Yield the scales of the observed command, and the period of the policy [s] from its rate."""
+    commands = view.get("cmd_scale")
+    if len(commands.items) == len(_COMMAND_PARTS):
+        for part, item in zip(_COMMAND_PARTS, commands.items, strict=True):
+            if item.number is not None:
+                yield item.make_statement(f"observation commands {part}")
+    rate, repeat = view.get("update_rate"), view.get("repeat_action")
+    if rate.number and repeat.number:
+        step = repeat.number / rate.number
+        yield Statement("policy step", step, repeat.place, origin=Origin.DERIVED)
 
 
 def _describe_unread_values(view: _View) -> dict[str, Diagnostic]:
