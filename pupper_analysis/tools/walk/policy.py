@@ -785,6 +785,45 @@ def build_torchscript_network(path: Path) -> Network:
             suggest. Also if the network keeps a state that is no tensor, or a state that does not
             start with zeros.
     """
+    torch, module = _load_torchscript(path)
+    weights = dict(module.named_parameters())
+    count = sum(int(weights_of_layer.numel()) for weights_of_layer in weights.values())
+    if count > MAX_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
+        raise ModelError(path, problem)
+    matrices = [matrix for matrix in weights.values() if matrix.ndim == 2]
+    if not matrices:
+        raise ModelError(path, diagnose("no-network"))
+    # The first layer of the file need not be the first that is evaluated. A traced LSTM accepts
+    # observations of any size, so that its size is tried first.
+    recurrent = [matrix for name, matrix in weights.items() if name.endswith("weight_ih_l0")]
+    scripted = _ScriptedModule(torch, module, matrices[0].dtype)
+    widths = [int(matrix.shape[1]) for matrix in (*recurrent, *matrices)]
+    sizes = tuple(dict.fromkeys((*widths, *scripted.list_state_sizes())))
+    constants = {name: matrix.detach().double().numpy() for name, matrix in weights.items()}
+    problems: list[ModelError] = []
+    for size in sizes:
+        try:
+            network = _assemble_torchscript(path, scripted, constants, size)
+        except ModelError as error:  # e.g. a weight that is not finite
+            problems.insert(0, error)
+        except ValueError as error:
+            cause = (str(error).strip().splitlines() or [""])[-1]
+            problem = diagnose("torchscript-not-evaluated", sizes=sizes, cause=cause)
+            problems.append(ModelError(path, problem))
+        else:
+            _check_memory(path, network, size)
+            return network
+    raise problems[0]
+
+
+def _load_torchscript(path: Path) -> tuple[Any, Any]:
+    """Load a TorchScript file; return the module ``torch``, and the network in evaluation mode.
+
+    Raises:
+        MissingPackageError: If torch is not installed.
+        ModelError: If the file is too large, or cannot be read.
+    """
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)
     except InputError as error:
@@ -796,55 +835,50 @@ def build_torchscript_network(path: Path) -> Network:
     try:
         with warnings.catch_warnings():  # torch has had successors of this format since 2.9
             warnings.simplefilter("ignore")
-            module = torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
+            return torch, torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
     except Exception as error:  # torch's reader raises whatever its C++ throws
         raise ModelError(path, diagnose("no-network")) from error
-    weights = dict(module.named_parameters())
-    count = sum(int(weights_of_layer.numel()) for weights_of_layer in weights.values())
-    if count > MAX_WEIGHTS:
-        problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
-        raise ModelError(path, problem)
-    matrices = [matrix for matrix in weights.values() if matrix.ndim == 2]
-    # The first layer of the file need not be the first that is evaluated. A traced LSTM accepts
-    # observations of any size, so that its size is tried first.
-    recurrent = [matrix for name, matrix in weights.items() if name.endswith("weight_ih_l0")]
-    if not matrices:
-        raise ModelError(path, diagnose("no-network"))
-    constants = {name: matrix.detach().double().numpy() for name, matrix in weights.items()}
-    scripted = _ScriptedModule(torch, module, matrices[0].dtype)
-    widths = [int(matrix.shape[1]) for matrix in (*recurrent, *matrices)]
-    sizes = tuple(dict.fromkeys((*widths, *scripted.list_state_sizes())))
-    problems: list[ModelError] = []
-    for size in sizes:
-        try:
-            states = scripted.find_states(size)
-            names = tuple(f"{name} next" for name in states)
-            node = NetworkOperation(
-                "TorchScript",
-                partial(scripted.evaluate, states),
-                ("observation", *states),
-                ("action", *names),
-            )
-            memory = [
-                (name, following, count)
-                for (name, count), following in zip(states.items(), names, strict=True)
-            ]
-            network = assemble_network(
-                path, [node], constants, ("observation", "action"), memory, size
-            )
-            break
-        except ModelError as error:  # e.g. a weight that is not finite
-            problems.insert(0, error)
-        except ValueError as error:
-            cause = (str(error).strip().splitlines() or [""])[-1]
-            problem = diagnose("torchscript-not-evaluated", sizes=sizes, cause=cause)
-            problems.append(ModelError(path, problem))
-    else:
-        raise problems[0]
+
+
+def _assemble_torchscript(
+    path: Path, scripted: _ScriptedModule, constants: Mapping[str, Array], size: int
+) -> Network:
+    """Assemble the network that evaluates a scripted module for observations of a size.
+
+    Args:
+        path: TorchScript file, for errors.
+        scripted: Module.
+        constants: {name: weights} of the module.
+        size: Number of observations.
+
+    Raises:
+        ModelError: If a weight is not finite, for example.
+        ValueError: If the module cannot be evaluated for this size.
+    """
+    states = scripted.find_states(size)
+    names = tuple(f"{name} next" for name in states)
+    node = NetworkOperation(
+        "TorchScript",
+        partial(scripted.evaluate, states),
+        ("observation", *states),
+        ("action", *names),
+    )
+    memory = [
+        (name, following, count)
+        for (name, count), following in zip(states.items(), names, strict=True)
+    ]
+    return assemble_network(path, [node], constants, ("observation", "action"), memory, size)
+
+
+def _check_memory(path: Path, network: Network, size: int) -> None:
+    """Check that a network keeps no state besides its memory.
+
+    Raises:
+        ModelError: If an evaluation changes the next result for equal observations and memory.
+    """
     zeros, ones = np.zeros((1, size)), np.ones((1, size))
     start = network.initial_memory(1)
     before = network.forward(zeros, start)[0]
     network.forward(ones, start)
     if not np.array_equal(before, network.forward(zeros, start)[0], equal_nan=True):
         raise ModelError(path, diagnose("network-keeps-state"))
-    return network
