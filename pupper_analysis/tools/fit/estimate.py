@@ -41,8 +41,7 @@ not tuned.
 _MAX_STALL_RATIO = 0.25
 """Upper bound of the ratio of actual decrease to the predicted decrease of the undamped step. Up to
 the bound, an accepted step with a small decrease of the cost (`min_relative_decrease` of
-`estimate_parameters`) is a stall. A larger ratio means that the iteration converges. Chosen, not
-tuned.
+`estimate_parameters`) is a stall. Chosen, not tuned.
 """
 
 _MIN_DECREASE_RATIO = 0.1
@@ -53,16 +52,15 @@ Otherwise the step is corrected (`_MAX_CORRECTIONS`), or the damping is raised. 
 
 _MAX_CORRECTIONS = 2
 """Maximum number of second-order corrections of an undamped step. A step that decreases the cost
-too little is corrected. Corrections are useful since the cost has curved valleys: inertia is
-quadratic in large CoM displacements. Without a known added mass, only the ratios of masses and kp
-are determined. Chosen, not tuned.
+too little is corrected. Corrections are useful since the cost has curved valleys: for example,
+inertia is quadratic in CoM displacements. Chosen, not tuned.
 """
 
 _MAX_UNREALISED_DECREASE = 1.0
 """Upper bound of the predicted decrease of the cost (chi2 plus prior) at the end of a stalled
-minimisation. A minimisation stalls if no step achieves the predicted decrease. Below the bound, a
-stalled minimisation ends without error, and the last undamped step widens the covariance. A
-decrease of 1 corresponds to a standard deviation. Chosen, not tuned.
+minimisation (`estimate_parameters`). Below the bound, the minimisation ends without error, and the
+last undamped step widens the covariance. A decrease of 1 corresponds to a standard deviation.
+Chosen, not tuned.
 """
 
 _MIN_DAMPING = 1e-3
@@ -71,13 +69,13 @@ Chosen, not tuned."""
 
 _MAX_DAMPING = 1e2
 """Largest damping of a step, relative to the diagonal of the posterior information matrix. If this
-matrix is diagonal, the largest damping shortens the step to a hundredth. Chosen, not tuned.
+matrix is diagonal, the largest damping shortens the step to 1/101. Chosen, not tuned.
 """
 
 
 _MAX_BOUND_CHANGES = 10
-"""Maximum number of iterations per parameter to compute a step within the lower bounds. Each
-iteration fixes a parameter at its lower bound, or releases it. Chosen, not tuned.
+"""Maximum number of iterations per parameter in which SciPy computes a step within the lower
+bounds. Chosen, not tuned.
 """
 
 
@@ -177,8 +175,8 @@ class Posterior:
             widths and in the coordinates of the fit. A fit of stands uses logarithms of masses and
             kp as coordinates, and a fit of motions uses first moments.
         rows: Number of residuals.
-        unrealised_decrease: Predicted decrease of the cost that no step achieved; 0 after
-            convergence. A value of 1 corresponds to one standard deviation.
+        unrealised_decrease: Predicted decrease of the cost after which a stalled iteration ended; 0
+            after convergence. A value of 1 corresponds to one standard deviation.
     """
 
     parameters: tuple[Parameter, ...]

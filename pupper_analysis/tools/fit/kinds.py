@@ -8,7 +8,7 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_trace(file: BinaryIO) -> bool:
-    """Return True if a file is a policy trace: a zip archive that begins with ``observations.npy``.
+    """Return True if a file is a policy trace: a zip archive that contains ``observations.npy``.
 
     The name must occur in the first `NUM_HEAD_BYTES` bytes.
     """

@@ -120,8 +120,8 @@ class Parameter:
 
     Attributes:
         kind: Key of ``PARAMETER_KINDS``.
-        subject: Link, joint or foot to which the value belongs; ``floor``, ``servos`` or ``scale``
-            for the surroundings.
+        subject: Link, joint or foot to which the value belongs, or ``floor``, ``servos`` or
+            ``scale``.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
         stated: Mean of the prior, in the kind's unit: the value of the model, or the assumed value
             of the surroundings.

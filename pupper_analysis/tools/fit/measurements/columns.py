@@ -29,7 +29,7 @@ from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.models.places import quote_short
 
 _MISSING_CELLS = ("", "nan", "na", "null", "none")
-"""Contents of cells without a measurement."""
+"""Contents of cells without a measurement, in lower case."""
 
 MAX_CSV_BYTES = 100_000_000
 """Largest accepted size of a CSV file [bytes]. About 7 minutes of commands and positions of twelve
@@ -38,7 +38,7 @@ joints at 1 kHz, with 9 characters per number, have this size. Chosen, not tuned
 
 _CELL_SEPARATORS = (",", ";", "\t")
 """Possible separators of cells. The separator of a file is the most frequent separator in the first
-line that is not blank.
+line that is not empty.
 """
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
@@ -97,7 +97,7 @@ class Columns:
 def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Columns:
     """Read a CSV file of measurements into arrays in SI units.
 
-    The first line that is not blank contains the names of the columns. A unit other than the SI
+    The first row with a filled cell contains the names of the columns. A unit other than the SI
     unit is stated in brackets: ``position.FL_knee [deg]``. Separators are commas, semicolons or
     tabs. If semicolons separate the cells, numbers may have decimal commas. Missing values are
     empty cells, and words such as ``nan`` (`_MISSING_CELLS`).

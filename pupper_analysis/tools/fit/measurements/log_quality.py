@@ -40,23 +40,25 @@ _DEGREES_PER_RADIAN = 180 / np.pi
 """Degrees per radian."""
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
-"""Bounds of the ratio between the standard deviations of commands and positions. If the ratio is
-outside the bounds, commands and positions have different units, and the log is refused. With
-degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not tuned.
+"""Bounds of the median ratio, over the joints, between the standard deviations of commands and
+positions. If the ratio is outside the bounds, commands and positions probably have different units,
+and the log is refused. With degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not
+tuned.
 """
 
 _MAX_SWAPPED_CORRELATION = -0.1
 """Upper bound of two correlations if commands and positions are swapped. The servo error (command -
 position) is correlated with the changes of the position between samples, and with the changes of
-the command. If both correlations are below this bound, the columns are swapped. A servo supplies
-the energy that friction dissipates, so the correlation is positive in correct columns. Measured in
-simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are swapped.
+the command. If both correlations are below this bound, the columns are probably swapped. A servo
+supplies the energy that friction dissipates, so a correlation is usually positive in correct
+columns. Measured in simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are
+swapped.
 """
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that the check for swapped columns allows for. The offset changes the
-energy balance of a motion if start and end positions differ. The value is three standard deviations
-of the prior of offsets.
+energy balance of a motion if start and end positions differ. The value is about three standard
+deviations of the default prior of offsets (2 deg).
 """
 
 _MAX_OPPOSED_CORRELATION = -0.7
@@ -209,10 +211,10 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
     fewer than ten complete samples are left out.
 
     A servo supplies the energy that friction dissipates. Therefore the integral of (command -
-    position) d position over a motion is positive. With swapped columns this integral is negative,
-    and also the integral of (command - position) d command. A joint is listed if both integrals are
-    clearly negative (`_MAX_SWAPPED_CORRELATION`). A single integral may be negative because the
-    load of the servo differs between start and end.
+    position) d position over a motion is usually positive. With swapped columns this integral is
+    usually negative, and also the integral of (command - position) d command. A joint is listed if
+    both integrals are clearly negative (`_MAX_SWAPPED_CORRELATION`). A single integral may be
+    negative because the load of the servo differs between start and end.
     """
     backwards = []
     for index in moving:

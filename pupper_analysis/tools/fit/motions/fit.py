@@ -276,7 +276,7 @@ def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
 
     A joint with constant readings has a noise of 0. The error of such a joint is divided by the
     median noise of the other joints, or by `_MIN_NOISE_STD` if no joint has noise. The median
-    leaves out such joints. NaN without measurements.
+    leaves out such joints, unless no joint has noise. NaN without measurements.
     """
     has_noise = noise > 0
     typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
@@ -666,7 +666,7 @@ class MotionResiduals:
 
         - A: information of the measurements, the sum of J^T J with the Jacobian J of the residuals.
         - P: prior precision, the inverse of the prior covariance.
-        - B: covariance of the cost's gradient under the autocorrelated noise.
+        - B: covariance of J^T r under the autocorrelated noise, with the residuals r.
 
         The covariance of the parameters is the sandwich estimate (A + P)^-1 (B + P) (A + P)^-1. If
         the iteration stalled, the last step did not decrease the cost as predicted. The outer
@@ -709,14 +709,14 @@ class MotionResiduals:
 
 
 _MAX_LAGS = 20
-"""Largest order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations
+"""Order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations
 are represented by their effect within this time. Chosen, not tuned.
 """
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Also a
-tolerance: commands count as constant if the deviations from the mean are at most this value.
-Chosen, not tuned.
+"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Also, for
+example, a tolerance: commands count as constant if the deviations from the mean are at most this
+value. Chosen, not tuned.
 """
 
 _SAMPLES_PER_LAG = 20
@@ -789,7 +789,7 @@ class SeriesNoise:
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Return a factor B of the covariance B^T B of m weighted sums of n noise samples.
+        """Return a factor B^T of the covariance B^T B of m weighted sums of n noise samples.
 
         The noise is filtered white noise. Weighted sums of the noise are equal to sums of the white
         noise, with weights that are filtered backwards in time.
@@ -843,9 +843,10 @@ def differentiate_motion(
 
     Joints that affect each other form a group. In each group, the finite-difference steps are along
     the eigenvectors of the information matrix, scaled by the uncertainties. Parameters of different
-    groups are changed in the same simulation. Steps along single parameters are not used, since the
-    intervals were then a quarter too narrow. A common factor on kp, friction and masses has no
-    effect on the motion, but the errors of single steps add up to a false effect of this factor.
+    groups are changed in the same simulation. Steps along single parameters are used only without
+    ``information``, since the intervals were then a quarter too narrow: a common factor on kp,
+    friction and masses has hardly any effect on the motion, but the errors of single steps add up
+    to a false effect of this factor.
 
     Args:
         simulator: Simulator.

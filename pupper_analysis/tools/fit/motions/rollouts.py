@@ -584,16 +584,16 @@ def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) ->
 
 
 MIN_MASS_FRACTION = 0.01
-"""Lower bound of a mass in a simulation, as a fraction of the stated mass. The CoM of a lighter
-body is hardly determined, and the simulation may be unstable. Chosen, not tuned."""
+"""Lower bound of a mass in a simulation and in `MomentCoordinates`, as a fraction of the stated
+mass. The CoM of a lighter body is hardly determined, and the simulation may be unstable. Chosen,
+not tuned."""
 
 
 class MomentCoordinates:
     """Coordinates in which gravity and inertia forces are linear: first moments instead of CoMs.
 
     Forces depend on the mass m and on the first moment m c, with the CoM c. A linear step in m and
-    c has the error d(m c) - (m dc + c dm) = dm dc. If measurements determine only the product m c,
-    this error was 20 standard deviations.
+    c has the error d(m c) - (m dc + c dm) = dm dc.
 
     A CoM c is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0. This coordinate
     is a length, is equal to c at the stated mass, and is linear in moment and mass. The prior of

@@ -4,7 +4,7 @@ Each stand is approached twice: with commands beyond the planned commands, and w
 of the planned commands. Dry friction acts with opposite signs in both approaches, and hardly
 changes the mean of both positions at rest. Typed positions are read once.
 
-When the recording ends, for whatever reason, the last command is sent again. Each row is written
+When the recording ends, the last command of a ramp is sent again. Each row is written
 before the next stand begins. Stands that are already in the file are not recorded again.
 """
 
@@ -109,9 +109,9 @@ _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Smallest accepted CoM margin of a planned stand, as a fraction of the nominal height. The margin
-is computed with the masses of the model files and the known masses of the stand. A plan with a
-smaller margin is refused. Chosen, not tuned.
+"""Smallest accepted CoM margin of a planned stand, as a fraction of `Robot.stand_height`. A plan
+with a smaller margin is refused. The margin is computed with the masses of the model files and the
+known masses of the stand. Chosen, not tuned.
 """
 
 

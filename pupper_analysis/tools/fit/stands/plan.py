@@ -54,7 +54,8 @@ _MAX_STANDS = 1000
 """Upper bound of the number of planned stands. Chosen, not tuned: more than a day of work."""
 
 _CANDIDATES_PER_STAND = 6
-"""Number of random candidates per planned stand. More candidates hardly improve the plan."""
+"""Requested number of random candidates per planned stand. More candidates hardly improve the plan.
+"""
 
 
 @dataclass(frozen=True)
@@ -283,8 +284,9 @@ def _compute_base_top(robot: Robot) -> float:
 
 
 _STANDS_PER_LIFTED_FOOT = 3
-"""Lower bound of (number of planned stands / number of stands with a foot in the air). A person
-must watch the feet in stands with a foot in the air. Chosen, not tuned.
+"""Lower bound of (number of planned stands / number of stands with a foot in the air), as long as
+other candidates are available. A person must watch the feet in stands with a foot in the air.
+Chosen, not tuned.
 """
 
 

@@ -1,7 +1,7 @@
 """Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction.
 
 A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` examines wirings that
-differ from the given assignment by one error. The wirings are ranked by the evidence of the
+differ from the given assignment by one or two errors. The wirings are ranked by the evidence of the
 measurements, and the most probable ones are fitted. The result is the first wiring with which the
 model explains the stands.
 """
