@@ -3,9 +3,9 @@
 `study_gains` scales the gains of all joints together, and finds the factors between which the robot
 on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). The scaled
 gains are the present gains. If no factors on the present gains are stable, the scaled gains are
-proportional to the inertia that each motor accelerates. Each bound of the linear model is repeated
-by bisection in simulations with all friction. Torque limits and encoders bound the gains of each
-joint separately.
+proportional to the inertia that each motor accelerates. The bounds for all joints together are
+repeated by bisection in simulations with all friction. Torque limits and encoders bound the gains
+of each joint separately.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 
 _REFERENCE_FREQUENCY = 50.0
 """Natural frequency sqrt(kp / inertia) [rad/s] of the first tried gains that are proportional to
-inertia. Chosen: 8 Hz, within a factor of 4096 of all servos."""
+inertia. Chosen, not tuned: 8 Hz."""
 
 _NEAR_POWER = 6
 """Largest sum of the magnitudes of two exponents (of 2, for factors on kp and kd) up to which all
@@ -106,7 +106,7 @@ are stable."""
 
 _SAG_RATIO = 2.0**0.5
 """Ratio of successive factors on the stiffness in the search for a stand without feed-forward.
-Chosen: the found factor is at most 1.4 times the smallest sufficient factor."""
+Chosen: the found factor is about 1.4 times the smallest sufficient factor or less."""
 
 _CURVE_RATIO = 2.0**0.5
 """Ratio of successive stiffnesses in the plot of the largest stable damping over the stiffness.
@@ -651,9 +651,9 @@ class _Gains:
     ) -> float | None:
         """Search upwards or downwards for the last stable factor on the gains.
 
-        The factor is multiplied by ``ratio`` (above or below 1) until a mode grows; then the
-        interval is bisected. None if all factors up to ``MAX_FACTOR``, or down to its inverse, are
-        stable.
+        The factor is multiplied by ``ratio`` (above or below 1) until the stand is unstable
+        (`_is_stable`); then the interval is bisected. None if all tried factors up to
+        ``MAX_FACTOR``, or down to its inverse, are stable.
 
         Args:
             gains: Function that returns kp and kd of all joints for a factor.
@@ -678,8 +678,8 @@ class _Gains:
     ) -> GainBound:
         """Confirm a stability bound of the gains, found by the linear model, in simulations.
 
-        The result contains the bound of the linear model, the mode that grows if the factor is 5 %
-        beyond this bound, and the bound found by simulation.
+        The result contains the bound of the linear model, the mode with the largest growth rate if
+        the factor is 5 % beyond this bound, and the bound found by simulation.
 
         Args:
             factor: Factor on the reference gains at which the linear model becomes unstable; None
@@ -721,9 +721,9 @@ class _Gains:
 
         The distance of the stiffness from both bounds, and of the damping from the upper bound, is
         at least the factor ``GAIN_MARGIN``. The factor on the stiffness is 1, or the allowed factor
-        nearest to 1. The factor on the damping is the
-        smallest of a list with which all oscillations have a damping ratio of at least
-        ``MIN_DAMPING_RATIO``, or, if there is none, the factor with the largest damping ratio.
+        nearest to 1. The factor on the damping is the smallest of a list with which all
+        oscillations have a damping ratio of at least ``MIN_DAMPING_RATIO``, or, if there is none,
+        the factor with the largest damping ratio.
 
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
@@ -732,7 +732,7 @@ class _Gains:
 
         Returns:
             Factors on stiffness and damping; (None, None) if the margins exclude all gains, all
-            reference dampings are 0, or no tried damping is stable.
+            reference dampings are 0, or no damping of the list is stable.
         """
         low, high = stiffness
         if not self.kd.any():
