@@ -112,8 +112,8 @@ class JointMotions:
         """Draw random postures within the joint ranges, with closed loops, (nu,) [rad, m] each.
 
         Each call returns the same postures. A joint that moves other joints nonlinearly gets one of
-        the equally spaced positions of `count_samples`. A joint that cannot move
-        there (`move_along` returns None) keeps its position in ``origin``.
+        the equally spaced positions of `count_samples`. A joint that cannot move there
+        (`move_along` returns None) keeps its position in ``origin``.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):
