@@ -27,14 +27,14 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
 
 MAX_ACCELERATION = 1e9
-"""Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Larger accelerations are refused,
-since squares of forces can overflow. Chosen, not tuned."""
+"""Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Larger accelerations are refused.
+Chosen, not tuned."""
 
 _MOMENT_ITERATIONS = 2
 """Number of fixed-point iterations between the normal forces of the contacts and the rolling
-moments, which are proportional to these forces. Each iteration reduces the error by about (rolling
-friction / distance between feet), one tenth. Balance is exact after each iteration. Chosen, not
-tuned."""
+moments, which are proportional to these forces. Each iteration multiplies the error by about
+(rolling friction / distance between feet), a tenth or less. Balance is exact after each iteration.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -293,9 +293,9 @@ def stance_path(
 ) -> StancePath:
     """Compute a smooth path through stances, with torques and contact forces.
 
-    All values of the tasks follow a minimum-jerk law with zero velocity and acceleration at each
-    stance. All segments have the same duration. The horizontal position of the CoM, not of the
-    base, is linear in the path parameter.
+    The path parameter of a segment follows a minimum-jerk law with zero velocity and acceleration
+    at each stance. All segments have the same duration. The horizontal position of the CoM, not of
+    the base, is linear in the path parameter.
 
     Torques and contact forces are those of the motion (``inverse_dynamics``), including damping and
     dry friction of the joints and the ground's resistance to rolling feet, with minimum tangential
