@@ -846,9 +846,9 @@ class _PayloadSearch:
         """Return the failure of the servos with a payload [kg], without simulation.
 
         The method is ``find_servo_failure``: the servo commands must be within their ranges, and
-        growing modes are found by eigenvalues alone. Two kinds of growing modes are
-        omitted, since only a simulation can decide whether the robot leaves the stand: modes that
-        grow only without dry friction, and modes that depend on the finite-difference step.
+        growing modes are found by eigenvalues alone. Two kinds of growing modes are omitted, since
+        only a simulation can decide whether the robot leaves the stand: modes that grow only
+        without dry friction, and modes that depend on the finite-difference step.
         """
         return self.find_servo_failure(mass, is_simulated=False)
 
