@@ -7,7 +7,7 @@
     torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
     report = pa.verify_stand(robot, stand)
 
-All public functions use MuJoCo's qpos and qvel, with the joints in actuator order; see
+Configurations and velocities are MuJoCo's qpos and qvel, with the joints in actuator order; see
 ``pupper_analysis.robot.coordinates``. Names are imported at first use.
 """
 

@@ -12,8 +12,8 @@ from pupper_analysis.base.drivers import use_one_blas_thread
 def main(command: str | None = None, *arguments: str) -> None:
     """Run the command line, and exit with the status of the command.
 
-    Ctrl-C during import prints a line instead of a traceback. A missing package of another project
-    prints a line and exits with status 2, for example if the environment is not activated.
+    While the command line is imported, Ctrl-C prints a line instead of a traceback, and a missing
+    package of another project prints a line and exits with status 2.
 
     Args:
         command: Name of the command; None: the first command-line argument.
