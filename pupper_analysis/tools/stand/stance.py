@@ -229,7 +229,7 @@ class SimulatedStance:
         return self.verdict.passed
 
     def complete(self, *, stiffness: bool = False) -> Stance:
-        """Create the complete result: add bounds of servo gains, forces of hands and peak torques.
+        """Create the complete result: add, for example, bounds of servo gains and forces of hands.
 
         Args:
             stiffness: Also compute the minimum stiffness of the servos (a second or two).
