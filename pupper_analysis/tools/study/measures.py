@@ -95,8 +95,8 @@ class Design:
     def gains(self) -> dict[str, Any]:
         """Servo gains of this design, as keyword arguments ``kp`` and ``kd``.
 
-        Each array has the shape (nu,) [N m/rad, N m s/rad]. Empty if `own_servos` is True: the
-        robot then has the gains of the file.
+        Each array has the shape (nu,): ``kp`` [N m/rad, N/m], ``kd`` [N m s/rad, N s/m]. Empty if
+        `own_servos` is True: the robot then has the gains of the file.
         """
         if self.own_servos:
             return {}

@@ -377,8 +377,8 @@ def with_gains(
 
     Args:
         robot: Robot.
-        kp: Stiffness [N m/rad], scalar or shape (nu,); None for the value of the model.
-        kd: Damping [N m s/rad], scalar or shape (nu,); None for the value of the model.
+        kp: Stiffness [N m/rad, N/m], scalar or shape (nu,); None for the value of the model.
+        kd: Damping [N m s/rad, N s/m], scalar or shape (nu,); None for the value of the model.
         factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor on the gain}.
 
     Raises:
@@ -406,10 +406,11 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Return a copy of a description whose MJCF has no visual geoms, unused meshes and textures.
+    """Return a copy of a description without unneeded visual geoms, unused meshes and textures.
 
-    The dynamics and the contacts are unchanged: a visual geom that contributes to the mass of a
-    body, or is the frame of a foot, is kept. Models with many meshes compile several times faster.
+    Only the MJCF is changed. The dynamics and the contacts are unchanged: a visual geom that
+    contributes to the mass of a body, or is the frame of a foot, is kept. Models with many meshes
+    compile several times faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}

@@ -148,13 +148,14 @@ class Study:
                 variants only.
             vary: {name of a variable: values}. Values are a list, a ``linspace``, a distribution,
                 or a number. The values of a motor variable are names or files of motors.
-            measure: Names of ``METRICS``, or functions of (robot, stand).
+            measure: Names of ``METRICS`` (``NAME:FILE`` if the metric needs a file), or functions
+                of (robot, stand).
             samples: Number of designs, required if a variable has a distribution. Otherwise None:
                 the designs are the product of all lists.
             seed: Seed of the samples.
             stand: Stand task; variables of the stance take precedence.
             payload_point: Position of a payload, shape (3,) [m] in the frame of the base, or
-                (frame, x, y, z) in the frame of a link, site or body.
+                (frame, x, y, z) in the frame of a link, site, body or geom.
             time_limit: Time limit per design [s]; None for no limit. If a design exceeds the limit,
                 the worker process ends. Therefore the limit applies to processes and Dask, but not
                 to threads.
@@ -490,7 +491,7 @@ class Study:
     ) -> Progress:
         """Evaluate all designs that are not stored yet, without loading the table.
 
-        The arguments are the same as in `run`. Memory use grows with the number of designs only by
+        The arguments are the same as in `run`. Memory use grows with the number of designs by about
         8 bytes per design.
 
         Returns:

@@ -340,7 +340,7 @@ def _without_made_frames(description: Description) -> Description:
 
 
 def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
-    """Choose the output path of a mesh, and add the content of ``file`` to ``contents``.
+    """Choose the output path of a mesh or texture, and add its content to ``contents``.
 
     If a file with the same name and other content is present, the name gets a number.
     """
