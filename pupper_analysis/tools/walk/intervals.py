@@ -1,6 +1,6 @@
 """Intervals of robot parameters within which a policy tracks the command.
 
-`tracked_intervals` changes each quantity alone, from the nominal value to both ends of a range. The
+`tracked_intervals` changes each quantity alone, from the nominal value to the ends of a range. The
 range between a tracked and an untracked value is bisected. The output is, for each quantity and
 seed, the range of values with which the policy tracks the command.
 """
@@ -556,7 +556,7 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
     "kd": "kd",
     "delay": "delay",
 }
-"""{kind of a parameter estimated by ``fit``: quantity that ``walk`` varies}. Friction is not
+"""{kind of an estimate in the JSON of a fit: quantity that ``walk`` varies}. Friction is not
 listed, since ``fit`` estimates the friction of joints, and ``walk`` varies the sliding friction of
 contacts.
 """
