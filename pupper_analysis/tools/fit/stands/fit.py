@@ -615,7 +615,7 @@ def _fit_without_contradictions(
     Raises:
         MeasurementError: If the number of such stands is more than a quarter of the rows (the first
             contradiction is raised), or for another error of the measurements.
-        FitError: If the iteration does not converge.
+        FitError: If ``fit`` fails, for example because the iteration does not converge.
     """
     notes: list[Diagnostic] = []
     first: MeasurementError | None = None
@@ -693,8 +693,8 @@ class _StandProblem:
             encoder: Standard deviation of a joint position [rad, m]; None if unknown.
 
         Raises:
-            MeasurementError: If the stands do not belong to this robot, or are too few, or a
-                commanded joint has no kp.
+            MeasurementError: If the stands cannot be used, do not belong to this robot, or are too
+                few, or a commanded joint has no kp.
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
             ConfigurationError: If a prior matches no parameter, or ``kp`` is invalid.
             ModelError: If ``kp`` is passed, and a joint has no motor.
@@ -761,7 +761,7 @@ class _StandProblem:
         At most `_MAX_FRICTION_PASSES` estimates with estimated noise are made.
 
         Raises:
-            FitError: If the iteration does not converge.
+            FitError: If `estimate_parameters` fails.
             MeasurementError: If a foot contradicts the data of a stand.
         """
         robot, stands, table = self.robot, self.stands, self.table
@@ -899,7 +899,7 @@ def _estimate_from_stands(
         start: Initial parameters, shape (n,); the stated parameters if None.
 
     Raises:
-        FitError: If the search fails.
+        FitError: If the search fails (`estimate_parameters`).
         MeasurementError: If the search fails, and a carrying foot has to pull or a foot in the air
             is below the ground.
     """
