@@ -2,7 +2,7 @@
 
 `study_gains` scales the gains of all joints together, and finds the factors between which the robot
 on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). The scaled
-gains are the present gains. If no factors on the present gains are stable, the scaled gains are
+gains are the present gains. If no tried factors on these are stable, the scaled gains are
 proportional to the inertia that each motor accelerates. The bounds for all joints together are
 repeated by bisection in simulations with all friction. Torque limits and encoders bound the gains
 of each joint separately.
@@ -252,9 +252,9 @@ class GainStudy(Result):
     def passed(self) -> bool:
         """Whether the robot stands stably with the present gains.
 
-        True if all modes of the linearised controlled stand are stable with feed-forward, the robot
-        stands without feed-forward, no gain exceeds the bound of a torque limit or encoder, and no
-        invalid gain of the file was replaced.
+        True if all modes of the linearised controlled stand with feed-forward are stable
+        (`WorstMode.stable`), the robot stands without feed-forward, no gain exceeds the bound of a
+        torque limit or encoder, and no servo of the file with an invalid stiffness was replaced.
         """
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
@@ -394,11 +394,12 @@ def _select_reference(
 ) -> tuple[_Gains, tuple[float, float], bool]:
     """Select the reference gains, which all factors of a study multiply.
 
-    The reference gains are the present gains if two factors, on all kp and on all kd, make the
-    stand stable. An example without such factors is a humanoid with equal gains at ankles and
-    wrists: the weight requires a stiff ankle, and a wrist with this kd oscillates. The reference
-    gains are then proportional to the inertia that each motor accelerates, times a stable pair of
-    factors. The inertia of a joint class is the geometric mean of its joints.
+    The reference gains are the present gains if `find_stable_pair` finds two factors, on all kp and
+    on all kd, with which the stand is stable. An example without such factors is a humanoid with
+    equal gains at ankles and wrists: the weight requires a stiff ankle, and a wrist with this kd
+    oscillates. The reference gains are then proportional to the inertia that each motor
+    accelerates, times a stable pair of factors. The inertia of a joint class is the geometric mean
+    of its joints.
 
     Args:
         loop: Controlled stand.
