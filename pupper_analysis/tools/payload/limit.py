@@ -856,8 +856,9 @@ class _PayloadSearch:
         """Return the reason why position servos do not hold the stand with a payload [kg].
 
         Either a servo command is outside its range, or a mode of the linearised time step grows
-        away from the stand. Motor torques are not limited here: `find_motor_failure` tests torque
-        limits. None if the servos hold the stand, or if the loaded robot has no stand.
+        away from the stand within `HOLD_DURATION`. Motor torques are not limited here:
+        `find_motor_failure` tests torque limits. None if the servos hold the stand, or if the
+        loaded robot has no stand.
 
         Args:
             mass: Mass of the payload [kg].
