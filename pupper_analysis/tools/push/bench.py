@@ -70,9 +70,8 @@ eigenvalues of the linearised motion are computed only if all velocities in this
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If no
 velocity is larger, the simulation of a push may end early, before the requested time. `_is_at_rest`
-lists the other conditions, for example that no eigenvalue of the linearised motion (spectrum)
-belongs to a growing mode. A robot that almost tips can be slow for a while, but the spectrum
-contains the growing mode of the fall. Chosen, not tuned.
+lists the other conditions. One of them concerns the growing modes of the linearised motion, since a
+robot that almost tips can be slow for a while. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004
@@ -222,7 +221,7 @@ class PushBench:
 
         - The simulation diverges.
         - A body other than a foot touches the ground.
-        - The robot is at rest, and the linearised dynamics have no growing mode.
+        - The robot is at rest (``_is_at_rest``).
 
         If the robot still moves after ``duration``, the simulation continues until the robot rests
         or falls, for at most ``MAX_DURATION_RATIO`` times the duration. A slow fall does not count

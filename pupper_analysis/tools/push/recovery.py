@@ -283,10 +283,10 @@ the motor. Chosen, not tuned.
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the driven joints that may bear load during a push and lack a torque limit.
+    """Return the driven joints that may bear load during a push and have an unknown torque limit.
 
     A joint may bear load if the joint moves a foot or hand, or belongs to a closed loop or
-    coupling. A torque limit is missing if no file states a limit.
+    coupling.
     """
     unloaded_joints = find_footless_joints(robot)
     unknown_joints = (
@@ -393,13 +393,14 @@ def push_recovery(
     - The base is slow: the speed in the last 0.5 s is at most 0.01 m/s more than without a push.
     - The base is at rest: 1.5 times its motion, extrapolated over the remaining time (at least
       `HOLD_DURATION`), is at most a tenth of the CoM height.
-    - No mode of the linearised dynamics with dry friction grows. At the end of the longest
-      simulation, modes are ignored if the base slows down or hardly moves.
+    - No mode of the linearised dynamics with dry friction grows within ten times ``duration``
+      (`Mode.grows_within`). At the end of the longest simulation, modes are ignored if the base
+      slows down or hardly moves.
 
     A simulation ends early if another body touches the ground, if it diverges, or if the robot is
-    at rest and no mode grows. The returned limits were simulated to the end. If the robot is
-    upright at the end but not at rest, the simulation continues until the robot rests or falls, up
-    to ten times as long.
+    at rest and no mode grows within 12 s. The returned limits were simulated to the end. If the
+    robot is upright at the end but not at rest, the simulation continues until the robot rests or
+    falls, up to ten times as long.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, and then
     bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
