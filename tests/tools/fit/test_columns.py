@@ -33,6 +33,15 @@ def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separato
         assert found.numbers["position.a"][1] == pytest.approx(-0.15)
 
 
+@pytest.mark.parametrize("blank", ["  \n", "\r\n", ";;\n"])
+def test_separator_is_that_of_the_header_below_empty_lines(tmp_path: Path, blank: str) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text(blank + "time;position.a\n1,5;2\n")
+    found = read_columns(file, KNOWN)
+    assert found.numbers["time"].tolist() == [1.5]
+    assert found.numbers["position.a"].tolist() == [2.0]
+
+
 @pytest.mark.parametrize(
     ("data", "code", "text"),
     [

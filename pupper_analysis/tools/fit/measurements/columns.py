@@ -128,8 +128,9 @@ def _parse_csv(source: str, text: str, known: Sequence[MeasurementColumn]) -> Co
         MeasurementError: For example, if a column is unknown, is repeated or has an unknown unit,
             or if a cell is not a number.
     """
-    first = text.lstrip("\r\n").partition("\n")[0]
-    separator = max(_CELL_SEPARATORS, key=first.count)
+    empty = "".join(_CELL_SEPARATORS) + " "
+    header_line = next((line for line in text.splitlines() if line.strip(empty)), "")
+    separator = max(_CELL_SEPARATORS, key=header_line.count)
     try:
         lines = io.StringIO(text, newline="")
         rows = list(csv.reader(lines, strict=True, delimiter=separator))
