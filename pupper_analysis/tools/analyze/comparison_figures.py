@@ -291,7 +291,7 @@ def _get_leg_style(leg: int) -> dict[str, Any]:
 def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
     """Write the feet of each leg above a panel, right-aligned, with colour and marker of the leg.
 
-    Nothing is written for a single leg, or for more legs than there are colours.
+    Nothing is written for fewer than two legs, or for more legs than there are colours.
     """
     if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
         return
@@ -445,5 +445,4 @@ FIGURES: dict[str, Callable[[Sequence[Analysis], str | Path], None]] = {
     "heights.png": write_height_figure,
     "gains.png": write_gain_figure,
 }
-"""{file name: drawing function} of the figures that ``analyze`` writes in addition to the figures
-of the poses."""
+"""{file name: drawing function} of the figures in which ``analyze`` compares robots by plots."""

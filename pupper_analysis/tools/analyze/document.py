@@ -444,8 +444,8 @@ def _format_interval(values: Array) -> str:
 def deviation_table(sweep: GainSweep, units: JointUnits) -> doc.Table:
     """Create the table of base height deviations [mm], a row per kp and a column per kd.
 
-    Gains with which the undisturbed robot does not stay at rest are marked. ``units`` are the units
-    of kp and kd.
+    A deviation is marked if the undisturbed robot does not stay at rest with these gains. ``units``
+    are the units of kp and kd.
     """
     deviations = [
         [

@@ -1,7 +1,7 @@
 """The picture of robots side by side, rendered by MuJoCo.
 
-All robots are drawn at the same scale, each on a piece of ground. Name, leg length and mass are
-written below each robot. A scale bar is in the lower left corner of the picture.
+All robots are drawn at the same scale, each on a piece of ground. Name, leg length (if known) and
+mass are written below each robot. A scale bar is in the lower left corner of the picture.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 )
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
-"""Smallest margin around a robot in its tile (part of the picture), relative to the tile width [1].
-Chosen, not tuned."""
+"""Smallest margin around a robot's skeleton and ground in its tile (part of the picture), relative
+to the tile width [1]. Half of it is the left margin of the scale bar. Chosen, not tuned."""
 LABEL_HEIGHT = 0.125
-"""Height of the text below a robot, relative to the width of the robot's tile [1]. Chosen, not
-tuned."""
+"""Height of the strip for the text below a robot, relative to the width of the robot's tile [1].
+Chosen, not tuned."""
 _GROUND_MARGIN = 0.5
 """Margin of the drawn ground around the outermost feet, divided by the radius of the largest foot
 [1]. Chosen, not tuned.

@@ -239,7 +239,8 @@ class _SweepTrial:
         def place(kp: float) -> None:
             """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m].
 
-            The state of rest is None if the pose has failures. After an error, none is stored.
+            The state of rest is None if the pose has failures. If it cannot be computed, no state
+            of rest is stored.
             """
             # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
