@@ -1,8 +1,7 @@
 """Find the best stance of a robot for an objective, and simulate the stance.
 
 `best_stance` optimises the base pose and the foot positions. `study_best` also simulates the result
-as ``stand`` does, and, unless a payload is sought, takes the next best stance if the best stance
-fails.
+as ``stand`` does, and, unless a payload is sought, tries worse stances if the best stance fails.
 """
 
 from __future__ import annotations

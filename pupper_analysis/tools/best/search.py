@@ -52,8 +52,8 @@ guesses. Chosen, not tuned."""
 _FINALIST_COUNT = 6
 """Number of first descents, those with the best results, that are continued. Measured: with 1, four
 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty additional random descents; with
-4, one stand of v3-long-leg was 3e-4 worse. A continued descent is restarted while the restart
-improves the result, because a descent can stall at a kink of the objective."""
+4, one stand of v3-long-leg was 3e-4 worse. A continued descent is restarted while this improves the
+result (`_MIN_RELATIVE_GAIN`), because a descent can stall at a kink of the objective."""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
@@ -70,8 +70,8 @@ _MIN_RELATIVE_GAIN = 3e-4
 descent starts from the result. Chosen, not tuned."""
 
 _SLSQP_FTOL = 1e-5
-"""Tolerance ``ftol`` of SLSQP: decrease of the scaled objective in an iteration below which
-a descent ends. Chosen, not tuned."""
+"""Tolerance ``ftol`` of SLSQP, which ends a descent, for the scaled objective [1]. Chosen, not
+tuned."""
 
 _DIFFERENCE_STEP = 1e-6
 """Finite-difference step of the constraint Jacobian, relative to the interval between the bounds,
@@ -111,7 +111,7 @@ class EvaluatedStance:
     Attributes:
         coordinates: Coordinates in the `StanceSpace`, shape (n,) [m or rad].
         stand: Stand at the coordinates.
-        scaled_objective: Objective relative to its initial magnitude; smaller is better. Negative
+        scaled_objective: Objective in units of `StanceSearch.scale`; smaller is better. Negative
             for a positive margin or payload.
         rows: Constraints a + b t >= 0, shape (k, 2): rows that define the scaled objective t,
             then the slacks (b = 0).
@@ -306,8 +306,9 @@ class StanceSearch:
             slack: Constraint slacks of the stand.
 
         Returns:
-            Scaled objective t [1]; coefficients (a, b) of the k constraints, shape (k, 2). Each
-                motor has two constraints, each side of the support polygon one.
+            Scaled objective t [1]; coefficients (a, b) of the k constraints, shape (k, 2). For the
+            utilisation, each motor with an effort limit has two constraints; for the margin, each
+            side of the support polygon has one.
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the

@@ -337,8 +337,8 @@ class StanceSpace:
         Returns:
             A velocity per coordinate, in the order of ``qvel``, shape (nv, n). None if the contact
             points do not determine the joints (redundant or singular legs), if the joints cannot
-            move the points as required (`MAX_MOTION_RESIDUAL`), or if the robot or the task has
-            closed loops, hands, welds or contacts with separate planes.
+            move the points as required (`MAX_MOTION_RESIDUAL`), if the robot has closed loops,
+            hands or welds, or if the task has contacts of other frames (``StandTask.contacts``).
         """
         robot, task = self.robot, stand.task
         if robot.closure is not None or robot.hands or robot.fixed_parts or task.contacts:
