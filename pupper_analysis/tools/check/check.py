@@ -186,7 +186,8 @@ def check_repository(
     Args:
         config: Configuration; by default the file in the current folder or a folder above.
         update_baseline: Whether to write all findings to the baseline, except changes since a
-            revision. Nothing is written if a file cannot be read or compared.
+            revision. Nothing is written if a file cannot be read or compared, or the check of
+            another tool ends with an error.
         since: Revision of git. Changes since this revision are reported with the effects. A change
             is an error if the robot falls or MuJoCo diverges. Changes are never written to a
             baseline.
@@ -242,7 +243,7 @@ def check_repository(
 
 
 def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Add the numbers of failing and known findings to the result of a pair of files."""
+    """Return the result of a pair of files with the numbers of its failing and known findings."""
     pair_remarks = [
         remark
         for remark in remarks
@@ -262,7 +263,7 @@ def _list_changes_since(
     """Yield changes of the files since a git revision, as remarks.
 
     ``found`` are the remarks on the present files. Changes that these report as a difference
-    between URDF and MJCF are left out, and pairs with a file that cannot be read or compared.
+    between URDF and MJCF are left out, and pairs with an error (`REFUSED_KIND`).
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
@@ -290,8 +291,11 @@ def _is_failure(remark: Remark, config: GuardConfig) -> bool:
 def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
     """Audit and compare the files of a pair, and run the checks of other tools (module ``guard``).
 
-    If a file cannot be read, the files are not compared. After any error, the checks of other tools
-    are not run. Return the result of the pair, and remarks on all findings.
+    If a file cannot be read, the files are not compared. After an error of the audit or the
+    comparison, the checks of other tools are not run.
+
+    Returns:
+        Result of the pair, without the numbers of findings; remarks on the findings.
     """
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []

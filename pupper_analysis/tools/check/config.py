@@ -420,7 +420,7 @@ class _ConfigReader:
     def check_table(
         self, table: dict[str, Any], within: KeyPath, valid: Mapping[str, _ValueKind]
     ) -> None:
-        """Raise an error for an invalid key or value of a table or a nested table.
+        """Raise an error for an invalid key or value of a table or of its `_TABLE_VALUES`.
 
         Args:
             table: Table of the configuration.

@@ -82,8 +82,7 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     """Return the command to suggest next, or None; the first case that applies is used.
 
-    - The first failing finding is a finding of `audit`, or a file that cannot be read or compared:
-      ``audit``.
+    - The first failing finding is a finding of `audit`, or an error (`REFUSED_KIND`): ``audit``.
     - The first failing finding is a difference of URDF and MJCF: ``crosscheck`` of the pair.
     - Other failures, such as a change since a revision: None.
     - The baseline has entries that no longer occur, and was not rewritten:

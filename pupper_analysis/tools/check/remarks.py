@@ -100,8 +100,8 @@ class Remark(Result):
     def finding(self) -> tuple[object, ...]:
         """Key of the finding to which this remark belongs; remarks of one finding are counted once.
 
-        Remarks of a pair and file with the same cause, or the same values at several elements, have
-        equal keys, if all or none of them are known.
+        Remarks of a tool, pair and file with the same cause, or the same kind and values at several
+        elements, have equal keys, if all or none of them are known.
         """
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
@@ -272,7 +272,10 @@ def make_remark(
 
 
 def relative_path(file: str | Path, folder: Path) -> str:
-    """Return the path of a file relative to a folder, with ``/``; may begin with ``..``."""
+    """Return the path of a file relative to a folder, with ``/``; may begin with ``..``.
+
+    Symbolic links are resolved.
+    """
     return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
 
 
@@ -391,8 +394,8 @@ def read_baseline(path: Path) -> Baseline:
     """Read the accepted remarks and the comments of a baseline; empty if the file does not exist.
 
     Raises:
-        ModelError: If the file cannot be read, or a line is neither a comment nor an entry; the
-            error has the line, if known.
+        ModelError: If the file cannot be read, or a line is neither blank, a comment nor an entry;
+            the error has the line, if known.
     """
     try:
         content = read_input(path, MAX_TEXT_BYTES)
@@ -525,9 +528,9 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 def values_agree(first: Any, second: Any) -> bool:
     """Return True if the values of two remarks agree, for example of a finding and the baseline.
 
-    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of both lists; in lists that
-    contain texts, relative to the larger of the two numbers. Tables need the same keys, lists the
-    same structure.
+    Numbers may differ by `_VALUE_RTOL`, relative to the largest magnitude in both lists; in lists
+    that contain texts, relative to the larger magnitude of the two numbers. Tables need the same
+    keys, lists the same structure.
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(
