@@ -13,10 +13,10 @@ from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
 """Relative tolerance of numbers in files. If a number in a file deviates by at most this tolerance
-from the requested number, the text in the file is kept. The tolerance is relative to the largest
-magnitude of the vector, or to a larger scale that the caller passes. A requested number whose
-magnitude is at most the tolerance is written as 0. Chosen, not tuned: far below the tolerances of
-comparisons.
+from the requested number, the text in the file is kept. In `format_numbers` the tolerance is
+relative to the largest magnitude of the vector, or to a larger scale that the caller passes. A
+requested number whose magnitude is at most the tolerance is written as 0. Chosen, not tuned: far
+below the tolerances of comparisons.
 """
 
 
@@ -56,7 +56,7 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
         floor: Lower bound of the reference magnitude.
 
     Returns:
-        Text; None if all numbers are unchanged.
+        Text; None if the file states all numbers, and all are unchanged.
     """
     values = np.atleast_1d(np.asarray(new, dtype=float))
     scale = max(floor, float(np.abs(values).max(initial=0.0)))

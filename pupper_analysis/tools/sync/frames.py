@@ -127,7 +127,7 @@ class MatchedRobots:
 
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
-    """Compute the joint trees of a URDF and an MJCF in common frames, for `Side`.
+    """Compute the joint trees of a URDF and an MJCF in common frames, with transforms to the files.
 
     Args:
         matched: Match of the two files.

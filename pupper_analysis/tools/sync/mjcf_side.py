@@ -43,9 +43,9 @@ from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_pa
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
-"""Cost of adding an <inertial> to a body. The cost of another change is the number of changed
-attributes. If several changes are possible, the change with the smallest cost is made. Chosen
-larger than the number of attributes of any change of existing elements.
+"""Additional cost of a change that adds an <inertial> to a body. The cost of a change is the number
+of changed attributes. If several changes are possible, the change with the smallest cost is made.
+Chosen larger than the number of attributes of an <inertial>.
 """
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
@@ -277,7 +277,7 @@ class MjcfSide(Side):
         """Plan to set the damping of a joint to the target, minus the damping of the actuators.
 
         Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint). Nothing is
-        written if the result would be negative, or the base has no joint.
+        written if the result would be negative, for example.
         """
         name = key[1]
         if name not in self.target.joints:
@@ -299,7 +299,8 @@ class MjcfSide(Side):
     def _plan_armature(self, key: PropertyKey) -> None:
         """Plan to set the armature of a joint to the target, minus the armature of the actuators.
 
-        ``key`` is the difference (kind, joint). Nothing is written if the result would be negative.
+        ``key`` is the difference (kind, joint). Nothing is written if the result would be negative,
+        for example.
         """
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])

@@ -133,7 +133,7 @@ def write_numbers(
 ) -> WrittenNumbers:
     """Change numbers in the URDF and the MJCF of a robot, in memory, and verify the result.
 
-    Only attributes with changed numbers are changed; all other bytes stay. The numbers are
+    Only attributes that state changed numbers are written; all other bytes stay. The numbers are
     converted to the frames and attributes of each file. Links that are fixed to each other form a
     body. Mass, CoM and inertia in ``numbers`` belong to the complete body; a single link of the
     body is changed. If a mass is given without an inertia, the inertia about the CoM is scaled by
@@ -390,7 +390,7 @@ _SAME_ROBOT_RTOL = 1e-6
 a difference is larger, the robot was changed after loading, and nothing is written. The tolerance
 applies to the relative difference of the mass, and to the difference of the CoM [m]. The tolerance
 of the relative difference of the inertia is 1e3 times larger. Conversion and alignment are accurate
-to about 1e-9, and later changes exceed the last written digit. Chosen, not tuned.
+to about 1e-9. Chosen, not tuned.
 """
 
 

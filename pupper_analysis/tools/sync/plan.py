@@ -381,12 +381,12 @@ def _normalise_path(path: Path) -> Path:
 
 
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
-    """List the files of a URDF that a copy needs: meshes and textures at relative paths.
+    """Return the layout of the files of a URDF that a copy needs, with meshes and textures.
 
-    If the URDF is inside a ROS package, a ``package://`` path to this package counts as relative,
-    and the ``package.xml`` is included. A relative path may begin with ``file://``. Files at
-    absolute paths and in other packages are left out, since such paths do not depend on the
-    location of the URDF.
+    Existing meshes and textures at relative paths are included. If the URDF is inside a ROS
+    package, a ``package://`` path to this package counts as relative, and the ``package.xml`` is
+    included. A relative path may begin with ``file://``. Files at absolute paths and in other
+    packages are left out, since such paths do not depend on the location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -413,7 +413,7 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
 
 
 def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
-    """List the files of an MJCF that a copy needs: included and attached files, assets."""
+    """Return the layout of the files of an MJCF that a copy needs: main, included, assets."""
     return FileLayout.arrange(mjcf.path, [*mjcf.files, *_iterate_assets(mjcf)])
 
 

@@ -237,7 +237,7 @@ class UrdfSide(Side):
 def make_xyz_text(owner: XmlElement | None, place: Array) -> str | None:
     """Format a position, shape (3,) [m], as the attribute ``xyz`` of an <origin>.
 
-    None if the <origin> of ``owner`` already states this position.
+    None if ``owner`` already has this position; without an <origin>, its position is zero.
     """
     origin = None if owner is None else owner.find("origin")
     old_text = None if origin is None else origin.get("xyz")
