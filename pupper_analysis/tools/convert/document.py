@@ -113,7 +113,7 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
 
 
 MAX_REST_FRACTION = 0.01
-"""Largest speed at the end of a simulation, divided by the speed of the nudge (disturbance at the
+"""Largest remaining speed (`Nudge.left`), divided by the speed of the nudge (disturbance at the
 start) [1], at which the robot counts as at rest, even if the linear model has a slowly decaying
 mode: dry friction stops the motion. Chosen, not tuned.
 """
@@ -122,8 +122,9 @@ mode: dry friction stops the motion. Chosen, not tuned.
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    Nothing is yielded if the robot does not stand, or if no mode oscillates. The least damped mode
-    should decay to 1/e within the simulated time t: 2 pi f z t >= 1, with damping ratio z and
+    Nothing is yielded without a successful run from the keyframe, if the robot does not stand, or
+    if no mode oscillates. The least damped mode should decay to 1/e within the simulated time t:
+    2 pi f z t >= 1, with damping ratio z and
     frequency f. If this mode does not, and more than `MAX_REST_FRACTION` of the nudge is left after
     t, a warning states its decay time [s].
     """

@@ -106,7 +106,7 @@ class ConversionDraft:
 class NewMjcf(MjcfXml):
     """XML tree of a new MJCF, with methods that add what a simulation needs.
 
-    The methods are those of `SpecTree`: floor, servos, IMU, keyframe and contact settings.
+    `apply_additions` makes the same additions to this tree and to a `SpecTree`.
     """
 
     @property
@@ -414,7 +414,7 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
 def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
     """Add the additions of a loaded robot with a fixed base, such as servos, to the new MJCF.
 
-    Floor and start keyframe are left out. The result contains a note for each addition. If the
+    Floor and start keyframe are left out. The result contains the notes of the additions. If the
     robot has no joint, it contains a note that nothing moves.
     """
     mjcf = NewMjcf(bare.mjcf.root)

@@ -420,8 +420,8 @@ def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRu
         duration: Simulated time [s].
 
     Returns:
-        Stability of the keyframe, response to the nudge, and reasons why the robot does not return
-        to rest; None if the file has no keyframe.
+        Stability of the state to which the keyframe settles (`judge_stability`), response to the
+        nudge, and reasons why the robot does not return to rest; None if the file has no keyframe.
 
     Raises:
         ValueError: If MuJoCo refuses the file.
