@@ -36,7 +36,7 @@ request is refused unless its host is one of these names, or the host of the ser
 
 
 def is_loopback(host: str) -> bool:
-    """Return True if a server at a host name or IP address is reachable from this machine only."""
+    """Return True for ``localhost`` and loopback addresses, which only this machine can reach."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

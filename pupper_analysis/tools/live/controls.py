@@ -254,7 +254,7 @@ class Controls:
             return self._state
 
     def set_state(self, state: State, *, notify: bool) -> None:
-        """Set all controls of the page to the values of a state.
+        """Set the sliders, fields and buttons of a stance to the values of a state.
 
         Args:
             state: New state, in the units of the page.
@@ -355,10 +355,11 @@ _UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
 no limit, or a larger limit. Chosen, not tuned."""
 
 _JOINT_STEP = 0.5
-"""Step of a joint slider [deg or mm]. Chosen, not tuned."""
+"""Step of a joint slider [deg or mm], unless the joint's range is too small. Chosen, not tuned."""
 
 _SLIDER_DIGITS = 2
-"""Number of decimals to which the program rounds a slider value [deg or mm]. Chosen, not tuned."""
+"""Number of decimals to which the program rounds the value of a joint slider [deg or mm]. Chosen,
+not tuned."""
 
 _POSITION_DIGITS = 6
 """Number of decimals to which a joint position [rad or m] from a slider is rounded. Chosen, not
@@ -519,8 +520,8 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
     The ends of a range are multiples of a reference value. The reference of a length is the height
     of the nominal stand, and that of a mass is the robot's mass. The reference of a gain is the
-    median gain, or the slider's initial value if the robot has no servos or the median is 0. The
-    magnitudes of the ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not
+    median gain; for a robot without servos, or with a median of 0, it does not depend on the robot.
+    The magnitudes of the ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not
     allowed, it becomes one step. Ranges of angles do not depend on the robot. Initial values are
     not rounded. Sliders of joints are not included.
     """

@@ -484,7 +484,7 @@ class Scene:
             label.position = hardest.world_anchor + np.array([0.0, 0.0, 0.2 * self._size])
 
     def _draw_forces(self, described: StandingScene) -> None:
-        """Draw the contact forces as arrows from the contact points; nothing without contacts."""
+        """Draw the contact forces (`make_force_arrows`); nothing without contacts."""
         if not described.contacts:
             return
         assert self._robot is not None

@@ -194,7 +194,7 @@ class Session:
         self._state_changed.set()
 
     def reset(self) -> None:
-        """Set all controls of the page to the default state."""
+        """Set the controls of stance, joints, payload and gains to the default state."""
         self._panels.controls.set_state(State(), notify=True)
 
     def go_to_nearest(self) -> None:
@@ -207,7 +207,10 @@ class Session:
             )
 
     def simulate(self) -> None:
-        """Queue a simulation of the shown stance; the page shows the motion and the verdict."""
+        """Queue a simulation of the shown stance; the page shows the motion and the verdict.
+
+        Without a balanced stance, the page shows a hint instead.
+        """
         self._request_job("simulating", self._simulate_stance)
 
     def push(self) -> None:

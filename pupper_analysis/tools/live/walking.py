@@ -37,9 +37,8 @@ from pupper_analysis.tools.walk.runs import (
 )
 
 _MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
-"""Bounds of the sliders, extended if the initial velocity command is larger: speed [m/s], turning
-rate [rad/s], push [N s per kg of the robot]. Public policies are trained up to these commands; the
-range of pushes is that of `walk --vary`."""
+"""Upper bounds of the sliders: speed [m/s], turning rate [rad/s], push [N s per kg of the robot].
+A larger initial command extends the bounds of speed and turning rate. Chosen, not tuned."""
 
 _AVERAGING_TIME, _TABLE_PERIOD, _FRAME_INTERVAL = 1.0, 0.25, 0.04
 """Times of a walk on the page [s]: interval over which speeds and torques are averaged, also the

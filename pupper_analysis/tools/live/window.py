@@ -52,7 +52,7 @@ from pupper_analysis.simulation.verify import STABLE_DEVIATION
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 
 DROP_SECONDS = 6.0
-"""Duration of a simulated drop [s]. v3 lands after 0.18 s. From 2.3 s on, the standard deviation of
+"""Duration of a simulated drop [s]. v3 lands after 0.18 s. From 2.4 s on, the standard deviation of
 its height in the last second is below 0.005 mm."""
 
 DROP_HEIGHT = 0.15
