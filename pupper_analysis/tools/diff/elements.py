@@ -243,7 +243,7 @@ includes all flags."""
 
 
 def get_flag_name(bit: Any) -> str:
-    """Return the attribute of ``<flag>`` in an MJCF for a MuJoCo bit, such as ``mjtDisableBit``."""
+    """Return the attribute of ``<flag>`` for a MuJoCo bit: ``gravity`` for ``mjDSBL_GRAVITY``."""
     return str(bit.name).split("_", 1)[1].lower()
 
 
@@ -745,9 +745,10 @@ class _SimulatedRun:
 
 
 ROUNDING_NUDGE = 1e-9
-"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version. If the
-nudge changes the motion by more than a tenth of the difference between the versions, the difference
-is attributed to rounding. Chosen, not tuned."""
+"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version, made
+if the comparison of the files has found no change. If the nudge changes the motion by more than a
+tenth of the difference between the versions, this difference is attributed to rounding. Chosen, not
+tuned."""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:

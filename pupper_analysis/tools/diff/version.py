@@ -124,7 +124,8 @@ def _read_urdf_version(file: UrdfFile) -> Version:
 def _read_mjcf_version(file: MjcfFile) -> Version:
     """Return the content of an MJCF for comparison with another version.
 
-    Objects that do not belong to the robot are left out, and ball joints fixed, with notes.
+    Objects that do not belong to the robot are not in the tree, and ball joints are fixed; notes
+    state both.
 
     Raises:
         ModelError: For example, if the MJCF has no joints, or ball joints only.
