@@ -4,9 +4,8 @@ The poses of the bodies at zero joint positions are computed from the joint fram
 with reduced coordinates. The transforms of the prims are not used, since the prims describe a pose
 of the robot at unknown joint positions.
 
-Engines compute missing mass properties: CoM and inertia are derived from the collision shapes. For
-a body without any mass property, engines compute the mass from the shapes and the density of water.
-In this module, the masses of such bodies are unknown.
+Engines compute missing mass properties from the collision shapes, with the density of water if no
+density is stated. This module does not: the inertial of such a body is None.
 """
 
 from __future__ import annotations
@@ -791,7 +790,7 @@ def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
 
 
 SCALE_ATOL: Final = 1e-6
-"""Deviation of a scale from 1 up to which the scale is set to 1: orientations are in single
+"""Deviation of a scale from 1 below which the scale is set to 1: orientations are in single
 precision. Chosen, not tuned."""
 
 
