@@ -1126,7 +1126,7 @@ def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
 
 
 def _is_scaling_by_ten(factor: float) -> bool:
-    """Return True if a factor is within 0.2 % a power of ten other than 1, without sign change."""
+    """Return True if a factor is a positive power of ten other than 1, up to 1e-3 in the log10."""
     if factor <= 0:
         return False
     power = math.log10(factor)
