@@ -96,8 +96,8 @@ def read_deployment(
             robot, if a file contains several configurations and no name is passed, or if a source
             is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
             the only list of such a quantity has another length than the joint order of its file,
-            or if two successive deployments list the joints in different orders. Also if a file of
-            ``sources`` is a robot model. If ``policy`` cannot be read, its metadata are left out.
+            or if two deployments list the joints in different orders. Also if a file of ``sources``
+            is a robot model. If ``policy`` cannot be read, its metadata are left out.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -217,7 +217,7 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
 
 
 def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
-    """Raise a ModelError if two successive deployments list joint names in different orders.
+    """Raise a ModelError if two deployments list joint names in different orders.
 
     A policy file with joint names decides the order, so that no error is raised with such a file. A
     deployment with motor numbers may refer to the order of a deployment without motor numbers, so

@@ -32,8 +32,9 @@ as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
 """Largest number of values that are read from a source, or of steps in the evaluation of a Python
-file, to bound time and memory. Measured: the largest configurations have 4,000 values; a module of
-a training library needs about 10,000 evaluated expressions."""
+file, to bound time and memory. Also the largest length of a list, table or text in an evaluation.
+Measured: the largest configurations have 4,000 values; a module of a training library needs about
+10,000 evaluated expressions."""
 
 
 class Origin(StrEnum):

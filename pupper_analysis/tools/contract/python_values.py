@@ -34,8 +34,9 @@ evaluation of a source; a larger result counts as unknown. Larger integers would
 in a loop. Chosen, not tuned."""
 
 MAX_CALL_DEPTH: Final = 40
-"""Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.
-Chosen, not tuned, so that Python's own recursion limit is not reached."""
+"""Largest depth of nested calls in the evaluation of a source. A deeper call counts as unknown, and
+is not searched for changes of values. Chosen, not tuned, so that Python's own recursion limit is
+not reached."""
 
 
 @dataclass(eq=False)

@@ -33,7 +33,7 @@ def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[M
         Sources of all files; errors of the files that cannot be used.
 
     Raises:
-        ModelError: If a file does not exist, or if no file can be used: the first error.
+        ModelError: If a path is no readable file, or if no file can be used: the first error.
     """
     read, errors = list[JointSource](), list[ModelError]()
     for request in requests:
@@ -161,9 +161,9 @@ def read_folder(
 ) -> tuple[list[JointSource], list[Diagnostic]]:
     """Read the deployment files in a folder that belong to this robot.
 
-    Python modules, and files of the sources ``read``, are skipped. A deployment is kept if all
-    joints of the robot are named, or if the listed order consists of joints of the robot. Other
-    deployments are counted in a note, as are files that cannot be read.
+    Only YAML, JSON and ONNX files are read, without the files of the sources ``read``. A deployment
+    is kept if all joints of the robot are named, or if the listed order consists of joints of the
+    robot. Other deployments are counted in a note, as are files that cannot be read.
 
     Returns:
         Sources that belong to the robot; notes.

@@ -36,7 +36,7 @@ FILE_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of the files that this reader of tables reads."""
 
 _MAX_TABLE_DEPTH = 4
-"""Largest depth at which nested tables are searched for numbers of joints. Chosen, not tuned."""
+"""Largest depth at which nested tables are searched for numbers. Chosen, not tuned."""
 
 
 _COMMAND_PARTS = ("x", "y", "turn")
