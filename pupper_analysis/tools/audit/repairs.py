@@ -918,7 +918,8 @@ def _repair_mirrored_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[
     """Yield the repairs of tensors that differ from side to side: mirror images (`_mirror_tensor`).
 
     `select_deviating_pairs` selects the wrong side: the magnitudes of the entries are compared, in
-    the link frame, with other limbs. If there are too few other limbs, both links are candidates.
+    the link frame, with other limbs. If there are too few other limbs, or they differ from each
+    other, both links are candidates.
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)

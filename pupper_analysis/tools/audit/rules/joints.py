@@ -516,7 +516,10 @@ def armature_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def friction_beyond_effort(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find driven joints whose dry friction is at least the effort; all of them are one finding."""
+    """Find moving joints whose dry friction is at least the effort; all of them are one finding.
+
+    Joints whose effort is zero or negative are skipped.
+    """
     stuck = [
         joint
         for joint in robot.joints.values()

@@ -297,7 +297,7 @@ MAX_DENSITY = 20_000.0
 Tungsten has 19300.
 
 The convex hull is the largest possible volume of the link. The densest of 1500 published links has
-15600: a wrist whose mesh omits attached parts.
+15600: a wrist whose mesh omits attached parts. Repairs of mass and tensor use the bound as well.
 """
 
 UNREAD_MESH_FACTOR = 5.0
@@ -306,7 +306,8 @@ read, since the known shapes may be smaller than the link. Chosen, not tuned."""
 
 MIN_DENSITY = 2.0
 """Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air
-has 1.2, the lightest foam 10, the lightest published link 8.8."""
+has 1.2, the lightest foam 10, the lightest published link 8.8. Also the smallest density with which
+`_fill_shapes` proposes a tensor."""
 
 MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density is
