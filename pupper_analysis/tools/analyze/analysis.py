@@ -217,7 +217,7 @@ def analyze_variant(
     Args:
         robot: Robot with a floating base.
         task: Task of the stand. Default: the nominal stand.
-        progress: Show a progress bar if the gain sweep takes longer than a second.
+        progress: Show a progress bar during the gain sweep.
 
     Returns:
         All results.

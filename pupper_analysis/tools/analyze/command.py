@@ -77,7 +77,7 @@ def command(
     write_folder: Path | None,
     **stance: Any,
 ) -> None:
-    """Compute and verify the nominal stand of robots from their model files.
+    """Compute and verify the stand of robots from their model files.
 
     Each ROBOT is a variant of Pupper (original, long-leg, heavy, v3, v3-long-leg, v3-heavy; by
     default all six), a URDF, an MJCF, or both: the URDF and then the MJCF. Define other

@@ -136,7 +136,7 @@ def sweep_gains(
         frequency: Frequency of the force [Hz].
         duration: Simulated time [s], 2 to 600.
         integrator: MuJoCo's integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
-        progress: Show a progress bar if the sweep takes longer than a second.
+        progress: Show a progress bar during the sweep.
 
     Returns:
         For each pair the standard deviation of the base height in the last second [m], whether the
