@@ -337,10 +337,10 @@ MIN_GYRATION_SQUARED = 1e-10
 counts as zero: a radius of gyration of 0.01 mm. Chosen, not tuned."""
 
 MIN_REACH = 0.05
-"""Lower bound of the radius R [m] for a link without shapes. The largest moment of inertia of the
-link must be at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the CoM to the
-origins of the link, the link's frames and the children. Without the bound, R could be zero. Chosen,
-not tuned.
+"""Lower bound of the radius R [m] for a link without shapes of known size. The largest moment of
+inertia of the link must be at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the
+CoM to the origins of the link, the link's frames and the children. Without the bound, R could be
+zero. Chosen, not tuned.
 """
 
 
