@@ -108,7 +108,7 @@ def best_stance(
     touches the ground. Then `payload_limit` computes the limits of the resulting and the initial
     stance, and the stance with the larger limit is returned. Buckling matters, because almost
     stretched legs need little torque but buckle: on Pupper v3, the stance with the lowest
-    utilisation carries 3.7 kg, the nominal stand 6.1 kg.
+    utilisation carries about half the payload of the nominal stand.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.
