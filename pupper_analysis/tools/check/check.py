@@ -196,10 +196,11 @@ def check_repository(
         Result for each pair, and all remarks.
 
     Raises:
-        ConfigurationError: If there is no configuration, or ``config`` is the text of a model, for
+        ConfigurationError: If no configuration is found, or ``config`` is the text of a model, for
             example.
-        ModelError: If the configuration or the baseline is invalid (mostly with the line), or the
-            files of the revision cannot be read, for example without git or repository.
+        ModelError: If the configuration or the baseline cannot be read or is invalid (mostly with
+            the line), or the files of the revision cannot be read, for example without git or
+            repository.
         OutputError: If the baseline cannot be written, or an output file of the command is also a
             file to be checked.
     """
