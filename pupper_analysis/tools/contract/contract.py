@@ -220,7 +220,7 @@ def _compare_sources(
 def _find_model_files(
     sources: Sequence[str | Path | VariantSpec], folder: Path
 ) -> tuple[list[str | Path], dict[str, str]]:
-    """Replace names of variants and published robots in a list of sources by their model files.
+    """Return sources in which model files replace the names of variants and published robots.
 
     The files of scaled variants are written to ``folder``.
 
