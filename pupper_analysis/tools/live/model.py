@@ -142,7 +142,7 @@ def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
 
     Args:
         answer: Solved state.
-        closely: True to include the stability of the linearised dynamics, which takes some
+        closely: True to include the stability of the linearised dynamics, which takes some tens of
             milliseconds.
     """
     if answer.robot is None or answer.statics is None:

@@ -136,9 +136,9 @@ class Panels:
 
 
 QUIET_SECONDS = 0.15
-"""Time without changes of controls [s] after which the slower analysis (static deflection,
-stability, explanation of a refusal) starts. Longer than the pauses while a slider is moved. Chosen,
-not tuned."""
+"""Age [s] of the shown stance from which the slower analysis (static deflection, stability,
+explanation of a refusal) starts, unless a simulation is queued. Longer than the pauses while a
+slider is moved. Chosen, not tuned."""
 
 _FRAME_PERIOD = 1 / 30
 """Time [s] between two pictures of a simulated motion. Chosen, not tuned."""

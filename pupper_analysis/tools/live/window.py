@@ -57,7 +57,7 @@ its height in the last second is below 0.005 mm."""
 
 DROP_HEIGHT = 0.15
 """Height [m] of the lowest foot above the ground at which a drop starts, if the lowest foot in the
-start pose is below half of this height. The value is the foot height in v3's keyframe."""
+start pose is below half of this height. Chosen: about the foot height in v3's keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
