@@ -698,7 +698,8 @@ def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[Value
 
     The convex hull is that of the shapes, frames and child joints. A thousandth of the CoM must be
     inside, or outside by at most 5 % of the extent of the hull. The stated CoM must be outside by
-    more than `_MIN_MM_OFFSET` times this extent.
+    more than `_MIN_MM_OFFSET` times this extent. Nothing is yielded if the size of a shape is
+    unknown.
     """
     link = robot.links[found.name]
     element = _find_unique_child(robot, "link", link.name, "inertial/origin")

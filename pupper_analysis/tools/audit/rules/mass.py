@@ -358,10 +358,9 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     - Negative moment: a finding for each link. The tolerance depends on the greatest moment and on
       the rounding of the stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each
       axis is a finding.
-    - Moment of zero: a finding for a moving link without fixed links.
-    - Moment of zero of a moving link with fixed links: a finding of severity WARNING if the link
-      has more than half of the mass of link and fixed links together, and at least 1e-4 of the
-      robot's mass.
+    - Moment that counts as zero (`MIN_GYRATION_SQUARED`): a finding for a moving link without fixed
+      links. With fixed links: a finding of severity WARNING if the link has more than half of the
+      mass of link and fixed links together, and at least 1e-4 of the robot's mass.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments

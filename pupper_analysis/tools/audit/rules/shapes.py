@@ -352,8 +352,8 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
       read.
 
     The severity is WARNING, and ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A
-    plausible density is also reported if the density is above `DENSITY_OF_STEEL` and above
-    `MIN_DENSITY_RATIO` times the median of the other links.
+    plausible density is also reported if all sizes are known, and the density is above
+    `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
     small shapes (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
@@ -622,7 +622,8 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
     - Distance between both hulls.
 
     The larger length is reported. Nothing is reported for robots with several such hinges, whose
-    meshes are simplified, and for robots with fewer than `MIN_OTHER_LINKS` other hinges.
+    meshes are simplified, and for robots with fewer than `MIN_OTHER_LINKS` other hinges whose links
+    have hulls.
     """
     hulls: dict[str, Mesh | None] = {}
     found, num_hinges = [], 0
