@@ -34,8 +34,8 @@ def command(
 
     OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
     polygon) or payload (largest, at --payload-at). The search starts from the given stance (as for
-    `stand`) and keeps its ground, swing feet and margins. The search takes a few seconds. The
-    result is then printed and simulated as by `stand`.
+    `stand`) and keeps its ground, swing feet and margins. The search takes some seconds, for a
+    payload up to minutes. The result is then printed and simulated as by `stand`.
 
     \b
     Examples:

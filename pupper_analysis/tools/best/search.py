@@ -41,9 +41,9 @@ initial guesses of the descents. Chosen, not tuned."""
 
 _START_COUNT = 16
 """Number of descents that start at the best samples; another descent starts at the initial task.
-With 3 samples, rounding errors decide whether the payload of v3-long-leg is 10.6 or 14.1 kg; with 8
-or more the payload is 14.1 kg (measured). By symmetry the nominal stand is a saddle point: rounding
-errors determine the direction in which a descent leaves this point."""
+With 3 samples, rounding errors decide whether the first-order payload of v3-long-leg is 10.6 or
+14.1 kg; with 8 or more it is 14.1 kg (measured). By symmetry the nominal stand is a saddle point:
+rounding errors determine the direction in which a descent leaves this point."""
 
 _RANKING_ITERATIONS = 8
 """Upper bound of the SLSQP iterations of the first descent from each initial guess, which ranks the
@@ -251,10 +251,9 @@ class StanceSearch:
     def list_next_best(self) -> Iterator[EvaluatedStance]:
         """Yield stances to try after the best stance: worse allowed stances, then the initial.
 
-        The stances are sorted from better to worse. Each scaled objective exceeds the previous
-        one, at first the best, by at least ``_MIN_OBJECTIVE_STEP`` times the difference between the
-        initial and the best scaled objective. Only stances that are better than the initial
-        stance are used.
+        The worse stances are better than the initial stance, and sorted from better to worse. The
+        scaled objective of each exceeds that of the previous one, at first of the best, by at least
+        ``_MIN_OBJECTIVE_STEP`` times the difference between the initial and the best.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_OBJECTIVE_STEP * (self.nominal.scaled_objective - self.best.scaled_objective)
