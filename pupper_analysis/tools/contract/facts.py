@@ -518,7 +518,8 @@ def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> LocatedValue:
     """Convert a node of PyYAML, with all nodes in it, to a `LocatedValue` with lines.
 
-    ``left[0]`` is the number of values that may still be read; each value decrements this number.
+    The value of a key ``weights`` is replaced by an empty list. ``left[0]`` is the number of values
+    that may still be read; each value decrements this number.
 
     Raises:
         ModelError: If ``left[0]`` is used up, or a table repeats a key.

@@ -597,7 +597,7 @@ def _compute_unlike_fraction(
 
 
 def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
-    """Return True if first = sign x second, within 1e-3 of the larger or 1e-9, or both infinite.
+    """Return True if first = sign x second, within 1e-3 of the larger or 1e-9, or infinite.
 
     Also True if a number is None or the sign is 0, since nothing can be compared.
 

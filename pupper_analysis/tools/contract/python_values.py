@@ -286,8 +286,7 @@ class Evaluator:
 
         Raises:
             InputError: If the file cannot be read.
-            ModelError: If the file cannot be parsed (with the line), or more than `MAX_VALUES`
-                steps are needed.
+            ModelError: If the file cannot be parsed, or more than `MAX_VALUES` steps are needed.
         """
         if not path.is_absolute():  # show relative paths if the request was relative
             self.shown = Path.cwd()
@@ -368,7 +367,7 @@ class Evaluator:
         A list is changed in place: other names of the same list have the new content.
 
         Raises:
-            NotConstantError: If the new content of a list or table is unknown.
+            NotConstantError: If the new content of a list is unknown, or the target is a table.
         """
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
