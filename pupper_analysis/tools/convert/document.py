@@ -124,9 +124,8 @@ def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
 
     Nothing is yielded without a successful run from the keyframe, if the robot does not stand, or
     if no mode oscillates. The least damped mode should decay to 1/e within the simulated time t:
-    2 pi f z t >= 1, with damping ratio z and
-    frequency f. If this mode does not, and more than `MAX_REST_FRACTION` of the nudge is left after
-    t, a warning states its decay time [s].
+    2 pi f z t >= 1, with damping ratio z and frequency f. If this mode does not, and more than
+    `MAX_REST_FRACTION` of the nudge is left after t, a warning states its decay time [s].
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:
