@@ -835,7 +835,7 @@ def _evaluate_all(
     reduced: mujoco.MjModel,
     full: mujoco.MjModel | None,
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
-    """Evaluate both models in all engines; a large robot in MuJoCo only.
+    """Evaluate both models in the engines that read them; a large robot in MuJoCo only.
 
     Args:
         robot: Robot.
