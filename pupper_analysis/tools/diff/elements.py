@@ -612,7 +612,7 @@ def _make_difference(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> ElementDifference:
-    """Create the difference that reports an equal change of an attribute in several elements.
+    """Create the difference that reports an equal change of an attribute in all ``keys``.
 
     Args:
         kind: Tag of the elements.
