@@ -358,7 +358,7 @@ def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
 
 
 def _restore_triangle_inequality(inertial: Inertial) -> Inertial:
-    """Return an inertial whose moments satisfy the triangle inequality in spite of rounding.
+    """Correct the moments of an inertial if rounding alone violates the triangle inequality.
 
     A thin plate has I1 + I2 = I3, and in single precision I3 may be larger by the last digit.
     """
