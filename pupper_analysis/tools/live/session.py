@@ -294,7 +294,7 @@ class Session:
         self._panels.show_status(message)
 
     def _run_worker(self) -> None:
-        """Analyse each shown stance closely, and run queued simulations, until the page is closed.
+        """Analyse the shown stance closely, and run queued simulations, until the page is closed.
 
         The thread of the worker runs this function. Unless a simulation is queued, the analysis
         starts once the stance is `QUIET_SECONDS` old.
