@@ -776,6 +776,17 @@ def test_file_without_ground_is_checked_on_a_default_ground(
     assert bool(find_findings(result, rule)) is bool(rule)
 
 
+def test_motor_without_name_beside_a_joint_named_joint_is_no_finding(tmp_path: Path) -> None:
+    file = tmp_path / "two.xml"
+    shape = '<geom size="0.1" mass="1"/>'
+    file.write_text(
+        '<mujoco><worldbody><body><joint name="joint"/>' + shape + '<body pos="0 0 1">'
+        '<joint name="knee"/>' + shape + "</body></body></worldbody>"
+        '<actuator><motor joint="knee"/></actuator></mujoco>'
+    )
+    assert not find_findings(audit_model(file), "actuator-of-another-joint")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("factor", "named"), [(100.0, True), (0.01, True), (10.0, False)])
 def test_individually_identified_motors_are_no_finding(

@@ -180,6 +180,7 @@ def actuator_of_another_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
     short: dict[str, list[str]] = {}
     for name in robot.joints:
         short.setdefault(_NAME_PARTS.sub("", name.lower()), []).append(name)
+    short.pop("", None)  # such as "joint" alone, which names no joint
     for model, drive in _list_robot_drives(robot):
         named = short.get(_NAME_PARTS.sub("", model.actuator(drive.id).name.lower()), [])
         if len(named) == 1 and named[0] != drive.joint_name:
