@@ -125,6 +125,28 @@ def test_effort_of_zero_is_converted_to_a_servo_without_torque(tmp_path: Path) -
     assert abs(data.actuator_force[servo]) < MIN_EFFORT
 
 
+def test_joints_beside_a_mimic_joint_have_their_common_values_in_the_default_class(
+    tmp_path: Path,
+) -> None:
+    """The couplings are elements ``<joint>`` as well, without the attributes of a joint.
+
+    Reference: dampings of MuJoCo's compiled model.
+    """
+    text = urdf_text(arm(), ())
+    damping = '<dynamics damping="0.5"/>'
+    mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/>'
+    text = re.sub("</joint>", damping + "</joint>", re.sub(r"<dynamics[^>]*/>", "", text))
+    place = text.index("</joint>", text.index('name="push"'))
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(text[:place] + mimic + text[place:])
+    mjcf, found = convert_file(urdf, "arm.xml")
+    assert found.passed, found.failures
+    defaults = ElementTree.parse(mjcf).getroot().find("default/joint")
+    assert defaults is not None
+    assert float(defaults.attrib["damping"]) == 0.5
+    assert (compile_file(mjcf).dof_damping == 0.5).all()
+
+
 def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
     """Reference: multiplier and offset in MuJoCo's `eq_data`, and in the URDF after the conversion
     back.
