@@ -93,6 +93,7 @@ def test_remote_access_requires_the_token() -> None:
         ("/home/a/b.urdf:12: no limit", "b.urdf:12: no limit"),
         ("cannot read '/srv/x/y.stl' (gone)", "cannot read 'y.stl' (gone)"),
         ("C:\\robots\\v3.xml: odd", "v3.xml: odd"),
+        ("~/robots/v3.xml: odd", "v3.xml: odd"),
         ("kp: 0 N m/rad is not positive", "kp: 0 N m/rad is not positive"),
         (
             "FL/1 and FL/2 touch; 1/2 of it, 3 N m s/rad",
