@@ -129,8 +129,7 @@ class Balance:
 
         Returns:
             Forces in world axes, shape (size,) [N, N m]: contact forces (3 n,), wrenches of welds
-            (6 w,), forces of grips (3 g,). None if no forces satisfy balance, friction and grip
-            limits.
+            (6 w,), forces of grips (3 g,). None if no such forces are found.
         """
         forces = metric.solve_min_norm(self.base_rows, self.base_load)
         if forces is not None:
@@ -205,7 +204,7 @@ class Balance:
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
-            forces satisfy balance, friction and grip limits.
+            such forces are found.
         """
         rated = np.isfinite(limits) & (limits > 0)
         weights = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
@@ -267,7 +266,7 @@ class Balance:
                 then the norm. Has no effect if ``friction`` is None.
 
         Returns:
-            Forces, shape (size,), or None if no forces satisfy balance, friction and grip limits.
+            Forces, shape (size,), or None if no such forces are found.
         """
         if not peak or friction is None:
             forces = self._solve_linear(cost, target)
@@ -586,7 +585,7 @@ class TangentialMetric:
 
 
 def _to_csc(matrix: Array) -> SimpleNamespace:
-    """Convert a dense matrix to an object with the fields of SciPy's ``csc_matrix``, for Clarabel.
+    """Convert a dense matrix to an object with the fields of a ``csc_matrix`` that Clarabel reads.
 
     The import of ``scipy.sparse`` itself would take 0.1 s.
     """

@@ -235,7 +235,10 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create contacts on level ground with MuJoCo's friction, with read-only arrays (cached)."""
+    """Create contacts on level ground with MuJoCo's friction; see `make_contacts` for errors.
+
+    The caller caches the result. Normals, friction and offsets are therefore read-only.
+    """
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False

@@ -141,10 +141,10 @@ last iteration are returned. Chosen, not tuned."""
 class ForceDistribution(StrEnum):
     """Criterion that selects contact forces if balance does not determine the forces.
 
-    MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces. MuJoCo
-    sustains these forces without creep. MuJoCo's regularised friction lets feet creep until
-    tangential forces that act against each other have vanished. On level ground and steps, gravity
-    requires no tangential force. On a slope all feet creep downhill together. The criterion is the
+    MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces.
+    MuJoCo's regularised friction lets feet creep until tangential forces that act against each
+    other have vanished. On level ground and steps, gravity requires no tangential force, so feet do
+    not creep. On a slope all feet creep downhill together. The criterion is the
     minimum of sum f_t^2 / c, with the tangential force f_t and the viscosity c of each contact
     (`GroundLaw.viscosity`). The optimality condition is f_t = c (v + omega x r), with the creep
     velocities v and omega and the contact position r. On level ground, for example in a motion, all
@@ -244,7 +244,7 @@ def gravity_compensation(
     """Compute motor torques and contact forces in static equilibrium.
 
     Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points. f
-    are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,), is
+    are contact forces in world axes [N]. tau are motor torques [N m, N]. g(q), shape (nv,), is
     the generalised force of gravity minus the passive forces of the MJCF
     (`Configuration.static_load`). Passive forces are those of springs, gravity compensation and
     wind. The six base rows determine the total wrench of f; ``distribution`` selects a force vector
@@ -256,10 +256,7 @@ def gravity_compensation(
     (`Description.passive_joints`) have no torque either, if contact forces without such torques are
     feasible. Otherwise the result contains torques of passive joints.
 
-    A second-order cone program is solved if the optimum without friction cones violates the cones.
-    For ``MIN_MAX_TORQUE`` with contacts, welds or grips, the cone program is always solved. The
-    solver uses null-space coordinates of the base rows (see `statics.cone_program`). Therefore
-    balance holds to rounding, whatever the tolerance of the solver.
+    Balance holds to rounding, whatever the tolerance of the solver (see `statics.cone_program`).
 
     Args:
         config: State of the robot. The velocity is ignored.

@@ -163,7 +163,7 @@ def support_corners(
     Returns:
         Points (x, y) [m] whose convex hull is the support region. The projected contact points are
         returned in three cases: for equal normals as above, if the friction is unknown and there
-        are no grips, and if no CoM position allows equilibrium.
+        are no grips, and if no CoM position with equilibrium is found.
     """
     is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
     corners = None
