@@ -304,7 +304,7 @@ class JointLimits(Constraint):
 
 
 class GroundClearance(Constraint):
-    """Constraint: all parts except the feet have the required height above the ground."""
+    """Constraint: the required height of ``ClearanceShapes.parts`` (no feet) above the ground."""
 
     name = "ground-clearance"
 

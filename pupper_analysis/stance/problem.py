@@ -677,7 +677,7 @@ def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> d
 
 
 def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
-    """Return the position, (3,) [m], near which a foot or hand must touch its separate plane.
+    """Return the requested position, (3,) [m], of a contact on a separate plane, or a welded hand.
 
     Args:
         robot: Robot.

@@ -72,7 +72,7 @@ with dependent equalities. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Task with changed (relaxed) values, and the configuration at the end of a solve.
+    """Result of a solve: task with changed (relaxed) values, and configuration.
 
     Attributes:
         task: Task with relaxed numbers.

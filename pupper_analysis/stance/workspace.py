@@ -30,7 +30,8 @@ from pupper_analysis.stance.task import StandTask
 
 BISECTION_RTOL = 1e-3
 """Tolerance of the ends of a reachable interval, relative to the first step of the search
-(`_FIRST_STEPS`). Chosen, not tuned."""
+(`_FIRST_STEPS`). Also the relative tolerance with which an end counts as the largest searched angle
+(`_MAX_VALUES`). Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
 """Step length of the outward search, relative to the first step (`_FIRST_STEPS`), above which a

@@ -241,8 +241,8 @@ class _Grid:
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
     """Find the largest grid value of kp with which the robot does not stand; return its index.
 
-    Creep is ignored. The search is a bisection; the index is 0 if the robot stands with each tested
-    value.
+    The search is a bisection with `_StiffnessSearch.stands_at_first`; the index is 0 if the robot
+    stands with each tested value.
     """
     first, last = 0, grid.count
     while last - first > 1:
