@@ -354,7 +354,7 @@ def _simulate_nudge(
 
 
 def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
-    """Return True if a foot will certainly be too far from its target at the end of a simulation.
+    """Return True if a foot is expected to be too far from its target at the end of a simulation.
 
     The distance to the target is assumed to decrease at most ``_DISPLACEMENT_RATE_FACTOR`` times as
     fast as in the last second. False if the ratios span less than a second.
