@@ -47,9 +47,9 @@ def free_base(
     free joint if it has no joint, and if at least two limbs (subtrees with joints) are attached to
     the base, or if the URDF has a free base (`states_free_base`).
 
-    Some MJCFs move the base by three slides and three hinges, or by three slides and a ball. If the
-    URDF lacks these joints, and they have neither an actuator nor a stiffness, the free joint
-    replaces them, and all keyframes are deleted (`join_free_base`).
+    Some MJCFs move the base by three slides and three hinges, or by three slides and a ball. Under
+    the conditions of `join_free_base`, for example that no actuator drives these joints, the free
+    joint replaces them, and all keyframes are deleted.
 
     Args:
         urdf: URDF.

@@ -534,8 +534,8 @@ def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies with a radius of gyration larger than the robot.
 
     No part of the robot can have such a moment of inertia. The radius of gyration is sqrt(I / m),
-    with the largest principal moment I. The size of the robot is the diagonal of the box around the
-    bounding spheres of all geoms and the frames of all moving bodies, in ``qpos0``.
+    with the largest principal moment I. The size of the robot is the diagonal of the box around all
+    moving bodies (bounding spheres of the geoms, and body frames) in ``qpos0``.
 
     Returns:
         The message; None without such bodies.

@@ -815,8 +815,7 @@ def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
     """Apply passes in order to a draft (the robot in preparation), and return the new draft.
 
     If a pass raises a `ModelError`, and the robot may be prepared again with a fixed base
-    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run afterwards. Such a pass
-    fixes the base.
+    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run afterwards (``fix-base``).
 
     Raises:
         ModelError: If no robot can be made: the base may not be fixed, the pass is deferred, or a
