@@ -306,8 +306,8 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
 def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
     """Create the table of contact forces [N], with notes below the table.
 
-    The notes state the moment of each weld [N m] or the force of each grip [N]. If feet have
-    several contact points, the notes also state the centre of pressure of each foot [m].
+    The notes contain the wrenches of welds and grips, and the centres of pressure [m] of feet with
+    several contact points.
     """
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [

@@ -47,19 +47,17 @@ enough for the joints of a humanoid without hands.
 """
 
 MAX_CELL_LENGTH = 600
-"""Largest number of characters of a value in a table cell. A longer value is replaced by the text
-of `shorten`, for example the size of a list or the shape of an array. Chosen, not tuned.
+"""Largest number of characters of a value in a table cell, except for descriptions of tasks. A
+longer value is replaced by the text of `shorten`, for example the size of a list. Chosen, not
+tuned.
 """
 
 
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    The cell contains the size or shape instead of a list, mapping or array in three cases:
-
-    - The value has more than `MAX_SHOWN_ENTRIES` entries.
-    - The value is an array with more than two dimensions.
-    - The text of the value has more than `MAX_CELL_LENGTH` characters.
+    The cell of a large list, mapping or array contains its size or shape, for example if it has
+    more than `MAX_SHOWN_ENTRIES` entries.
     """
     if hasattr(value, "phrase"):  # such as the description of a stand task
         return diagnostic_text(value.phrase())
@@ -72,8 +70,8 @@ def value_cell(value: object) -> Cell:
 def _write_value(value: object) -> str:
     """Format the value of a result's field as text, with the entries of short containers.
 
-    A list, mapping or array is short if the number of entries is at most `MAX_SHOWN_ENTRIES`. A
-    short array also has at most two dimensions. Other containers are replaced by their size or
+    A list, mapping or array is short if it has one to `MAX_SHOWN_ENTRIES` entries. A short array
+    also has one or two dimensions. Other containers are shortened, for example to their size or
     shape. Nested containers and results are written in the same way, floats with six digits.
     """
     if isinstance(value, str) and not isinstance(value, Enum):

@@ -45,9 +45,9 @@ from numpy.typing import ArrayLike
 from pupper_analysis.robot.contact import foot_site
 
 _FINEST_CELLS, _COARSEST_CELLS = 64, 16
-"""Numbers of cells along the longest side of the base, in grids in which the vertices of the base's
-meshes are merged: number in the first grid, and lower bound in further grids. Each further grid has
-3/4 of the cells per side. Chosen, not tuned.
+"""Numbers of cells along the longest side of the base's largest mesh, in grids in which vertices
+are merged: number in the first grid, and lower bound in further grids. Each further grid has 3/4
+of the cells per side. Chosen, not tuned.
 """
 _MAX_BASE_FACES = 2500
 """Upper bound of the number of triangles of the base's meshes. With more triangles, the vertices
@@ -128,9 +128,8 @@ class Skeleton:
             frame: from a joint, or the base frame, to the next joint, or to the frame of the last
             body.
         base: Geoms of the base, and of the bodies without joints on the base.
-        has_visuals: True if ``base`` contains the geoms that MuJoCo's viewer shows by default.
-            False: the base has no such geoms, and ``base`` contains its other geoms, usually
-            collision geoms.
+        has_visuals: True if ``base`` contains visual geoms (groups 0 to 2). False: the base has no
+            such geoms, and ``base`` contains its other geoms, usually collision geoms.
     """
 
     legs: dict[str, Array]
@@ -250,11 +249,11 @@ _PROJECTIONS = (
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
 _CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
-"""Number of letters in a row of the caption, and number of rows. Chosen: 120 letters may be wider
+"""Largest numbers of letters in a row of the caption, and of rows. Chosen: 120 letters may be wider
 than the figure, and six rows leave two thirds of the height to the panels."""
 _TITLE_LETTERS, _TITLE_ROW_HEIGHT = 80, 0.045
-"""Number of letters in a row of the title, and height of a row relative to the figure [1]. Chosen
-for the bold font of the title: 80 letters are narrower than the figure."""
+"""Largest number of letters in a row of the title, and height of a row relative to the figure [1].
+Chosen for the bold font of the title: 80 letters are narrower than the figure."""
 _MAX_ARROW_RATIO = 0.35
 """Length of the arrow of the largest contact force, divided by the longer side of the support
 polygon [1]. Chosen, not tuned."""

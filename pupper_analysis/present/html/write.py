@@ -554,7 +554,7 @@ def _collect_script_words() -> dict[str, dict[str, str]]:
 
 
 def _make_environment() -> jinja2.Environment:
-    """Create the Jinja environment of the HTML templates, which escapes all inserted texts."""
+    """Create the Jinja environment of the HTML templates, which escapes inserted plain texts."""
     import jinja2
     import markupsafe
 
