@@ -230,8 +230,8 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
     into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Meshes,
     and capsules and cylinders along the link, are stretched. The given mass of such a capsule or
-    cylinder, and of the body's inertial, is multiplied by the scale. Other primitive shapes, such
-    as the foot, keep their mass, and their size unless ``fromto`` determines it.
+    cylinder, and of the body's inertial, is multiplied by the scale. Spheres, such as the foot,
+    keep their size and their given mass.
 
     Mass and inertia of the base body are multiplied by ``torso_mass_scale``. If this scale is above
     1, a dark block without mass is drawn on the base. The base, also in the keyframes, is raised or
@@ -329,7 +329,7 @@ def _stretch_geom(
     Args:
         geom: Geom of the spec.
         axis: Unit vector (3,) of the stretched direction, in the body frame.
-        factor: Factor of lengths along the axis, and of the given mass of a geom along the axis.
+        factor: Factor of lengths along the axis, and of some given masses (`_stretch_body`).
         matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
         meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the mesh of
             the geom.

@@ -63,12 +63,12 @@ def find_model(
         model_format: Format of the model of a variant.
 
     Returns:
-        Path, if the variant is a base model; otherwise the derived model in memory.
+        Path of a file of a base model, derived model in memory, or ``model`` itself.
 
     Raises:
-        VariantError: If a word without suffix names no variant, existing path or published robot,
-            or the scales give no valid model.
-        ModelError: If a base file is missing or damaged.
+        VariantError: If the word is refused (`refuse_unknown_variant`), or the scales give no valid
+            model.
+        ModelError: If the folder of the base files is missing, for example.
         OutputError: If the run will also write a base file of a scaled variant.
     """
     if not is_variant(model):
@@ -108,9 +108,9 @@ def find_model_pair(
 
     Raises:
         ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
-        VariantError: If a word without suffix names no variant, existing path or published robot,
-            or the scales give no valid model.
-        ModelError: If a base file is missing or damaged.
+        VariantError: If a word is refused (`refuse_unknown_variant`), or the scales give no valid
+            model.
+        ModelError: If the folder of the base files is missing, for example.
         OutputError: If the run will also write a base file of a scaled variant.
     """
     first = find_model(urdf, "urdf")
@@ -134,7 +134,7 @@ def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, P
 
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
-        ModelError: If the folder of the base files, a base file or a mesh is missing or damaged.
+        ModelError: If the folder of the base files is missing, for example.
         OutputError: If a file of a scaled variant cannot be written, or exists with other content.
     """
     from pupper_analysis.pupper.variant_files import write_variant
@@ -164,10 +164,11 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
 
     Args:
         word: Text that a user has given, for example on the command line.
-        is_robot: True if the word must name a robot. In this case a word without suffix is refused
-            if it names neither a file nor a published robot. False if the word may also name
-            another source. In this case a word is refused only if it is similar to the name of a
-            variant. Words of more than `_MAX_WORD_LENGTH` characters are never refused.
+        is_robot: True if the word must name a robot. In this case a word of letters, digits,
+            hyphens and underscores is refused if it names no variant, file, folder or published
+            robot. False if the word may also name another source. In this case such a word is
+            refused only if it is similar to the name of a variant. Words of more than
+            `_MAX_WORD_LENGTH` characters are never refused.
 
     Raises:
         VariantError: If the word is refused; the message lists all variants, and similar names.

@@ -59,8 +59,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
 
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
-        ModelError: If the folder of the base files is missing, or a base file is missing or
-            damaged.
+        ModelError: If a base file is missing, for example.
         OutputError: If the run will write a base file.
     """
     spec = get_variant_spec(variant)
@@ -122,7 +121,7 @@ def _derive_files(
 
     Raises:
         VariantError: If the scales give no valid model.
-        ModelError: If a base file is missing or damaged.
+        ModelError: If a base file is missing, for example.
     """
     try:
         urdf_text = read_text(urdf_source)
@@ -178,7 +177,7 @@ def write_variant(
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``folder`` is no path.
-        ModelError: If the folder of the base files, a base file or a mesh is missing or damaged.
+        ModelError: If a base file or a mesh is missing, for example.
         OutputError: If a file cannot be written, exists with other content and ``force`` is False,
             or if the run will write a base file.
     """
@@ -217,7 +216,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``fixed_base`` is not a bool.
-        ModelError: If the folder of the base files, or a base file, is missing or damaged.
+        ModelError: If a base file is missing, for example.
         OutputError: If the run will write a base file.
     """
     spec = get_variant_spec(variant)
