@@ -123,7 +123,7 @@ class LazyGroup(click.Group):
 
 
 def _is_robot(word: str) -> bool:
-    """Return True if a word is the name of a variant or of a URDF or MJCF, not of a command."""
+    """Return True if a word is the name of a variant, or has the suffix of a URDF or MJCF."""
     from pupper_analysis.pupper.named_robots import is_variant
 
     return is_variant(word) or word.lower().endswith((".urdf", ".xml", ".mjcf"))
@@ -239,7 +239,7 @@ errors are reported as bugs."""
 def _describe_lack(error: Exception) -> str:
     """Describe the system resource whose lack caused an error; empty for other errors.
 
-    Resources are, for example, disk space and memory (`_RESOURCE_ERRORS`), and the current folder.
+    Resources are, for example, disk space (`_RESOURCE_ERRORS`) and the current folder.
     """
     if isinstance(error, OSError) and error.errno in _RESOURCE_ERRORS:
         return f"the system has no more to give: {error.strerror}"

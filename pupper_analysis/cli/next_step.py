@@ -39,17 +39,15 @@ def complete_command(step: NextStep | None) -> str:
 
     - The command and the words of the step.
     - The robot that the user typed, unless the step names files.
-    - The typed options that both commands have. Options for outputs, and options that the step sets
-      or omits, are left out. ``--payload-at`` is left out if the next command would refuse this
-      option without ``--payload``.
+    - The typed options that both commands have, without options for outputs, and without those of
+      `_list_excluded_options`.
 
     Args:
         step: Next step; None for none.
 
     Returns:
-        Command line. Empty in these cases:
+        Command line. Empty without a step, or if no such line is possible, for example:
 
-        - There is no step, or no running command.
         - The next command is not installed, or needs more files than were typed.
         - The line would contain ``-``: a file that the user passed on standard input.
     """
@@ -167,8 +165,8 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
         error: Error that the requested stance is out of reach.
 
     Returns:
-        Command line. Empty without a reachable stance, or if a relaxed requirement has no option
-        of lengths or angles (a contact surface), or if `complete_command` returns an empty line.
+        Command line. Empty if there is none, for example without a reachable stance, or if a
+        relaxed requirement is a contact surface.
     """
     from pupper_analysis.cli.stance_fields import format_as_options
 

@@ -69,14 +69,14 @@ class TolerantStream(io.RawIOBase):
 
 @contextlib.contextmanager
 def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
-    """Prevent that printing raises an error, on standard output and error, within a context.
+    """Prevent output errors of standard output and error from being raised, within a context.
 
     Output errors are recorded, and later output is discarded. A character that the encoding lacks
     is written as a backslash escape. At the end, the original streams are restored.
 
     Yields:
-        Streams that replace standard output and error, as far as replaced (not if closed, or
-        without a binary stream). Each records its first output error.
+        Streams that replace standard output and error. A stream that is not replaced, for example
+        because it is closed, is not included.
     """
     before = sys.stdout, sys.stderr
     _reopen_closed_streams()

@@ -277,9 +277,10 @@ class Command(click.Command):
             raise
 
     def _refuse_options_without_hyphens(self, ctx: click.Context, words: Sequence[str]) -> None:
-        """Refuse known options with fewer than two hyphens: ``height=12cm`` and ``-height 12cm``.
+        """Refuse words such as ``height=12cm`` and ``-height``, where a known option lacks hyphens.
 
-        Click reads the first as a robot, and the second as the options ``-h``, ``-e`` and so on.
+        Click reads the first as a robot, and the second as the options ``-h``, ``-e`` and so on. A
+        word without hyphens is accepted if it follows an option or has no equals sign.
 
         Raises:
             click.UsageError: If there is such a word.
@@ -301,7 +302,8 @@ class Command(click.Command):
         An option ``NAME=VALUE`` may be repeated for other names. Equal repetitions are accepted.
 
         Raises:
-            click.UsageError: If an option, or a name in an option, has two different values.
+            click.UsageError: If an option that is not repeatable, or a name in a repeatable option,
+                has two different values.
         """
         repeatable = copy.copy(self)
         repeatable.params = [copy.copy(parameter) for parameter in self.params]
@@ -443,7 +445,7 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
     Two different values with the same name contradict each other. The name is:
 
-    - Value ``NAME=VALUE`` of a repeatable option: ``NAME``.
+    - Value ``NAME=VALUE`` of a repeatable option of this form: ``NAME``.
     - Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
       name.
     - Other values of a repeatable option: the value itself, so that two values never contradict
@@ -462,9 +464,8 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
-"""Units of options whose values are typed without a unit (gains, torques, rates). A value with such
-a unit is refused; the error contains the number to type instead (for ``%``, not in NAME=NUMBER
-options).
+"""Units of options whose values are typed without a unit (gains, torques, rates). Most errors about
+a value with such a unit contain the number to type instead.
 """
 
 
@@ -524,7 +525,7 @@ _NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?[a-z°]*", re.
 def _refuse_separate_values(
     context: click.Context, words: Sequence[str], params: Sequence[click.Parameter]
 ) -> None:
-    """Refuse numbers that are separate words behind the value of an option.
+    """Refuse the numbers of a point or of a value ``NAME=NUMBER`` that are typed as separate words.
 
     Examples are ``--payload-at 0 0 8cm`` in place of ``0,0,8cm``, and ``--joints elbow -45deg`` in
     place of ``elbow=-45deg``. Click reads such a number as a robot, or as an option ``-4``. A
@@ -1108,9 +1109,9 @@ def _write_decimal_point(text: str) -> str:
 
 
 def _omit_unit(text: str) -> str:
-    """Remove a unit that must not be typed (`_UNTYPED_UNITS`) from a number, to suggest the rest.
+    """Return the number of a text such as ``12.5Nm``, whose unit must not be typed.
 
-    Empty for other texts.
+    Empty for other texts, also for ``%`` and for numbers with an exponent.
     """
     match = re.fullmatch(r"([+-]?\d+(?:\.\d+)?)\s*([A-Za-z].*)", text)
     units = [unit.lower() for unit in _UNTYPED_UNITS]

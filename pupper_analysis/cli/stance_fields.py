@@ -40,7 +40,7 @@ def make_option(field: Field) -> Callable[[Command], Command]:
     """Create a decorator that adds the option of a stand-task field to a command-line command.
 
     Args:
-        field: Field; kind, unit and default value determine the form of the option.
+        field: Field, which determines the form of the option.
     """
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}

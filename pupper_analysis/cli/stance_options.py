@@ -625,7 +625,8 @@ def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float
 def _names_motor(text: str) -> bool:
     """Return True if a text of ``--continuous`` names a motor instead of a torque.
 
-    A text that begins with a digit, a sign or a point, or that is ``inf`` or ``nan``, is a torque.
+    A text that is empty, or begins with a digit, a sign, a point or the word ``inf`` or ``nan``, is
+    a torque.
     """
     return re.match(r"[\d.+-]|(inf|nan)\b|$", text, re.IGNORECASE) is None
 
