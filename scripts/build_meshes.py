@@ -113,16 +113,16 @@ FINE_BALL_RADIUS = 0.0055
 """Radius [m] from which the edges of a hull are rounded with more facets."""
 
 ARC_SEGMENTS = 2
-"""Facets of a quarter circle at a rounded corner of an outline."""
+"""Facets of a quarter circle at a rounded corner; the display's corners have twice as many."""
 
 TOLERANCE = 0.0001
 """Distance [m] by which a surface may change to save triangles."""
 
 FAR = 0.1
-"""Distance [m] beyond every part, for cutters that go right through."""
+"""Reach [m] of cutters that go right through a part."""
 
 OVERSHOOT = 0.001
-"""Distance [m] by which a cutter sticks out of what it cuts."""
+"""Distance [m] by which a cutter sticks out of what it cuts, or an eye reaches into the head."""
 
 # --- Motor cans --------------------------------------------------------------------------- [m]
 CHAMFER = 0.0015

@@ -21,10 +21,10 @@ PROJECT_FOLDER = Path(__file__).parents[1]
 """Root folder of this project."""
 
 FILE = PROJECT_FOLDER / ".github/requirements/check.txt"
-"""List of the requirements."""
+"""Path of the list of the requirements."""
 
 LOCK = PROJECT_FOLDER / ".github/requirements/check.lock"
-"""Lock file of the requirements."""
+"""Path of the lock file of the requirements."""
 
 NOT_NEEDED = ("placo", "matplotlib", "clarabel")
 """Dependencies that `check`, `crosscheck`, `audit`, `sync` and `diff` do not need; a test blocks
