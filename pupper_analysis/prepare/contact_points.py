@@ -294,9 +294,9 @@ def find_contact_points(
     The sole is the largest flat part at the lower end of the convex hull of the geoms, if it is
     nearly level in the pose in ``data``. The sole is laid flat, and MuJoCo's contacts with the
     floor are the contact points. If the contacts of a mesh change with a small tilt, small balls at
-    the corners of the sole are the contact points instead. Without a flat part, the orientation of
-    the foot is that in the pose. If sphere geoms are at the lower end of the foot, all other geoms
-    are ignored.
+    the corners of the sole, if any, are the contact points instead. Without a flat part, the
+    orientation of the foot is that in the pose. If sphere geoms are at the lower end of the foot,
+    all other geoms are ignored.
 
     The foot has a single contact point, at the lower end, in two cases:
 
@@ -335,11 +335,11 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres that represent the surface of a geom: their convex hull is that of the geom.
+    """Yield spheres that represent the surface of a geom, by their convex hull.
 
     A sphere is a pair (centre (3,) [m] in the world frame, radius [m]). The radius is 0 for the
-    vertices of a box or mesh. Round surfaces are sampled. Nothing is yielded for a shape without
-    extent, such as a plane.
+    vertices of a box or mesh. Round surfaces are sampled. Nothing is yielded for a shape without a
+    finite surface, such as a plane.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -512,8 +512,8 @@ def _find_sole_contacts(
     """Find the contact points of a foot whose sole lies flat on the ground.
 
     ``out`` is the outward normal of the sole, shape (3,), in the frame of the foot's body. If the
-    contacts of a mesh change with a small tilt, the contact points are balls at the corners of the
-    sole.
+    contacts of a mesh change with a small tilt, and the sole has an area, the contact points are
+    balls at the corners of the sole.
     """
     found = _find_pressed_contacts(model, body, geoms, out)
     if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):

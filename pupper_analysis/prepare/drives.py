@@ -557,7 +557,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     The result is also True if URDF and MJCF describe different robots, since no gains help then.
     The prediction takes the penetration of soft ground into account, if it can be computed. The
     first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the predicted
-    equilibrium, the default duration is simulated, or less if the robot fails earlier.
+    equilibrium, the default duration is simulated.
 
     Args:
         robot: Robot.

@@ -420,7 +420,7 @@ contain these notes, since the results depend on assumptions that replace the er
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
-    """Create the message that links of the URDF have no mass, or a negative mass.
+    """Create the message about links that got a mass, or whose negative mass was moved, in loading.
 
     The message states the consequences. A moving link gets 1 g in the prepared robot if neither
     this link nor a link fixed to this link has a positive mass; MuJoCo itself refuses such a URDF.

@@ -173,7 +173,7 @@ class Draft:
         This is permitted only if the base is not free in the MJCF. The base counts as free if the
         MJCF has a free joint, or if a child body of the world has four or more joints
         (`_MIN_PARTIAL_FREE_JOINTS`). False if the user requested a fixed base, or if the URDF has a
-        free base and the user requested no feet.
+        free base and the user passed an empty list of feet.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False

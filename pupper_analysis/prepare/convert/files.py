@@ -27,7 +27,7 @@ class RobotFiles:
     """Files and options of a robot: the arguments of ``load_robot``, to load it repeatedly.
 
     Attributes:
-        models: Names of the files: a URDF, an MJCF, or both.
+        models: Names of the files that are positional arguments of ``load_robot``.
         options: Keyword arguments of ``load_robot``.
     """
 

@@ -188,8 +188,8 @@ class UrdfBodies:
         mimics: {joint: (leader, multiplier, offset)} as text; the joint follows the leader.
         efforts: {joint: effort limit [N m or N]} as text, for joints with a limit and without
             coupling.
-        root: Name of the base link, the root of the URDF.
-        frames: Names of all links of the URDF.
+        root: Name of the base link.
+        frames: Names of all links in ``tree``.
     """
 
     urdf: UrdfFile

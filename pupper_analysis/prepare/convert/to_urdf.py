@@ -1,8 +1,8 @@
 """Convert an MJCF, as compiled by MuJoCo, to a URDF; select a robot of an MJCF with several.
 
 Input is an MJCF; output is a `ConvertedUrdf` with links, shapes and mimic joints. A link frame of
-the URDF is at the last joint of the body, if the body has joints, because a joint of a URDF moves
-about the origin of the child link. Elements that a URDF cannot contain are reported.
+the URDF is at the last hinge or slide of the body, if any, because a joint of a URDF moves about
+the origin of the child link. Elements that a URDF cannot contain are reported.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class UrdfLinks:
     """Converter from the bodies and joints of a MuJoCo model to links and joints of a URDF.
 
     A joint of a URDF moves about the origin of the child link. The frame of a link is therefore at
-    the last joint of the body, with the axes of the body. Without joints, it is the body's frame.
+    the last hinge or slide of the body, with the axes of the body; without any, the body's frame.
 
     Attributes:
         file: MJCF.
@@ -504,8 +504,8 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
 
     A root is a child of the world with joints in the subtree. The rules apply in this order:
 
-    1. A root whose only joint is a free joint is an object, not a robot. An object is ignored if
-       there are other roots.
+    1. A root whose only joint is a free joint is an object, not a robot. Objects are ignored if
+       there is a robot.
     2. If exactly one root has a free base, the root is the robot. Other roots may be doors or
        drawers.
     3. If ``<connect>`` or ``<weld>`` elements that are active at the start, and refer to bodies
