@@ -132,7 +132,7 @@ def describe_growth(mode: Mode) -> Diagnostic:
 
     A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The doubling time [s]
     is omitted if unknown. For an oscillating mode, the message contains the frequency [Hz]. If a
-    simulation measured the growth, the message contains the initial deviation [rad, m].
+    simulation with displaced joints measured the growth, it contains the displacement [rad, m].
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"

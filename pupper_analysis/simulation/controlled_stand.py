@@ -268,9 +268,9 @@ class ControlledStand:
     def find_worst_mode(self, kp: Array, kd: Array) -> WorstMode:
         """Find the mode of the closed control loop with the largest growth rate.
 
-        The state of the closed loop consists of the state of the robot (qpos, qvel, act) and the
-        commands that have not acted yet. A mode without dynamics, such as a translation on
-        frictionless ground, has a growth rate of zero.
+        The state of the closed loop consists of the state of the robot (qpos, qvel, act) and of
+        previous commands. A mode without dynamics, such as a translation on frictionless ground,
+        has a growth rate of zero.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].

@@ -234,7 +234,7 @@ def simulate_growth(
         angle: Upper bound of the initial deviation of a position [rad, m].
         speed: Upper bound of the initial deviation of a velocity [rad/s, m/s].
         until_left: Whether growth counts only if it continues until a joint is displaced by
-            `LEAVING_ANGLE`. Used if a foot has almost no load.
+            `LEAVING_ANGLE`, or for twice `LONGEST_TRIAL`. Used if a foot has almost no load.
     """
     displacement = _make_displacement(model, modes, angle, speed)
     joints = scalar_joints(model)

@@ -657,7 +657,7 @@ def _list_contact_failures(
 def find_pushing_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Return the pairs of bodies that push on each other with more than a minimum force.
+    """Return the pairs of bodies with a contact whose normal force exceeds a minimum.
 
     Args:
         model: MuJoCo model.
