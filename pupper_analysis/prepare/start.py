@@ -186,8 +186,9 @@ def with_keyframes(
 
 
 _LIMIT_ATOL = 1e-3
-"""Tolerance [rad, m] of joint limits in a keyframe. A keyframe is rejected if a joint exceeds its
-limit by more. The tolerance is needed since keyframes are rounded. Chosen, not tuned.
+"""Tolerance [rad, m] of joint limits in a keyframe. If a joint exceeds its limit by more, the
+keyframe is no standing pose. The tolerance is needed since keyframes are rounded. Chosen, not
+tuned.
 """
 
 _MAX_FOOT_HEIGHT_SPREAD = 0.1

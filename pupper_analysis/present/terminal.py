@@ -131,7 +131,7 @@ def print_report(
             ``-v``).
         next_command: Command line to run after the report; empty for none.
         hidden_notes: Number of notes on the robot that the caller does not print. A report with a
-            single, not summarised document states the number; other reports ignore it.
+            single document in the short view states the number; other reports ignore it.
     """
     several = bool(report.overview) and not everything
     single = len(report.documents) == 1
