@@ -2,7 +2,7 @@
 
 Input: the linear balance equations of a robot (`Balance`), friction coefficients, and a criterion
 (minimum norm, minimum peak torque, or maximum of a linear function). Output: a vector of contact
-forces that satisfies balance and friction, or None if no such vector exists.
+forces that satisfies balance and friction, or None if no such vector is found.
 
 If the criterion is a norm and the optimum without cones is inside the cones, this optimum is
 returned (LAPACK). Otherwise Clarabel solves a second-order cone program. For the cone program the
@@ -141,10 +141,10 @@ class Balance:
     def solve_normal_only(self) -> Array | None:
         """Compute equilibrium forces without tangential contact forces, with welds or grips.
 
-        A weld or a grip carries the rest of the load, so contacts need no tangential force. Without
-        tangential force, MuJoCo's regularised friction does not creep. If a part is welded, the
-        norm of the motor torques is minimised. If the robot has grips only, the norm of all forces
-        is minimised, since minimum torque would put the load on the edge of a sole.
+        Welds or grips carry the rest of the load. Without tangential force, MuJoCo's regularised
+        friction does not creep. If a part is welded, the norm of the motor torques is minimised. If
+        the robot has grips only, the norm of all forces is minimised, since minimum torque would
+        put the load on the edge of a sole.
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
