@@ -459,7 +459,7 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
     Args:
         context: Search context of the robot.
         targets: Targets and limits of the stand (`StandTargets`).
-        stand: Stand with tilted soles that meets the targets.
+        stand: Stand with tilted soles.
 
     Returns:
         A stand with smaller foot errors, since the tilt causes foot errors. The unchanged stand if
@@ -487,7 +487,7 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
 MAX_SOLE_ERROR = 5e-5
 """Upper bound of the foot error [m] with which a sole on a leg of fewer than six joints is accepted
 as in place. Messages about paths attribute a displacement of up to twice this value to such a leg.
-Chosen as a tenth of the usual penetration of feet into MuJoCo's ground."""
+Chosen below the usual penetration of feet into MuJoCo's ground."""
 
 _NUM_POSE_JOINTS = 6
 """Smallest number of joints with which a leg can place its sole in any pose: six, the degrees of

@@ -158,17 +158,17 @@ def solve_stand_on_soft_ground(
 def _update_relaxation(relaxation: float, before: Array, residual: Array) -> float:
     """Compute the factor on the next step of the fixed-point iteration, by Aitken's method.
 
-    With the residuals r (changes of the depths), the factor w of the last step and the new factor
-    w': w' = -w r_before (r - r_before) / |r - r_before|^2, within `_RELAXATION_RANGE`. The factor
-    is unchanged if the residuals are equal.
+    With the residuals r (required changes of the depths), the factor w of the last step and the new
+    factor w': w' = -w r_before (r - r_before) / |r - r_before|^2, within `_RELAXATION_RANGE`. The
+    factor is unchanged if the residuals are equal.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).
 
     Args:
         relaxation: Factor w on the last step.
-        before: Change of the penetration depths in the previous iteration, shape (n,) [m].
-        residual: Change of the penetration depths in this iteration, shape (n,) [m].
+        before: Residual of the previous iteration, shape (n,) [m].
+        residual: Residual of this iteration, shape (n,) [m].
     """
     difference = residual - before
     squared = float(difference @ difference)
@@ -183,9 +183,9 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
     The result is the stand of `solve_stand_on_soft_ground`. In two cases, the result is the stand
     on rigid ground, with ``depths`` of 0: the stance on soft ground is out of reach, or the
-    penetration depths of a robot with soft closed loops do not converge. A posture of a robot with
-    a fixed base (`held_stand`) has no ground: its joint couplings are deflected as under the static
-    load in MuJoCo.
+    penetration depths of a robot with closed loops or joint couplings do not converge. A posture of
+    a robot with a fixed base (`held_stand`) has no ground: its closed loops and joint couplings are
+    deflected as under the static load in MuJoCo.
 
     Args:
         robot: Robot with a floating base and a ground; for a posture, a robot with a fixed base.
@@ -201,7 +201,8 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
             contain the requirements to relax (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths of a robot without loops do not converge.
+        NotSettlingError: If the penetration depths of a robot without closed loops and joint
+            couplings do not converge.
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
     if not stand.check(robot).floating:  # a posture
@@ -217,11 +218,11 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Deflect the joint couplings of a posture, as MuJoCo's soft constraints do under static load.
+    """Deflect loops and couplings of a posture, as MuJoCo's soft constraints do under static load.
 
     ``qpos`` and the result are joint positions, shape (nu,) [rad, m].
 
-    Unchanged without dependent joints, or if the deflected couplings cannot be closed.
+    Unchanged without dependent joints, or if the deflected joint positions are not found.
     """
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
@@ -262,7 +263,8 @@ def solve_loaded_stand(
         StanceUnreachableError: If the stance is unreachable with that load. The error does not
             contain the requirements to relax (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths of a robot without loops do not converge.
+        NotSettlingError: If the penetration depths of a robot without closed loops and joint
+            couplings do not converge.
     """
     loaded = with_payload(robot, mass, point)
     task = stance.task if isinstance(stance, Stand) else stance

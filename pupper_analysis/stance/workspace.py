@@ -62,7 +62,7 @@ rotations."""
 
 @dataclass(frozen=True)
 class Interval(Result):
-    """Reachable interval of one base coordinate, with the other requirements of a task unchanged.
+    """Reachable interval of one base coordinate, with the feet planted.
 
     Attributes:
         low: Lower end (m, or rad).

@@ -172,9 +172,8 @@ def compute_smallest_stiffness(
 
 
 _MIN_SHARE_STEP = 1 / 64
-"""Smallest step in which `HomotopyPath.follow` removes feed-forward, as a fraction of all
-feed-forward. If no equilibrium is found with this step, the path of equilibria ends. Chosen, not
-tuned."""
+"""Fraction of all feed-forward at which `HomotopyPath.follow` stops to shorten its step: if no
+equilibrium is found with a step of this size, the path of equilibria ends. Chosen, not tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
 """Largest step of `HomotopyPath.follow` whose new equilibrium is accepted without a stability
@@ -201,10 +200,9 @@ CREEP_STEPS = 20
 each. Measured: with 20, a robot that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
-"""Lower bound of the backward Euler step that integrates the creep (slow slip) of feet, as a
-fraction of the duration of `HomotopyPath.creep_step`. If a shorter step would be necessary, the
-creep ends with an error. For a duration of 0.6 s (12 s in 20 steps) the bound is 0.15 ms. Chosen,
-not tuned."""
+"""Fraction of the duration of `HomotopyPath.creep_step` below which a backward Euler step is not
+shortened: the creep (slow slip) of feet ends with an error instead. For a duration of 0.6 s (12 s
+in 20 steps) this is 0.15 ms. Chosen, not tuned."""
 
 
 class HomotopyPath:
@@ -483,8 +481,8 @@ class SteadyState(Result):
             the predicted height for about D / |height_drift| seconds.
         residual: Largest absolute element of the residual of the equations (N, N m and m mixed).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
-            relative to the mass matrix (rad^2/s^2). It is the square of the lowest natural
-            frequency without damping.
+            relative to the mass matrix (rad^2/s^2). If it is positive, its square root is the
+            lowest natural frequency without damping.
         stable: Whether ``stiffness`` is positive.
         release_margin: Smallest friction reserve of a foot, as a fraction of the weight, in the
             overshoot after the feed-forward is removed in one step. To first order, the overshoot
@@ -542,7 +540,7 @@ def steady_state(
     ignored.
 
     Newton's method starts at the stand with full feed-forward, and follows the equilibrium while
-    feed-forward is removed. A swing foot that reaches the ground is pinned there and carries load.
+    feed-forward is removed. A swing foot that reaches the ground then carries load.
     A foot that would have to pull is released. Then backward Euler steps follow the creep. The
     result has a failure if further creep (`simulate_creep`) would end the equilibrium within
     ``HOLD_DURATION`` (12 s). This occurs at stiffnesses just above the smallest one.
