@@ -382,7 +382,7 @@ def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
 
 
 def print_warnings(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors of the notes on a robot that was loaded from files.
+    """Print the warnings and errors of the notes on a robot.
 
     Args:
         robot: Robot.

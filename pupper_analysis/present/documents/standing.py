@@ -118,7 +118,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 
     Args:
         runs: Simulations; each is a line.
-        task: Requested height of the base above the ground [m].
+        task: Requested height of the base [m].
     """
     series = [
         doc.Series(
