@@ -295,8 +295,8 @@ class ClearanceShapes:
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Smallest height [m] of `measure_part_heights`, with the link and its nearest surface;
-            None if `measure_part_heights` is empty.
+            Smallest height [m] of `measure_part_heights`, with the link and its nearest surface
+            (empty on a single plane); None if `measure_part_heights` is empty.
         """
         heights = self.measure_part_heights(at, ground, foot_targets, depths)
         if not heights:
