@@ -354,7 +354,7 @@ def _sample_surface(
 def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Return the single contact point of a foot without a sole, at its lowest point, in a tuple.
+    """Return a tuple with the only contact point of a foot, at the lowest point of the foot.
 
     If a mesh is not round at the lower end, the contact point is a ball with radius `BALL_RADIUS`
     at the centre of the lowest points. The tuple is empty without geoms.

@@ -106,7 +106,7 @@ def judge_simulation(
 
     Args:
         robot: Robot.
-        stand: Stand on rigid ground.
+        stand: Stand or posture.
         fed: Simulation with feed-forward torques; for a payload or a path an ``Outcome``.
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.

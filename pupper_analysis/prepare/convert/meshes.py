@@ -167,7 +167,7 @@ class MeshFiles:
 
         Returns:
             File name: a key of ``assets`` for a converted or copied mesh, otherwise a path. None if
-                the mesh is left out.
+            the mesh is left out.
         """
         if self.register_mesh(mesh, touches=True) is None:
             return None
