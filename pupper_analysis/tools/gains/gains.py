@@ -340,9 +340,9 @@ def study_gains(
     num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
     gains, stable_pair, by_inertia = _select_reference(loop, present, groups)
     stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
-    failure, alone = _evaluate_present_sag(robot, held, settled)
+    failure, alone = _evaluate_present_sag(robot, settled, present[0])
     if by_inertia and robot.floating:
-        least_alone = gains.find_factor_without_sag(held.robot, settled)
+        least_alone = gains.find_factor_without_sag(robot, settled)
     else:
         least_alone = gains.find_smallest_factor(alone or 0.0)
     recommended = gains.recommend_factors(stable, least_alone)
@@ -472,7 +472,7 @@ def _find_common_bounds(
 
 
 def _evaluate_present_sag(
-    robot: Robot, held: StandStart, settled: Stand
+    robot: Robot, settled: Stand, kp: Array
 ) -> tuple[Diagnostic | None, float | None]:
     """Predict a free-base stand without feed-forward: failure at present kp, and smallest kp.
 
@@ -483,7 +483,7 @@ def _evaluate_present_sag(
     """
     if not robot.floating:
         return None, None
-    failure = find_sag_failure(held.robot, settled, kp=np.array(held.drive.kp))
+    failure = find_sag_failure(robot, settled, kp=kp)
     alone = None
     with contextlib.suppress(NoStiffnessError):
         alone = minimum_stiffness(robot, settled)

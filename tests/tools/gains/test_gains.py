@@ -68,6 +68,17 @@ def test_least_stiffness_without_feedforward_is_that_of_the_steady_state() -> No
 
 
 @pytest.mark.slow
+def test_stand_on_a_step_is_predicted_to_stand_without_feedforward_as_in_simulation() -> None:
+    """Reference: a simulation with position commands alone, 12 s."""
+    robot, task = load("v3"), pa.StandTask(ground=pa.Ground(heights={"FL": 0.02}))
+    study = study_gains(robot, task)
+    assert study.sag_failure is None
+    assert pa.verify_stand(robot, study.stand, feedforward=False).passed
+    assert study.least_kp_alone is not None
+    assert study.least_kp_alone < 5.0
+
+
+@pytest.mark.slow
 def test_bounds_of_torque_and_encoder_equal_closed_forms() -> None:
     """Reference: limit / error, and 10 % of the limit per count of 2 pi / 2^14 in 2 ms."""
     study = gains_of("v3")
