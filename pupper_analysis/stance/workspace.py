@@ -109,13 +109,21 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
-        ConfigurationError: If the robot cannot stand, or the task is invalid.
+        ConfigurationError: If the robot cannot stand, the task is invalid, or the task welds the
+            base.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
             cannot be built.
     """
     start = solve_stand(robot, task)
+    _check_base_moves(start.check(robot))
     return find_interval(start.check(robot), start, "height")
+
+
+def _check_base_moves(robot: Robot) -> None:
+    """Raise a ConfigurationError if a task welds the base of the robot to the world."""
+    if robot.is_base_fixed:
+        raise ConfigurationError("contacts", diagnose("base-is-welded", robot=robot.name))
 
 
 @check_arguments
@@ -139,13 +147,15 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
-        ConfigurationError: If the robot cannot stand, or the task is invalid.
+        ConfigurationError: If the robot cannot stand, the task is invalid, or the task welds the
+            base.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
             cannot be built.
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)
+    _check_base_moves(robot)
     intervals, limits = {}, {}
     for count, direction in enumerate(DIRECTIONS):
         report_progress("directions", count, len(DIRECTIONS))

@@ -155,3 +155,10 @@ def test_search_for_a_limit_ends_at_the_sufficient_distance() -> None:
                 assert limit == pytest.approx(end, abs=1e-9)
             else:
                 assert side * (limit - begin) >= enough
+
+
+def test_base_welded_to_the_world_has_no_range() -> None:
+    task = pa.StandTask(contacts={"base": pa.Weld()})
+    for search in (base_workspace, reachable_heights):
+        with pytest.raises(pa.ConfigurationError, match="welded to the world"):
+            search(load("v3"), task)
