@@ -70,7 +70,7 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     assert values["files-missing"].values["files"] == ("shell.stl",)
     findings = audit_model(tmp_path / "robot.xml").findings
     (finding,) = (one for one in findings if one.rule == "mesh-missing")
-    assert "is a pointer of Git LFS, not the mesh: git lfs pull brings it" in finding.message
+    assert "is a pointer of Git LFS, not a mesh: git lfs pull downloads the mesh" in finding.message
 
 
 # ------------------------------------------------------------------------------------- unstated

@@ -616,8 +616,9 @@ def test_collada_meshes_that_lie_across_are_one_finding(axis: int, tmp_path: Pat
     findings = audit_model(path).findings
     assert [finding.rule for finding in findings] == (["mesh-lies-across"] if axis == 1 else [])
     if axis == 1:
-        text = "the shapes end 180 mm before the next joint; turned until z is up, 0 mm (3 links"
-        assert text in findings[0].message
+        message = findings[0].message
+        assert message.startswith("shapes end 180 mm before the next joint with the COLLADA mesh")
+        assert message.endswith("; 0 mm with the mesh rotated to z up (3 links by more than 30 mm)")
 
 
 def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None:
@@ -629,9 +630,9 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
     path.write_bytes(etree.tostring(tree))
     of_folder, of_package = find_findings(audit_model(path), "mesh-missing")
     assert (of_folder.severity, of_package.severity) == (Severity.ERROR, Severity.WARNING)
-    assert of_folder.message == "there is no file 'hips/a.stl', 'hips/b.stl'"
+    assert of_folder.message == "files 'hips/a.stl', 'hips/b.stl' are missing"
     assert of_package.message == (
-        "there is no file 'package://dog/a.stl', 'package://dog/b.dae'; "
+        "files 'package://dog/a.stl', 'package://dog/b.dae' are missing; "
         "--package dog=DIR specifies the folder of the package"
     )
     assert of_package.line == line_of(path.read_text(), "<robot", names[0])
@@ -1099,7 +1100,7 @@ def test_links_without_inertial_are_one_finding(tmp_path: Path) -> None:
     (bare,) = (
         finding for finding in audit_model(file).findings if finding.rule == "link-without-inertial"
     )
-    assert "8.17 kg in place of 3.17 kg" in bare.message
+    assert "8.17 kg in PyBullet, instead of 3.17 kg" in bare.message
     assert len(bare.diagnostic.values["others"]) == 4  # type: ignore[arg-type]
     assert bare.element == "link 'body_imu_site'"
     rules = {finding.rule for finding in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
@@ -1249,7 +1250,7 @@ def test_invalid_severities_rules_and_files_are_refused(tmp_path: Path) -> None:
     assert Severity("info") is Severity.NOTE
     with pytest.raises(ValueError, match="frightful"):
         Severity("frightful")
-    unknown = "no rule 'typo'; there are: mass-not-positive"
+    unknown = "no rule 'typo'; available: mass-not-positive"
     with pytest.raises(pa.ConfigurationError, match=unknown):
         audit_model(OWN["urdf"], disabled=["typo"])
     with pytest.raises(pa.ModelError):
@@ -1301,7 +1302,8 @@ def test_weight_beyond_the_motors_names_the_link_that_is_nearly_all_of_it(tmp_pa
     path.write_text(text[:start] + text[start:].replace('value="0.05"', 'value="900"', 1))
     (found,) = (f for f in audit_model(path).findings if f.rule == "mass-beyond-motors")
     assert found.element == "link 'RL_calf'"
-    assert found.message.startswith("the robot weighs")
+    assert found.message.startswith("mass of the robot is ")
+    assert "more than 90 % in this link" in found.message
 
 
 def test_servos_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
@@ -1380,8 +1382,8 @@ def test_parallel_axes_beside_mirrored_axes_are_not_reported_as_opposite(tmp_pat
     )
     (finding,) = find_findings(audit_model(path), "mirror-axis")
     assert "ankle_roll" in finding.element
-    assert "its axis points against" not in finding.message
-    assert "another sense" in finding.message
+    assert "is opposite to" not in finding.message
+    assert "axis sense" in finding.message
 
 
 def test_excluded_contact_with_the_ground_is_named(tmp_path: Path) -> None:
@@ -1425,8 +1427,8 @@ def write_chain(folder: Path, origins: dict[int, str], shape: str) -> Path:
     ("origins", "message"),
     [
         ({}, None),
-        ({3: "0.1 0 0.05"}, "its axis passes 30 mm beside the shapes of link 'l2'"),
-        ({3: "0.1 0.1 0"}, "the shapes of its links 'l2' and 'l3' are 60 mm apart at zero angles"),
+        ({3: "0.1 0 0.05"}, "axis passes the shapes of link 'l2' at a distance of 30 mm"),
+        ({3: "0.1 0.1 0"}, "shapes of the links 'l2' and 'l3' are 60 mm apart at zero angles"),
         ({3: "0.1 0 0.05", 4: "0.1 0 0.05"}, None),  # of several, each may be simplified
     ],
 )
@@ -1458,7 +1460,7 @@ def test_hinge_beside_its_links_is_found_in_an_mjcf_on_the_world(tmp_path: Path)
     path.write_text(f"<mujoco>{asset}<worldbody>{bodies}</worldbody></mujoco>")
     (found,) = find_findings(audit_model(path), "joint-off-links")
     assert found.element == "joint 'j3'"
-    assert found.message == "its axis passes 30 mm beside the shapes of link 'l2'"
+    assert found.message == "axis passes the shapes of link 'l2' at a distance of 30 mm"
 
 
 @pytest.mark.parametrize(
@@ -1608,7 +1610,7 @@ def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
         found = find_findings(audit_model(path), "axis-sign-odd")
         messages.append([(f.element, str(f.severity), f.message) for f in found])
     said = (
-        "its axis is (0, -1, 0) in its frame, opposite to those of the 4 other joints of the chain"
+        "axis (0, -1, 0) in the joint frame is opposite to the axes of the 4 other joints of the chain"
     )
     assert messages == [[], [("joint 'j4'", "note", said)], [], [], []]
 

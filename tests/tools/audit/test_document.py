@@ -56,7 +56,7 @@ def test_audit_prints_rule_place_reason_and_remedy(broken: Path) -> None:
     assert result.returncode == 1
     line = broken.read_text().splitlines().index('      <mass value="-1.506"/>') + 1
     assert result.stdout.startswith("ERRORS broken.urdf: 1 error, ")
-    assert "error mass-not-positive link 'base_link': its mass" in result.stdout
+    assert "error mass-not-positive link 'base_link': mass is -1.506 kg" in result.stdout
     assert f"{broken}:{line}\n" in result.stdout
     assert RULES["mass-not-positive"].todo in result.stdout
     assert "mirror-limits" in result.stdout

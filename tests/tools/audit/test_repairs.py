@@ -184,7 +184,7 @@ def test_patch_of_a_machine_format_is_on_standard_error(tmp_path: Path) -> None:
     shown = CliRunner().invoke(group, typed)
     assert json.loads(shown.stdout)["runs"]
     assert "+++ b/arm.urdf\n@@ " in shown.stderr
-    assert shown.stderr.endswith("1 repair written; left: 0 errors, 2 warnings, 0 notes\n")
+    assert shown.stderr.endswith("1 repair written; remaining: 0 errors, 2 warnings, 0 notes\n")
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
@@ -220,7 +220,7 @@ def test_repair_of_a_value_from_a_xacro_macro_is_named_and_not_written(tmp_path:
     assert added
     assert all(line.count('lower="-1.5708"') == line.count('lower="-90"') == 1 for line in added)
     fixed = CliRunner().invoke(group, ["audit", str(path), "--xacro", "--fix", "--yes"])
-    assert " written; left: " in fixed.stderr
+    assert " written; remaining: " in fixed.stderr
 
 
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
