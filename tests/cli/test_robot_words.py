@@ -20,7 +20,7 @@ COMMANDS = sorted(cli.group.list_commands(click.Context(cli.group)))
 
 _OTHER_INPUT = {
     "check": "check takes a folder",
-    "study": "a TOML file describes a study",
+    "study": "study requires a TOML file",
     "walk": "exactly one policy is needed",
 }
 """{command: text of the error about a robot that is not installed}: commands without a robot on the

@@ -377,4 +377,4 @@ def test_workers_and_dask_exclude_each_other(
     path = tmp_path / "s.toml"
     path.write_text('robot = "v3"\nmeasure = ["stands"]\n[vary]\nkp = { values = [5.0] }\n')
     words = ("study", str(path), "-o", str(tmp_path / "o"), "--dask", "local:2", "--workers", "2")
-    check_refusal(capfd, tmp_path, words, "leave out --workers")
+    check_refusal(capfd, tmp_path, words, "omit --workers with --dask")

@@ -124,7 +124,7 @@ def test_page_has_the_numbers_of_the_table_in_their_columns() -> None:
         else:
             assert row["servo_sag (mm)"] == "-"
             assert row["failure"] == design["failure"]
-    failed = {row["failure"]: row for row in tables["What failed, by kind"]}
+    failed = {row["failure"]: row for row in tables["Failed designs by kind of failure"]}
     assert failed["unreachable"]["designs (–)"] == "6"
     assert failed["unreachable"]["share (–)"].startswith("33.3%")
     assert "18 designs, 6 failed" in outcome_page().shown()
@@ -285,7 +285,7 @@ def test_page_of_a_study_is_in_both_languages() -> None:
 @pytest.mark.slow
 def test_outcome_of_unknown_objectives_or_without_designs_is_refused(tmp_path: Path) -> None:
     study, folder = pa.Study("v3", {"kp": [5.0, 10.0]}, ["sag"]), tmp_path / "study"
-    with pytest.raises(pa.StudyError, match="no study's folder"):
+    with pytest.raises(pa.StudyError, match="not the folder of a study"):
         pa.study.study_outcome(study, tmp_path)
     with ThreadPoolExecutor(1) as thread:
         study.run(folder, executor=thread)
@@ -305,4 +305,4 @@ def test_outcome_of_one_file_states_the_converted_file(tmp_path: Path) -> None:
         study.run(tmp_path, executor=thread)
     one = pa.study.study_outcome(study, tmp_path)
     assert (one.robot, one.converted) == ("pupper_v3.xml", "urdf")
-    assert "from one file" in write_markdown(build_report([("", one)]))
+    assert "from a single file" in write_markdown(build_report([("", one)]))

@@ -169,7 +169,7 @@ def test_length_factor_that_is_not_positive_and_finite_is_refused(factor: float)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "message"), [
-    ("{base}", "is the base"),
+    ("{base}", "has no length, since no joint moves the base"),
     ("nothing*", "nothing"),
 ])  # fmt: skip
 def test_length_of_a_link_without_length_is_refused(own: Robot, pattern: str, message: str) -> None:

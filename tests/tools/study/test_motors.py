@@ -132,7 +132,9 @@ def test_motors_that_no_robot_can_have_are_refused() -> None:
     robot = load("v3")
     light = Motor("light", "bench", mass=1e-3, peak_torque=1.0)
     heavy = Motor("heavy", "bench", mass=3.0, peak_torque=1.0)
-    with pytest.raises(ConfigurationError, match="is present_motor the motor of the files"):
+    with pytest.raises(
+        ConfigurationError, match="check that present_motor is the motor in the files"
+    ):
         with_motors(robot, {"leg_front_r_2": light}, heavy)
     with pytest.raises(ModelError, match="peak_torque"):
         with_motors(robot, {"leg_front_r_1": Motor("bare", "bench", mass=0.1)}, PRESENT)
@@ -144,13 +146,13 @@ STUDY: dict[str, Any] = {"robot": "v3", "measure": ["motor_mass"], "present_moto
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [
-        ({"vary": {"motor": [1.0]}}, ConfigurationError, "no list of names or files"),
+        ({"vary": {"motor": [1.0]}}, ConfigurationError, "not a list of names or files"),
         ({"vary": {"motor": ["dephy-actpak"]}}, UnknownNameError, "dephy-actpack"),
         ({"vary": {"motor:*_9": ["dephy-actpack"]}}, UnknownNameError, "leg_front_r_1"),
         (
             {"vary": {"motor:*_3": ["t-motor-ak80-6"], "motor:leg_back*": ["lk-tech-mg4005-10"]}},
             ConfigurationError,
-            r"motor:leg_back\*'\]: leg_back_r_3 has a motor by 'motor:\*_3' already",
+            r"motor:leg_back\*'\]: 'motor:\*_3' already selects a motor for leg_back_r_3",
         ),
         ({"require": {"motor_mass": "< 1e999"}}, ConfigurationError, "< 1e999' is not true"),
         ({"require": {"motor_mass": float("nan")}}, ConfigurationError, "nan is not true"),
@@ -378,7 +380,7 @@ def test_study_whose_designs_all_fail_states_the_reason_instead_of_a_front(tmp_p
     outcome = study_outcome(study, tmp_path / "results")
     assert outcome.objectives == {"motor_mass": "min"}
     assert outcome.front.empty
-    assert "is present_motor the motor of the files" in str(outcome.table["reason"][0])
+    assert "check that present_motor is the motor in the files" in str(outcome.table["reason"][0])
     assert "NONE" in study_document(outcome).verdict.en  # type: ignore[union-attr]
 
 

@@ -440,7 +440,7 @@ def test_second_run_in_one_folder_is_refused(tmp_path: Path, threads: Executor) 
 
     study({"kp": [5.0, 6.0]}).execute(tmp_path, executor=threads, progress=again)
     assert len(refusals) == 2
-    assert all("another run is writing to it" in text for text in refusals)
+    assert all("another run writes to this folder" in text for text in refusals)
     killed = start("-c", f"{LOCKED}: os.kill(os.getpid(), signal.SIGKILL)", tmp_path)
     killed.communicate()
     assert killed.returncode == -signal.SIGKILL
@@ -469,16 +469,16 @@ def test_a_full_disk_leaves_whole_shards(
 
 
 def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads: Executor) -> None:
-    with pytest.raises(pa.StudyError, match="no study's folder"):
+    with pytest.raises(pa.StudyError, match="not the folder of a study"):
         pa.read_study(tmp_path)
     study({"kp": [5.0]}).execute(tmp_path, executor=threads)
     (shard,) = (tmp_path / "shards").glob("*.parquet")
     shard.write_bytes(shard.read_bytes()[:-5])
-    with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*delete it"):
+    with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*delete the file"):
         pa.read_study(tmp_path)
     for values in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
-        with pytest.raises(pa.StudyError, match="does not contain the request"):
+        with pytest.raises(pa.StudyError, match="does not contain a valid request"):
             pa.read_study(tmp_path)
     request = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
     for seed in ({}, {"seed": "x"}, {"seed": None}):
@@ -625,8 +625,8 @@ def test_repeated_designs_are_measured_once(tmp_path: Path, threads: Executor) -
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (LEGS.replace("kp", "kq"), "no such number"),
-        (LEGS.replace("servo_sag", "sagging"), "there is no metric 'sagging'"),
+        (LEGS.replace("kp", "kq"), "unknown parameter"),
+        (LEGS.replace("servo_sag", "sagging"), "no metric 'sagging'"),
         ("robot =", "not a TOML file"),
     ],
 )

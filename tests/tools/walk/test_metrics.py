@@ -47,7 +47,7 @@ def test_walk_torque_of_a_fall_is_unknown(tmp_path: Path) -> None:
     [
         ("walk_margin", "after a colon"),
         ("walk_margin:none.json", "none.json"),
-        ("servo_sag:still.json", "is of no file"),
+        ("servo_sag:still.json", "accepts no file"),
         ("walk_margin:still.json@fast", "number"),
         ("walk_margin:still.json@0,0", "nor 3 of them"),
     ],
