@@ -373,9 +373,9 @@ def test_invalid_arguments_and_existing_files_are_refused(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("-o", "-"), "cannot write -: quad.urdf becomes an MJCF: end its name in .xml"),
-        (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
-        (("-o", "a.xml", "--armature", "x*=1"), "no joint is like 'x*'; there are: FL_roll"),
+        (("-o", "-"), "cannot write -: quad.urdf becomes an MJCF: use a name that ends in .xml"),
+        (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: use a name that ends in .xml"),
+        (("-o", "a.xml", "--armature", "x*=1"), "no joint matches 'x*'; available: FL_roll"),
         (("-o", "a.xml", "--armature", "-1"), "is negative, or no number"),
         (("-o", "a.xml", "--armature", "*=much"), "armature: 'much' is not a number"),
         (("-o", "a.xml", "--foot", "nose"), "nose"),
@@ -669,7 +669,7 @@ def test_failed_conversion_writes_the_file_and_returns_exit_status_1(tmp_path: P
 def test_mjcf_is_not_converted_to_a_file_named_xml(tmp_path: Path) -> None:
     source = tmp_path / "robot.xml"
     source.write_text(mjcf_text(arm()))
-    with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
+    with pytest.raises(pa.OutputError, match=r"becomes a URDF: use a name that ends in \.urdf"):
         pa.convert_model(source, tmp_path / "new.xml")
     assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
 
@@ -745,7 +745,7 @@ def test_pipe_is_refused_as_output_also_with_force(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
-        with pytest.raises(pa.OutputError, match="no regular file"):
+        with pytest.raises(pa.OutputError, match="not a regular file"):
             pa.convert_model(source, pipe, force=True)
         assert os.read(reader, 1) == b""
     finally:

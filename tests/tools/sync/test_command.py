@@ -35,7 +35,7 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     assert "1. link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in result.stdout
     assert "   robot.urdf:5   robot.xml:7" in result.stdout
     assert "2. joint hip1: effort 21 N m in the URDF, 25 N m in the MJCF" in result.stdout
-    assert "Nothing was changed. --take urdf writes the URDF's values" in result.stdout
+    assert "No file was changed. --take urdf writes the values of the URDF" in result.stdout
     assert '--take urdf:"link base: mass"' in result.stdout
     assert (folder / "robot.xml").read_bytes() == before
 
@@ -76,7 +76,7 @@ def test_all_values_of_one_file_are_written_and_reported(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--take", "urdf:tail"], "no difference is called 'tail'"),
+        (["--take", "urdf:tail"], "no difference 'tail'"),
         (["--map", "a"], "'a' is not of the form URDF=MJCF"),
         (["--tolerance", "mass=0"], "mass=0.0 is not positive"),
         (["--package", "a=/nowhere"], "/nowhere is not a folder"),
@@ -99,7 +99,9 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
     assert result.returncode == 1
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
-    assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
+    assert (
+        "\nNot written\njoint hip1: effort: no file was chosen for this difference" in result.stdout
+    )
     message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1"
     left = "  differences left: 1; nothing was written, because of --dry-run"
     assert result.stdout.splitlines()[:2] == [message, left]

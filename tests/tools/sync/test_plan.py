@@ -101,9 +101,9 @@ def test_choices_are_a_side_a_kind_or_a_number(
 @pytest.mark.parametrize(
     ("take", "said"),
     [
-        ("both", "'both' is not of the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"),
-        ("urdf:", "'urdf:' is not of the form"),
-        ("urdf:tail", "no difference is called 'tail'; there are: link base: mass; joint hip1"),
+        ("both", "'both' does not have the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"),
+        ("urdf:", "'urdf:' does not have the form"),
+        ("urdf:tail", "no difference 'tail'; the differences are: link base: mass; joint hip1"),
         ("urdf:4", "'4': the differences are numbered from 1 to 3"),
         ("urdf:0", "'0': the differences are numbered from 1 to 3"),
         ("urdf:2-1", "'2-1': the differences are numbered from 1 to 3"),
@@ -352,7 +352,7 @@ def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
     sprung = sprung.replace('<joint name="hip1"', '<joint name="hip1" springref="0.1"')
     files = write(tmp_path, urdf_text(ROBOT), sprung)
     for side, said in (
-        ("mjcf", "a URDF cannot express it"),
+        ("mjcf", "not expressible in a URDF"),
         ("urdf", "the MJCF alone has it: take it out of that by hand"),
     ):
         result = sync(files, side, dry_run=True)
@@ -367,7 +367,7 @@ def test_joint_of_one_file_alone_is_not_changed(tmp_path: Path) -> None:
     fixed = change_part(ROBOT, "shank2", kind="fixed")
     files = pair(tmp_path, urdf=fixed)
     result = sync(files, "urdf")
-    assert ("joint knee2", "the MJCF alone has it, not the URDF") in [
+    assert ("joint knee2", "only the MJCF contains this element, not the URDF") in [
         (left.difference, str(left.reason)) for left in result.not_mended
     ]
     assert not result.agree
@@ -584,7 +584,7 @@ def test_a_sum_of_inertias_that_no_body_can_have_is_not_written(tmp_path: Path) 
         f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
     }
     (reason,) = {str(left.reason) for left in result.not_mended}
-    assert "none of them can be changed so that the sum is right" in reason
+    assert "no change of a single link gives the correct sum" in reason
     assert not result.agree
     assert result.edits == ()
     assert files.urdf.read_bytes() == before
@@ -666,7 +666,7 @@ def test_without_a_choice_no_file_is_changed(tmp_path: Path) -> None:
     assert result.taken == {}
     assert result.edits == ()
     assert [(left.difference, str(left.reason)) for left in result.not_mended] == [
-        ("link base: mass", "nothing was chosen for it")
+        ("link base: mass", "no file was chosen for this difference")
     ]
     assert not result.agree
     assert [file.read_bytes() for file in files] == before

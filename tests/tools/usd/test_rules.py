@@ -46,7 +46,7 @@ def test_an_unstated_com_is_not_at_the_origin(tmp_path: Path) -> None:
         finding for finding in audit_model(path).findings if finding.rule == "inertia-unstated"
     )
     assert (found.prim, str(found.severity)) == (BASE, "warning")
-    assert "does not state com" in str(found.diagnostic)
+    assert "missing: com" in str(found.diagnostic)
 
 
 def test_every_rule_of_usd_has_a_test() -> None:
