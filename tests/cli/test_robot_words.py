@@ -19,7 +19,7 @@ COMMANDS = sorted(cli.group.list_commands(click.Context(cli.group)))
 """All installed commands."""
 
 _OTHER_INPUT = {
-    "check": "check takes a folder",
+    "check": "check requires a folder",
     "study": "study requires a TOML file",
     "walk": "exactly one policy is needed",
 }

@@ -205,7 +205,7 @@ def test_go1_differs_in_damping_knee_efforts_and_feet() -> None:
     assert float(feet.urdf) - float(feet.mjcf) == pytest.approx(3e-3, abs=1e-6)
     assert len(comparison.differences) == 3 + 12 + 4 + 4
     notes = " ".join(map(str, comparison.check.notes))
-    assert "left out: URDF in MuJoCo" in notes
+    assert "not compared: URDF in MuJoCo" in notes
     assert "inertia must have positive eigenvalues" in notes
 
 

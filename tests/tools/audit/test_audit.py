@@ -1609,7 +1609,10 @@ def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
         path.write_text(changed)
         found = find_findings(audit_model(path), "axis-sign-odd")
         messages.append([(f.element, str(f.severity), f.message) for f in found])
-    said = "axis (0, -1, 0) in the joint frame is opposite to the axes of the 4 other joints of the chain"
+    said = (
+        "axis (0, -1, 0) in the joint frame is opposite to "
+        "the axes of the 4 other joints of the chain"
+    )
     assert messages == [[], [("joint 'j4'", "note", said)], [], [], []]
 
 

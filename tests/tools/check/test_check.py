@@ -209,11 +209,11 @@ def test_resolved_remark_is_stale_until_the_baseline_is_updated(folder: Path) ->
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.2"')
     result = run(folder)
     assert result.returncode == 0
-    message = "stale\ncrosscheck of hopper: mass of knee: it does not occur any more"
-    assert f"{message}; --update-baseline takes it out" in result.stdout
+    message = "stale\ncrosscheck of hopper: mass of knee: no longer occurs"
+    assert f"{message}; --update-baseline removes this entry" in result.stdout
     assert "::notice file=" in run(folder, "--format", "github").stdout
     result = run(folder, "--update-baseline")
-    assert f"{message}; it was taken out" in result.stdout
+    assert f"{message}; removed from the baseline" in result.stdout
     assert read_baseline(folder / BASELINE).entries == ()
     assert "stale" not in run(folder).stdout
 
@@ -382,7 +382,7 @@ def test_patterns_select_models_and_pair_them_by_name(folder: Path) -> None:
 
 def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> None:
     config = folder / "pupper-analysis.toml"
-    assert "is there already" in run(folder, "--init").stderr
+    assert "already exists" in run(folder, "--init").stderr
     config.unlink()
     (folder / BASELINE).unlink()
     (folder / "scene.xml").write_text('<mujoco><include file="hopper.xml"/><worldbody/></mujoco>')

@@ -51,9 +51,9 @@ def test_missing_keys_have_defaults(folder: Path) -> None:
 
 
 def test_configuration_that_is_empty_or_unreadable_is_refused(folder: Path) -> None:
-    with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
+    with pytest.raises(ModelError, match=r"no \[\[pair\]\]; add"):
         read_config(write_config(folder, "# nothing\n"))
-    with pytest.raises(ModelError, match="there is no such file"):
+    with pytest.raises(ModelError, match="no such file"):
         read_config(folder / "none.toml")
     (folder / "latin.toml").write_bytes(b'name = "\xe4"\n')
     with pytest.raises(ModelError, match=r"latin.toml:1: byte 0xe4 is not UTF-8"):
@@ -116,18 +116,18 @@ REFUSED = {
         8,
         "no key 'strct'",
     ),
-    "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", 5, "no rule of the audit 'mass'"),
+    "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", 5, "no audit rule 'mass'"),
     "no reason": (
         LEAST + "[pair.disable]\ngravity-unusual = ' '\n",
         5,
         "give the reason, in quotes",
     ),
     "a reason that is none": (LEAST + "[disable]\ngravity-unusual = true\n", 5, "give the reason"),
-    "a missing file": (LEAST.replace("a.urdf", "c.urdf"), 3, "there is no such file"),
+    "a missing file": (LEAST.replace("a.urdf", "c.urdf"), 3, "no such file"),
     "a missing MJCF": (LEAST + 'mjcf = "no.xml"\n', 4, "mjcf = 'no.xml'"),
-    "no name": ('\n[[pair]]\nurdf = "a.urdf"\n', 2, "needs a name"),
-    "no model": ('[[pair]]\nname = "a"\n', 1, "needs a urdf, an mjcf, or both"),
-    "a name twice": (LEAST + LEAST, 5, "'a' is there twice"),
+    "no name": ('\n[[pair]]\nurdf = "a.urdf"\n', 2, "requires a name"),
+    "no model": ('[[pair]]\nname = "a"\n', 1, "requires a urdf, an mjcf, or both"),
+    "a name twice": (LEAST + LEAST, 5, "duplicate pair 'a'"),
     "no severity": ('fail-on = "bad"\n' + LEAST, 1, "one of error, warning, note"),
     "no number": (LEAST + "tolerances.mass = 'x'\n", 4, "a positive number"),
     "a negative one": (LEAST + "tolerances.mass = -1\n", 4, "a positive number"),
@@ -161,7 +161,7 @@ def test_invalid_configuration_is_refused_with_its_line(
 
 
 def test_configuration_without_pairs_is_refused(folder: Path) -> None:
-    with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
+    with pytest.raises(ModelError, match=r"no \[\[pair\]\]; add"):
         read_config(write_config(folder, "# nothing\n"))
 
 

@@ -65,7 +65,7 @@ def test_euler_angles_with_their_stated_sequence_agree(tmp_path: Path) -> None:
 def test_euler_angles_of_another_sequence_are_one_cause(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
-    assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
+    assert 'with eulerseq="XYZ" instead of "xyz"' in line
 
 
 @pytest.mark.slow
@@ -79,13 +79,13 @@ def test_euler_sequence_of_shanks_turned_twice_by_90_degrees_is_one_cause(tmp_pa
     }
     text = with_euler(mjcf_text(parts), "XYZ", 'angle="radian"')
     line = get_headline(write(tmp_path, urdf_text(parts), text))
-    assert 'with eulerseq="XYZ" in place of "xyz"' in line
+    assert 'with eulerseq="XYZ" instead of "xyz"' in line
 
 
 def test_degrees_for_radians_in_the_compiler_are_one_cause(tmp_path: Path) -> None:
     text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
-    assert 'with angle="radian" in place of "degree" in its <compiler>' in line
+    assert 'with angle="radian" instead of "degree" in its <compiler>' in line
 
 
 def test_exchanged_limbs_are_one_cause(tmp_path: Path) -> None:
@@ -117,10 +117,22 @@ def scale_parts(
 @pytest.mark.parametrize(
     ("factors", "words"),
     [
-        ({"mass": 1e3}, "all masses of the MJCF are 1000 times those of the URDF: g for kg"),
-        ({"mass": 0.1}, "all masses of the MJCF are 0.1 times those of the URDF: a decimal point?"),
-        ({"length": 1e3}, "all lengths of the MJCF are 1000 times those of the URDF: mm for m"),
-        ({"inertia": 1e6}, "all inertias of the MJCF are 1000000 times those of the URDF: kg mm^2"),
+        (
+            {"mass": 1e3},
+            "all masses of the MJCF are 1000 times as large as in the URDF: g instead of kg",
+        ),
+        (
+            {"mass": 0.1},
+            "all masses of the MJCF are 0.1 times as large as in the URDF: a decimal point?",
+        ),
+        (
+            {"length": 1e3},
+            "all lengths of the MJCF are 1000 times as large as in the URDF: mm instead of m",
+        ),
+        (
+            {"inertia": 1e6},
+            "all inertias of the MJCF are 1000000 times as large as in the URDF: kg mm^2",
+        ),
     ],
 )
 def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:
@@ -149,7 +161,9 @@ def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
         for name, part in quadruped().items()
     }
     line = get_headline(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
-    assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
+    assert line.endswith(
+        "0.0174533 times as large as in the URDF: degrees instead of radians in the URDF?"
+    )
 
 
 def test_limit_of_a_slide_is_not_explained_by_degrees(tmp_path: Path) -> None:
@@ -262,7 +276,7 @@ def test_displaced_joint_axis_is_the_cause_of_moved_coms(tmp_path: Path) -> None
         list_differences(comparison)
     )
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
+    assert "joint hip1: the axis in the MJCF is displaced by 4 mm, but all" in line
 
 
 def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
@@ -276,7 +290,7 @@ def test_axis_rotated_about_another_point_has_no_offset(tmp_path: Path) -> None:
     turned = axis[0].replace(axis[1], numbers(new))
     text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
+    assert "joint hip1: the axis in the MJCF is displaced, rotated by 11.46 deg, but all" in line
 
 
 def test_moved_body_is_one_difference_with_its_axis(tmp_path: Path) -> None:
@@ -303,7 +317,7 @@ def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> N
     text = add_gears(mjcf_text(mjcf), (25, 16) * 4)
     comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
-    assert "the URDF's efforts of 8 joints are the motors', before their gears" in line
+    assert "the URDF's efforts of 8 joints are motor torques before the gears" in line
     assert "20 times 25 is 500 on hip0" in line
     assert [cause.kind for cause in comparison.causes] == ["gears"]
     assert {comparison.differences[n].kind for n in comparison.causes[0].differences} == {"effort"}
@@ -336,7 +350,7 @@ def test_dropped_products_of_inertia_are_one_cause(tmp_path: Path) -> None:
         for name, part in quadruped().items()
     }
     line = get_headline(pair(tmp_path, mjcf))
-    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
+    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF; 9 bodies have")
 
 
 def test_dropped_products_of_one_link_are_no_common_cause(

@@ -82,8 +82,8 @@ def test_missing_links_are_one_cause_and_the_first(lacks: str, folder: Path) -> 
         full, bare = urdf_text(remove_parts(add_rotors(), "_rotor")), mjcf_text(add_rotors())
     comparison = compare_files(write(folder, full, bare))
     message = get_cause_message(comparison, "links")
-    assert message.startswith(f"the {lacks} lacks mass that the ")
-    assert "0.712 kg in all, that of 8 *_rotor of 0.089 kg each" in message
+    assert message.startswith(f"the {lacks} lacks 0.712 kg that the ")
+    assert ", the mass of 8 *_rotor of 0.089 kg each" in message
     assert format_headline(comparison) == f"DISAGREE: {message}"
     (cause,) = comparison.causes
     assert len(cause.differences) == len(comparison.differences)
@@ -102,7 +102,7 @@ def test_files_agree_after_the_named_links_are_added(folder: Path) -> None:
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     bare = remove_parts(add_rotors(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
     comparison = compare_files(write(folder, urdf_text(add_rotors()), mjcf_text(bare)))
-    assert "that of 3 *_rotor of 0.089 kg each" in get_cause_message(comparison, "links")
+    assert "the mass of 3 *_rotor of 0.089 kg each" in get_cause_message(comparison, "links")
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_decimal_point_error_is_found_in_folded_links(inertia: bool, folder: Pat
     assert message.startswith("mass and inertia of" if inertia else "the mass of")
     for leg in range(4):
         assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
-    assert "0.1 times in the MJCF what the URDF has" in message
+    assert "0.1 times as large in the MJCF as in the URDF" in message
     assert format_headline(comparison) == f"DISAGREE: {message}"
 
 

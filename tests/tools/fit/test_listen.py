@@ -210,5 +210,5 @@ def test_listener_that_cannot_be_opened_is_refused(
 
 def test_silent_policy_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install(monkeypatch, Node([], 0.02))
-    with pytest.raises(MeasurementError, match="is the policy active"):
+    with pytest.raises(MeasurementError, match="check whether the policy is active"):
         record_policy(load("v3"), "ros2", 2.0, tmp_path / "trace.npz")

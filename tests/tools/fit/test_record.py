@@ -321,7 +321,9 @@ def test_plan_with_a_com_margin_below_two_percent_of_the_height_is_refused(
     monkeypatch.setattr(recorder, "_compute_com_margin", lambda *_: margin)
     planned = read_stands(plan)
     if refused:
-        with pytest.raises(MeasurementError, match="s0: by the robot's file the centre of mass"):
+        with pytest.raises(
+            MeasurementError, match="s0: no command was sent, because the robot might fall"
+        ):
             list(recorder._check_plan(robot, planned))
     else:
         assert list(recorder._check_plan(robot, planned)) == [margin] * 4
@@ -374,9 +376,9 @@ def test_stand_is_approached_from_both_sides_so_that_friction_cancels(
 @pytest.mark.parametrize(
     ("height", "turn", "reason"),
     [
-        (1.0, (1, 0, 0, 0), "no foot carries weight, three feet are needed"),
+        (1.0, (1, 0, 0, 0), "no foot carries load, but three feet are required"),
         (0.06, (0, 1, 0, 0), "base_link touches the ground"),
-        (None, (1, 0, 0, 0), "only FR and FL carry weight, three feet are needed"),
+        (None, (1, 0, 0, 0), "only FR and FL carry load, but three feet are required"),
     ],
 )
 def test_skipped_stand_names_the_part_that_touches_or_the_feet_that_carry(
@@ -404,7 +406,7 @@ def test_skipped_stand_names_the_part_that_touches_or_the_feet_that_carry(
     named = dict.fromkeys(robot.joint_names, 0.0)
     with pytest.raises(_StandSkippedError) as caught:
         session.take_stand(PlannedStand("s0", (), named, None), {}, (), 0)
-    assert str(caught.value.finding) == f"stand s0 was left out: {reason}"
+    assert str(caught.value.finding) == f"stand s0 was skipped: {reason}"
 
 
 class Faulty(SimulatedRobot):
@@ -573,8 +575,8 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
     assert found.recorded_stands == ("s0", "s2")
     assert [str(finding) for finding in found.findings] == [
-        "stand s1 was left out by the operator",
-        "stand s3 was left out by the operator",
+        "stand s1 was skipped by the operator",
+        "stand s3 was skipped by the operator",
     ]
     read = read_stands(tmp_path / "stands.csv").order_joints(robot)
     np.testing.assert_allclose(
@@ -629,7 +631,9 @@ def test_invalid_plan_is_refused_before_any_command(
     cells = first.split(",")
     cells[1] = "FR FL"  # on two feet
     other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
-    with pytest.raises(MeasurementError, match="s0: by the robot's file the centre of mass"):
+    with pytest.raises(
+        MeasurementError, match="s0: no command was sent, because the robot might fall"
+    ):
         record_stands(robot, other, tmp_path / "stands.csv", one, one)
     with pytest.raises(ConfigurationError, match="another file"):
         record_stands(robot, plan, plan, one, one)
@@ -650,7 +654,7 @@ def test_bridge_is_selected_by_its_name_and_options(robot: Robot) -> None:
     # 7 % of deviation, and as much in common, of what is said (not of the file's 5 N m/rad).
     assert isinstance(bridge, SimulatedRobot)
     assert np.exp(np.log(bridge.kp).mean()) == pytest.approx(7.0, rel=0.2)
-    with pytest.raises(ConfigurationError, match="there are mujoco, ros2, typed"):
+    with pytest.raises(ConfigurationError, match="available: mujoco, ros2, typed"):
         open_bridge("smoke", robot)
     with pytest.raises(ConfigurationError, match="SEED"):
         open_bridge("mujoco:five", robot)
@@ -763,7 +767,7 @@ def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
     one.close()
     with pytest.raises(ConfigurationError, match="elbow"):
         open_bridge(f"ros2:order=elbow,{','.join(names[1:])}", robot)
-    with pytest.raises(ConfigurationError, match=f"differ in {names[0]}$"):
+    with pytest.raises(ConfigurationError, match=f"robot differ: {names[0]}$"):
         open_bridge(f"ros2:order={names[0]},{','.join(names)}", robot)
     with pytest.raises(ConfigurationError, match="topic=/x"):
         open_bridge("ros2:topic=/x", robot)

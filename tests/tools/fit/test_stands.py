@@ -746,7 +746,7 @@ def test_stands_that_do_not_fit_the_robot_are_refused(robot: Robot, stands: Meas
         fit_stands(robot, replace(stands, joints=("elbow", *stands.joints[1:])))
     with pytest.raises(MeasurementError, match="2 stands"):
         fit_stands(robot, stands.select_rows([0, 1]))
-    with pytest.raises(MeasurementError, match="too few points"):
+    with pytest.raises(MeasurementError, match="fewer than three contact points"):
         fit_stands(robot, replace(stands, swing=(("FR", "FL"), *stands.swing[1:])))
 
 

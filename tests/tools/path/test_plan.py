@@ -292,10 +292,15 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
         ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
         ([Task(), Task(offset=(0.0, 0.0))], 1.0, 50.0, "offset: a path moves the CoM"),
-        ([Task(), Task(contacts={"FL": WALL})], 1.0, 50.0, "contacts: a path is of feet"),
+        ([Task(), Task(contacts={"FL": WALL})], 1.0, 50.0, "contacts: a path supports only feet"),
         ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries load between"),
-        ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
-        ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another lifts"),
+        (
+            [Task(swing=FL), Task(swing=FR)],
+            1.0,
+            50.0,
+            "only 2 feet carry load between stances 1 and",
+        ),
+        ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another foot lifts"),
         ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
     ],
 )
