@@ -142,7 +142,7 @@ def test_modes_without_a_stance_accept_one_file(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["analyze", "a.urdf", "--write", "out"], "it writes variants"),
+        (["analyze", "a.urdf", "--write", "out"], "only variants are written"),
         (["stand", "nowhere.urdf"], "nowhere.urdf: there is no such file"),
         (["payload", "a.xml", "--map", "noequals"], "URDF=MJCF"),
     ],

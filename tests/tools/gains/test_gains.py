@@ -185,7 +185,7 @@ def test_gains_in_proportion_to_inertia_are_found_if_no_multiples_are_stable() -
         assert bounds.kp == stiffness[indices[0]]
     assert pa.verify_stand(robot, pa.solve_stand_as_simulated(robot), kp=kp, kd=kd).passed
     document = gains_document(study)
-    assert "in proportion to joint inertia, kp" in printed(document)
+    assert "in proportion to joint inertia are stable: kp" in printed(document)
     table = document.blocks[0]
     assert isinstance(table, Table)
     column = [get_english(column.name) for column in table.columns].index("reference")
@@ -238,7 +238,7 @@ def test_motors_too_weak_for_the_stand_are_named_in_the_error() -> None:
     assert needed > 0.1
     with pytest.raises(pa.ModelError) as caught:
         study_gains(weak, pa.StandTask())
-    words = f"{knee} must exert {needed:.3g} N m, its limit is 0.1 N m"
+    words = f"{knee} must exert {needed:.3g} N m, but its limit is 0.1 N m"
     assert words in str(caught.value)
 
 

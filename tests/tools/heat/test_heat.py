@@ -222,7 +222,7 @@ def test_data_sheet_decides_if_only_the_limit_temperature_is_unknown() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"ambient": 400.0}, "-60 to 300"),
+        ({"ambient": 400.0}, "-60 and 300"),
         ({"ambient": 90.0, "limit": 80.0}, "not above the ambient"),
         ({"battery_energy": -1.0}, "finite positive"),
     ],

@@ -134,7 +134,7 @@ def test_panel_shows_the_numbers_of_the_stance() -> None:
     for share in found.statics.motor_utilisation:
         colour = to_css(choose_utilisation_colour(share))
         assert f"width:{3 * share:.2f}em;background:{colour}" in html
-    assert "being worked out" not in html
+    assert "computing …" not in html
 
 
 @pytest.mark.slow
@@ -454,9 +454,9 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         (["v3", "--stance", "nonsense.toml"], "nonsense.toml: there is no such file"),
         (["v3", "--stance", "tail.toml"], "v3: no foot 'tail'; there are: FR,"),
         (["v3", "--stance", "payload.toml"], "mass: -1.0 kg is not a finite number >= 0"),
-        (["v3", "--port", "99999"], "--port: 99999 is not from 0 to 65535"),
+        (["v3", "--port", "99999"], "--port: port 99999 is not between 0 and 65535"),
         (["v3", "--host", "203.0.113.7"], "--host, --port: cannot serve on 203.0.113.7"),
-        (["arm.urdf"], "robot: machine has a fixed base: `hold`"),
+        (["arm.urdf"], "robot: machine has a fixed base: use `hold`"),
     ],
 )
 def test_invalid_input_is_refused_in_one_line(

@@ -132,7 +132,7 @@ def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("pupper_analysis.tools.live.model.steady_state", slow)
     page.ask(State(pitch=4.0))
     wait_for(lambda: page.shows(State(pitch=4.0)), "it is not solved")
-    assert "being worked out" in page.numbers
+    assert "computing …" in page.numbers
     # Meanwhile the stance changes, so that the delayed steady state must not be shown.
     page.ask(State(pitch=5.0))
     wait_for(lambda: page.shows(State(pitch=5.0)), "it waits for the sag")
@@ -173,7 +173,7 @@ def test_simulation_and_push_results_are_shown(page: Open) -> None:
     page.session.simulate()
     wait_for(lambda: "HOLDS" in page.result, "it is not verified")
     page.session.push()  # while it is played
-    wait_for(lambda: "it recovers" in page.result, "it does not recover")
+    wait_for(lambda: "recovers" in page.result, "it does not recover")
 
 
 @pytest.mark.slow
@@ -263,7 +263,7 @@ def test_stance_out_of_reach_is_not_simulated(page: Open) -> None:
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
     for request in (page.session.simulate, page.session.push):
         request()
-        assert "no stance that could be simulated" in page.result
+        assert "No stance to simulate" in page.result
         page.session._panels.clear_results()
 
 

@@ -15,11 +15,13 @@ def test_motors_without_a_limit_are_named() -> None:
     text = " ".join(print_words(payload_document(make_payload_result("hip", "knee"))))
     assert text.startswith("UNKNOWN stub")
     sentence = (
-        "Motors whose torque limit no file states, which these bounds leave out: 2 (hip, knee)."
+        "Motors without a torque limit in the files, which these bounds ignore: 2 (hip, knee)."
     )
     assert sentence in text
-    assert "all else allows 1.23 kg, with which the motors must give up to 2 N m (knee)" in text
-    assert "Motors whose" not in " ".join(print_words(payload_document(make_payload_result())))
+    assert "all other bounds allow 1.23 kg, which requires motor torques up to 2 N m (knee)" in text
+    assert "Motors without a torque limit" not in " ".join(
+        print_words(payload_document(make_payload_result()))
+    )
 
 
 def test_payload_limit_states_that_its_servos_were_added() -> None:

@@ -29,7 +29,7 @@ def test_stand_that_does_not_last_gives_exit_status_1(
     status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
     assert "COLLAPSES in MuJoCo: it fell over" in out
-    assert "it does not stand, so it withstands no push" in out
+    assert "the robot does not stand, so it withstands no push" in out
 
 
 @pytest.mark.slow

@@ -43,8 +43,8 @@ def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     assert "largest push in the weakest direction (240 deg): 0.43 N s" in text
     one.recovery.failures_without_push = (problem("it fell over"),)
     text = " ".join(print_words(push_document(one)))
-    assert text.startswith("FAILS one: it does not stand, so it withstands no push ")
-    assert " of 2.15 kg " in text
+    assert text.startswith("FAILS one: the robot does not stand, so it withstands no push ")
+    assert " mass 2.15 kg " in text
     assert "weakest" not in text
 
 
@@ -78,7 +78,7 @@ def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
     one.unknown_limits, one.peak_torques = ("knee",), np.array([9.0, 4.32])
     text = " ".join(print_words(push_document(one)))
     assert "largest push UNKNOWN without torque limits" in text
-    assert "withstands 0.43 N s at 240°, its weakest direction" in text
+    assert "with unlimited motors 0.43 N s in the weakest direction (240°)" in text
     assert "up to 4.32 N m (knee)" in text
     assert "largest push in the weakest" not in text
 
@@ -104,7 +104,7 @@ def test_push_figure_is_written_with_white_edges(tmp_path: Path) -> None:
 def test_push_figure_of_no_robot_or_too_many_robots_is_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match="no robot"):
         push_figure({}, tmp_path / "push.png")
-    with pytest.raises(pa.ConfigurationError, match="more than 5 robots"):
+    with pytest.raises(pa.ConfigurationError, match="at most 5 robots"):
         push_figure({str(number): pushes(0.0) for number in range(8)}, tmp_path / "push.png")
     (tmp_path / "file").touch()
     with pytest.raises(pa.OutputError):

@@ -364,7 +364,7 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"impulse": -1.0}, "impulse: -1 N s is not from 0"),
+        ({"impulse": -1.0}, "impulse: -1 N s is not between 0"),
         ({"impulse": math.nan}, "impulse: nan is not finite"),
         (
             {"impulse": 1.0, "direction": 7.0},
