@@ -155,7 +155,7 @@ def test_error_of_a_wrong_robot_names_the_nearest(
         (("crosscheck",), "argument URDF is missing: a URDF, or the name of a variant such as v3"),
         (("study",), "argument FILE is missing: a TOML file that describes the study"),
         (("study", "none.toml"), "none.toml: there is no such file"),
-        (("study", "v3", "-o", "out"), 'write robot = "v3" into it'),
+        (("study", "v3", "-o", "out"), 'write robot = "v3" into the file'),
         (("crosscheck", "a.urdf", "a.urdf"), "both files are URDFs; one URDF and one MJCF"),
         (("stand", "v3", "--height"), " stand --help)"),
     ],

@@ -21,7 +21,7 @@ COMMANDS = sorted(cli.group.list_commands(click.Context(cli.group)))
 _OTHER_INPUT = {
     "check": "check requires a folder",
     "study": "study requires a TOML file",
-    "walk": "exactly one policy is needed",
+    "walk": "exactly one policy is required",
 }
 """{command: text of the error about a robot that is not installed}: commands without a robot on the
 command line, and ``walk``, which needs the policy before the robot."""

@@ -88,7 +88,7 @@ def test_a_source_that_cannot_be_read_fails_and_the_rest_is_checked(folder: Path
     (folder / "deploy.yaml").write_text("a: [1,\n")
     done = run(folder)
     assert done.returncode == 1
-    assert "it is no YAML" in done.stdout + done.stderr
+    assert "invalid YAML" in done.stdout + done.stderr
 
 
 def test_missing_contract_file_is_refused(folder: Path) -> None:

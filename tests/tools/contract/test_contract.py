@@ -414,7 +414,7 @@ def test_mirrored_numbers_agree_also_if_both_are_infinite(
 
 
 def test_contract_without_a_model_is_refused(sources: dict[str, Path]) -> None:
-    with pytest.raises(ConfigurationError, match="none of the sources is a model"):
+    with pytest.raises(ConfigurationError, match="no source is a model"):
         read_contract(sources["policy.json"])
 
 

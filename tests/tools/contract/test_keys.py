@@ -393,13 +393,13 @@ default_joint_pos: {format_list(ANGLES)}
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[5.0", "['5.0'", "bad.yaml:3: kp is '5.0', which is no finite number, and was not read"),
+        ("[5.0", "['5.0'", "bad.yaml:3: kp is '5.0', not a finite number, and is ignored"),
         ("[5.0", "[5.0 Nm", "bad.yaml:3: kp is '5.0 Nm'"),
         ("[5.0", "[true", "bad.yaml:3: kp is 'True'"),
         (
             "[5.0",
             "[null",
-            "bad.yaml:3: kp is null, .*, and was not read; write a number without quot",
+            "bad.yaml:3: kp is null, .*, and is ignored; write a number without quot",
         ),
         ("[5.0", "[[5.0]", r"bad.yaml:3: kp is '\[...\]'"),
         ("0.26", ".nan", "bad.yaml:4: default angle is '.nan'"),
@@ -426,9 +426,9 @@ def test_value_that_is_no_number_is_a_warning_if_another_source_states_it(
         (
             "leg_front_r_2",
             "leg_front_r_1",
-            "order of the numbers is not known; list each joint once",
+            "order of the numbers is unknown; list each joint once",
         ),
-        ("joint_names: [", "joint_names: [3, ", "the joint names are no list of names"),
+        ("joint_names: [", "joint_names: [3, ", "the joint names are not a list of names"),
     ],
 )
 def test_list_of_joints_that_is_not_valid_is_named_with_its_line(

@@ -495,4 +495,4 @@ def test_motors_of_a_push_are_compared_with_torques_at_their_speeds(
     assert (pushed.within_region, pushed.passed) == (passes, passes)
     text = " ".join(print_words(push_document(pushed)))
     assert ("BEYOND THE MOTORS" in text) is not passes
-    assert "of the torque that weak exerts at its speed" in text
+    assert "of the available torque of weak at its speed" in text

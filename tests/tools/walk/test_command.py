@@ -93,7 +93,7 @@ def test_error_is_one_line_if_servos_or_joints_of_the_policy_are_missing(
     made_of = legged.quadruped(tmp_path / "motors", floor=True, actuators="motor")
     status, _, err = run_command(capfd, "walk", str(made_of.mjcf), "--policy", str(bare))
     assert (status, len(err.splitlines())) == (2, 1)
-    assert "states no kp and kd" in err
+    assert "state servo gains" in err
     named = tmp_path / "named.json"
     named.write_text(json.dumps(values))
     named.with_suffix(".toml").write_text(f"joints = {[f'j{k}' for k in range(12)]}")

@@ -318,10 +318,10 @@ def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> No
         (
             "5.0,",
             "'5.0',",
-            "deploy.yaml:3: kp is '5.0', which is no finite number; write a .* and unit$",
+            "deploy.yaml:3: kp is '5.0', not a finite number; write a .* and unit$",
         ),
         ("'0.02'", "0.02 s", "deploy.yaml:2: policy step is '0.02 s'"),
-        ("leg_front_r_2", "leg_front_r_1", "deploy.yaml:1: the list of joints names leg_front_r_1"),
+        ("leg_front_r_2", "leg_front_r_1", "deploy.yaml:1: duplicate names leg_front_r_1"),
     ],
 )
 def test_deployment_with_a_value_that_is_no_number_is_refused(

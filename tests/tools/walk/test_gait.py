@@ -311,7 +311,7 @@ def test_motors_of_a_walk_are_compared_with_torques_at_their_speeds(still: Polic
     assert np.isnan(failed.gaits[0].beyond_region[0::3]).all()
     document = walk_document(failed)
     assert getattr(document.verdict, "en", "") == "BEYOND THE MOTORS"
-    assert "of the torque that strong exerts at its speed" in document.failures[0].en
+    assert "of the available torque of strong at its speed" in document.failures[0].en
     unknown = simulate_walk(robot, still, (0, 0, 0), **arguments)
     assert np.isnan(unknown.gaits[0].region_peak).all()
     assert unknown.passed

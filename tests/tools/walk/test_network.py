@@ -270,13 +270,13 @@ def test_operators_of_exported_policies_equal_onnxruntime(kind: str, tmp_path: P
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ([made.node("ReduceSum", ("obs",), ("y",), axes=[0])], "ReduceSum is not known"),
+        ([made.node("ReduceSum", ("obs",), ("y",), axes=[0])], "unknown layer ReduceSum"),
         ([made.node("Gather", ("obs", "i"), ("y",), axis=0)], "sizes do not fit"),
         ([made.node("Concat", ("obs", "obs"), ("y",), axis=0)], "sizes do not fit"),
         ([made.node("Slice", ("obs", "i", "i"), ("y",))], "sizes do not fit"),
-        ([made.node("Softmax", ("obs",), ("y",), axis=0)], "Softmax is not known"),
-        ([made.node("Transpose", ("obs",), ("y",))], "Transpose is not known"),
-        ([made.node("Conv", ("obs", "i"), ("y",), pads=[1, 1])], "Conv is not known"),
+        ([made.node("Softmax", ("obs",), ("y",), axis=0)], "unknown layer Softmax"),
+        ([made.node("Transpose", ("obs",), ("y",))], "unknown layer Transpose"),
+        ([made.node("Conv", ("obs", "i"), ("y",), pads=[1, 1])], "unknown layer Conv"),
     ],
 )
 def test_operators_across_runs_are_refused(
@@ -340,7 +340,7 @@ def test_weights_in_a_file_beside_the_onnx_file_equal_onnxruntime(tmp_path: Path
         ("other.data", {}, "copy this file from the export"),
         ("../made.onnx.data", {}, "below the folder of the policy"),
         ("/etc/hostname", {}, "below the folder of the policy"),
-        ("made.onnx.data", {"offset": 12}, "end at byte 132, the file has 128"),
+        ("made.onnx.data", {"offset": 12}, "has 128 bytes, but 132 are required"),
         ("made.onnx.data", {"length": 116}, "sizes do not fit"),
         ("made.onnx.data", {"offset": -8}, "below the folder of the policy"),
     ],

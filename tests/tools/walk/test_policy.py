@@ -96,9 +96,9 @@ def test_rtneural_file_of_pupper_has_its_observations_and_rate(tmp_path: Path) -
         ("kd = 1", 'kd = "stiff"', "kd"),
         ('["a", "b"]', '["a", "a"]', "joints"),
         ('["a", "b"]', '["a"]', "joints"),
-        ("history = 2", "history = 3", "takes 24"),
+        ("history = 2", "history = 3", "requires 24"),
         ("history = 2", "history = 2.5", "whole number"),
-        ("history = 2", 'history = 2\nnewest-first = "no"', "none of true"),
+        ("history = 2", 'history = 2\nnewest-first = "no"', "use one of true"),
         ("history = 2", "history = 2\nlower = 1\nupper = [2, -1]", "lower: 1"),
         ("history = 2", "historie = 2", "historie"),
         ('"phase"]', '"moon"]', "moon"),
@@ -200,8 +200,8 @@ def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
         ({**RECURRENT[2], "activation": ["tanh"]}, "layer 1 (dense) (['tanh'])"),
         ({**RECURRENT[2], "activation": []}, "layer 1 (dense) ([])"),
         ({**RECURRENT[2], "activation": False}, "layer 1 (dense) (False)"),
-        ({**RECURRENT[2], "weights": [[["1"] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) needs"),
-        ({**RECURRENT[2], "weights": [[[True] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) needs"),
+        ({**RECURRENT[2], "weights": [[["1"] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) requires"),
+        ({**RECURRENT[2], "weights": [[[True] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) requires"),
         ({"type": "activation", "activation": "relu"}, "observation: sizes do not fit: 0"),
     ],
 )
@@ -270,7 +270,7 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     bad.write_text('{"layers": [', encoding="utf-8")
     assert "JSON" in get_refusal(bad)
     bad.write_text('{"kp":\n nothing}', encoding="utf-8")
-    assert "bad.json:2: it is no JSON" in get_refusal(bad)
+    assert "bad.json:2: invalid JSON" in get_refusal(bad)
     bad.write_text('{"layers": 3}', encoding="utf-8")
     assert "no list of layers" in get_refusal(bad)
     bad.write_text('{"layers": [1]}', encoding="utf-8")
@@ -282,7 +282,7 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
 def test_network_of_another_size_than_the_contract_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "p.json"
     made.write_standing_policy(path, observation_history=2)
-    assert "takes 36" in get_refusal(path)
+    assert "requires 36" in get_refusal(path)
     made.write_standing_policy(path, default_joint_pos=[0.0] * 11)
     assert "default" in get_refusal(path)
     values = json.loads(made.write_standing_policy(path).read_text())
