@@ -131,7 +131,7 @@ class PairCheck(Result):
         failures: Number of failing findings in the pair and the files. Differences with the same
             cause or the same values count once.
         known: Number of findings in the baseline.
-        notes: Assumptions, and content that was left out.
+        notes: Assumptions, and ignored content.
         floating: Whether the MJCF has a free base, or a base with at least two limbs; None if the
             files were not compared.
     """

@@ -55,8 +55,8 @@ class SourceRead(Result):
         role: trainer, policy, deployment, driver or model.
         order: Joints in the order of the policy's arrays, "" for a name without match; of a model,
             the joints in its own order. Empty if the order is not known.
-        order_source: How the order is known: named, motors, policy or assumed; empty if it is not
-            known.
+        order_source: Source of the order: named, motors, policy or assumed; empty if the order is
+            unknown.
         unknown: Names in the source that match no joint of the model.
         observations: Observations of the policy, in order.
     """

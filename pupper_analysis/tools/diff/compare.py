@@ -118,7 +118,7 @@ class ModelDiff(Result):
         combined: For two MJCFs: effects of all changes together in a simulation of the files, with
             an added ground if both have no ground. Empty if the effect is reported for the only
             change.
-        notes: Assumptions, and content that was left out.
+        notes: Assumptions, and ignored content.
     """
 
     old: str

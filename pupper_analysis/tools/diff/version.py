@@ -75,7 +75,7 @@ class Version:
             (`list_elements`).
         bodies: {base or joint: name of the base body or of the moved body}.
         sources: Lines of the numbers.
-        notes: Assumptions, and content that was left out.
+        notes: Assumptions, and ignored content.
     """
 
     file: UrdfFile | MjcfFile

@@ -250,7 +250,10 @@ def test_study_command_writes_its_report(tmp_path: Path) -> None:
     options = ("study", "s.toml", "-o", "out", "--workers", "1")
     refused = answer(*options, "--maximise", "leg", folder=tmp_path)
     assert refused.returncode == 2
-    assert "no 'leg'; it has servo_sag, peak_utilisation, leg_scale, kp" in refused.stderr
+    assert (
+        "no column 'leg'; columns of the study: servo_sag, peak_utilisation, leg_scale, kp"
+        in refused.stderr
+    )
     assert not (tmp_path / "out").exists()
     objectives = ("--maximise", "leg_scale", "--minimise", "servo_sag")
     done = answer(*options, *objectives, "--report", "r.html", folder=tmp_path)
@@ -266,7 +269,7 @@ def test_page_lists_the_first_of_many_designs() -> None:
     one = replace(outcome(), table=many, designs=len(many))
     page = Page(render_page(build_report([("", one)])))
     assert len(page.tables()["Designs"]) == 300
-    assert "240 more are in the study's folder" in page.shown()
+    assert "240 more designs are in the folder of the study" in page.shown()
 
 
 @pytest.mark.slow
@@ -289,7 +292,9 @@ def test_outcome_of_unknown_objectives_or_without_designs_is_refused(tmp_path: P
         pa.study.study_outcome(study, tmp_path)
     with ThreadPoolExecutor(1) as thread:
         study.run(folder, executor=thread)
-    with pytest.raises(pa.ConfigurationError, match="no 'mass'; it has sag, kp"):
+    with pytest.raises(
+        pa.ConfigurationError, match="no column 'mass'; columns of the study: sag, kp"
+    ):
         pa.study.study_outcome(study, folder, minimise=["mass"])
     with pytest.raises(pa.ConfigurationError, match="once"):
         pa.study.study_outcome(study, folder, minimise=["sag"], maximise=["sag"])

@@ -72,7 +72,7 @@ class TraceRecording(Result):
         signals: Optional signals in the trace, for example positions or velocity commands.
         missing: Optional signals that were not received; `walk` does not check observation terms
             that need these signals.
-        findings: Note on actions that were left out, if any.
+        findings: Note on ignored actions, if any.
     """
 
     name: str
