@@ -210,13 +210,13 @@ def test_check_writable_raises_without_folder_permission(
 ) -> None:
     # os.access is replaced, since the tests may run as root, who has all permissions.
     monkeypatch.setattr(os, "access", lambda path, how: not how & denied)
-    with pytest.raises(OutputError, match="no file may be made"):
+    with pytest.raises(OutputError, match="no permission to create a file"):
         files.check_writable(tmp_path / "new", OWN_KIND)
     if denied == os.W_OK:
         (tmp_path / "file").touch()
-        with pytest.raises(OutputError, match="may not be written"):
+        with pytest.raises(OutputError, match="no permission to write"):
             files.check_writable(tmp_path / "file", OWN_KIND)
-        with pytest.raises(OutputError, match="may not be written"):
+        with pytest.raises(OutputError, match="no permission to write"):
             write(tmp_path / "file")
 
 
@@ -316,14 +316,14 @@ def test_input_of_a_run_is_not_overwritten(
         register_input(read)
         run.force = True
         for refuse in (files.check_writable, write):
-            with pytest.raises(OutputError, match="which this run reads"):
+            with pytest.raises(OutputError, match="an input of this run"):
                 refuse(other, RESULTS_KIND)
         with write_atomically(tmp_path / "new", OWN_KIND) as file:
             file.write(b"made here")
         register_input(tmp_path / "new")  # an output of this run, read again
         write(tmp_path / "new", text="again")
         write(read, EDITED_KIND, "edited")
-        with pytest.raises(OutputError, match="which this run reads"):
+        with pytest.raises(OutputError, match="an input of this run"):
             write(read, RESULTS_KIND)
     assert read.read_text() == "edited"
     write(read)  # no run, no inputs
@@ -350,11 +350,11 @@ def test_result_replaces_only_files_of_its_kind(tmp_path: Path) -> None:
             if replaced:
                 attempt(path, RESULTS_KIND)
             else:
-                with pytest.raises(OutputError, match="no JSON result of this package"):
+                with pytest.raises(OutputError, match="not a JSON result of this package"):
                     attempt(path, RESULTS_KIND)
                 assert path.read_text() == before
     write(path, MODEL_KIND, "<mujoco/>")  # the same content: nothing is lost
-    with pytest.raises(OutputError, match="it exists"):
+    with pytest.raises(OutputError, match="the file exists"):
         write(path, MODEL_KIND, "<mujoco />")
     with write_atomically(path, MODEL_KIND, force=True) as file:
         file.write(b"<robot/>")
@@ -530,7 +530,7 @@ def test_backup_is_named_and_kept_if_it_cannot_be_restored(
         return real(self, target)
 
     monkeypatch.setattr(Path, "replace", only_once)
-    with pytest.raises(OutputError, match="cannot be put back") as raised:
+    with pytest.raises(OutputError, match="could not be restored") as raised:
         write_both(folder)
     assert (folder / "a.old1").read_bytes() == b"old a"  # not hidden: no later run removes it
     assert str(folder / "a.old1") in str(raised.value)

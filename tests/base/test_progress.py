@@ -53,9 +53,9 @@ def test_displayed_text_begins_after_two_seconds() -> None:
     time.now = 103.2
     assert format_progress(clock) == "3 s so far"
     clock.update("search", 2, 10)
-    assert format_progress(clock) == "this step: 2 of 10, about 13 s left"
+    assert format_progress(clock) == "this step: 2 of 10, about 13 s remaining"
     time.now = 150.0
-    assert format_progress(clock) == "this step: 2 of 10, about 1 s left"
+    assert format_progress(clock) == "this step: 2 of 10, about 1 s remaining"
 
 
 def test_next_stage_has_its_own_estimate() -> None:

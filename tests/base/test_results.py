@@ -109,7 +109,7 @@ def test_values_without_a_json_form_raise() -> None:
         A = object()
 
     for value in (object(), {"x": {1, 2}.__iter__()}, Plain.A, b"1", [1 + 2j], "\ud800"):
-        with pytest.raises(pa.ConfigurationError, match="cannot become JSON"):
+        with pytest.raises(pa.ConfigurationError, match="not representable in JSON"):
             pa.results.to_json(value)
 
 

@@ -59,11 +59,11 @@ def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, set_in
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "standard input: it is empty"),
+        (b"", "standard input: the file is empty"),
         (b"<robot>\n<a>\n</robot>", "standard input:3: not well-formed XML"),
         (b"<robot/>", "standard input:1: the robot has no name"),
         (b"<robot name='a'>\n<link name='\xff'/></robot>", "standard input:2: byte 0xff"),
-        (b"x" * 20_000_001, "standard input: it has more than 20 MB"),
+        (b"x" * 20_000_001, "standard input: the file has more than 20 MB"),
         (b"<mujoco>\n<nonsense/></mujoco>", "standard input:2: not a valid MJCF"),
     ],
 )
@@ -78,7 +78,7 @@ def test_second_model_from_standard_input_is_refused(capfd, set_input) -> None:
     set_input(urdf_text(arm()))
     status, _, err = run_command(capfd, "crosscheck", "-", "-")
     assert status == 2
-    assert "one model alone can come from standard input" in err
+    assert "only one model can be read from standard input" in err
     assert not is_held(STANDARD_INPUT)
 
 

@@ -56,19 +56,19 @@ def test_error_of_a_length_without_unit_suggests_millimetres(
 @pytest.mark.parametrize(("command", "option"), [("gains", "--delay"), ("stand", "--timestep")])
 def test_error_of_a_time_without_unit_suggests_milliseconds(command: str, option: str) -> None:
     message = run_refused(command, "v3", option, "4")
-    assert "4 without a unit is in seconds, which is too long; write 4ms" in message
+    assert "4 without a unit is read in seconds and too long; write 4ms" in message
 
 
 def test_error_of_an_angle_in_degrees_without_unit_suggests_the_option_with_unit() -> None:
     """In Python, the same message suggests ``math.radians(5)`` (tests/base/test_units.py)."""
     message = run_refused("stand", "v3", "--pitch", "5")
-    assert "--pitch: 286.479 deg is not from" in message
+    assert "--pitch: 286.479 deg is out of range" in message
     assert "(for degrees write 5deg)" in message
 
 
 def test_error_of_a_mass_without_unit_suggests_grams() -> None:
     message = run_refused("stand", "v3", "--payload", "500")
-    assert "500 without a unit is in kg, which is too heavy; write 500g or 500kg" in message
+    assert "500 without a unit is read in kg and too heavy; write 500g or 500kg" in message
 
 
 def test_a_direction_may_have_any_length() -> None:
@@ -107,7 +107,7 @@ def test_a_result_is_not_written_under_another_formats_suffix(
 ) -> None:
     message = run_refused("stand", "v3", option, name, folder=tmp_path)
     assert f"{option}: {name}: " in message
-    assert f"ends with {suffix}" in message
+    assert f"valid endings: {suffix}" in message
     assert list(tmp_path.iterdir()) == []
 
 
@@ -125,12 +125,12 @@ def test_a_result_is_not_written_under_another_formats_suffix(
             "'GO2' is not valid; did you mean unitree_go2? known variants: original",
         ),
         (("diff", "v3", "nobody"), "'nobody' is not valid; known variants: original, long-leg"),
-        (("stand", "package://"), "name a package and a file in it: package://NAME/FILE"),
-        (("stand", "package:///x"), "name a package and a file in it: package://NAME/FILE"),
-        (("convert", "package:", "-o", "x.xml"), "name a package and a file in it: package://NAME"),
-        (("audit", "rex.xacro"), "rex.xacro:2: it is a xacro file; give the expanded URDF"),
-        (("stand", "go2.srdf"), "go2.srdf: this is an SRDF, which only adds groups"),
-        (("stand", "folder"), "it is a folder; give the path of a file"),
+        (("stand", "package://"), "incomplete path: write package://NAME/FILE"),
+        (("stand", "package:///x"), "incomplete path: write package://NAME/FILE"),
+        (("convert", "package:", "-o", "x.xml"), "incomplete path: write package://NAME"),
+        (("audit", "rex.xacro"), "rex.xacro:2: the file is a xacro file; give the expanded URDF"),
+        (("stand", "go2.srdf"), "go2.srdf: the file is an SRDF, which only adds groups"),
+        (("stand", "folder"), "the path is a folder; give the path of a file"),
         (("stand", "deploy.yaml"), "the file does not begin with <"),
     ],
     ids=str,
@@ -151,7 +151,7 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     ("arguments", "message"),
     [
         (("diff", "a.urdf"), "argument NEW is missing: the new version, of the same format"),
-        (("sync", "a.urdf"), "argument MJCF is missing: the MJCF to compare and change; type"),
+        (("sync", "a.urdf"), "argument MJCF is missing: the MJCF to compare and change; usage:"),
         (("crosscheck",), "argument URDF is missing: a URDF, or the name of a variant such as v3"),
         (("study",), "argument FILE is missing: a TOML file that describes the study"),
         (("study", "none.toml"), "none.toml: there is no such file"),
@@ -250,11 +250,11 @@ def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], messag
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("stand", "v3", "--height", "12CM"), "is no length: write 12cm"),
+        (("stand", "v3", "--height", "12CM"), "is not a valid length: write 12cm"),
         (("stand", "v3", "--height", "12", "CM"), "directly behind the number: 12cm"),
-        (("stand", "v3", "--pitch", "5°"), "is no angle: write 5deg"),
-        (("stand", "v3", "--payload", "2KG"), "is no mass: write 2kg"),
-        (("stand", "v3", "--kp", "20", "N/m"), "takes a number without a unit: write 20"),
+        (("stand", "v3", "--pitch", "5°"), "is not a valid angle: write 5deg"),
+        (("stand", "v3", "--payload", "2KG"), "is not a valid mass: write 2kg"),
+        (("stand", "v3", "--kp", "20", "N/m"), "this option has no unit: write 20"),
         (("stand", "v3", "--kp", "20Nm"), "'20Nm' is not a number; write 20"),
         (("stand", "v3", "--uphill", "90"), "write 90deg or 90rad"),
         (("gains", "v3", "--error", "10"), "write 10deg or 10rad"),
@@ -272,8 +272,8 @@ def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], messag
         (("best", "utilization", "v3"), "Did you mean 'utilisation'?"),
         (("stand", "v3", "--payload", "1kg", "--payload-at", "0;0;5cm"), "form X,Y,Z (10mm,0,0)"),
         (("hold", "v3", "--joints", "0,0,0"), "NAME=POSITION, e.g. elbow=90deg\n"),
-        (("audit", "a.urdf", "b.xml"), "b.xml: too many arguments; type "),
-        (("stand", "v3", "\u2013height", "12cm"), "in place of a hyphen, for example from a web"),
+        (("audit", "a.urdf", "b.xml"), "b.xml: too many arguments; usage: "),
+        (("stand", "v3", "\u2013height", "12cm"), "instead of a hyphen, for example from a web"),
         (("stand", "v3", "\u2014height=12cm"), "write --height=12cm"),
         (("stand", "v3", "--pitch", "\u22125deg"), "write -5deg"),
         (("stand", "v3", "--offset=0,\u20131cm"), "write --offset=0,-1cm"),

@@ -25,7 +25,7 @@ def test_typed_option_without_effect_is_refused_and_a_default_is_not() -> None:
         refuse_unused("--mode", {"--mode": {"mode"}})
 
     command.main(args=["--mode"], standalone_mode=False)
-    with pytest.raises(ConfigurationError, match="--new: it has no effect with --mode"):
+    with pytest.raises(ConfigurationError, match="--new: the option has no effect with --mode"):
         command.main(args=["--mode", "--new", "x"], standalone_mode=False)
 
 

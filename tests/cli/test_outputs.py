@@ -284,7 +284,7 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
             messages = (*words, *force, result)
             assert result.returncode == 2, messages
             assert one_line(result), messages
-            refusals = ("this run reads", "this file is the plan", "this format is not written")
+            refusals = ("an input of this run", "this file is the plan", "unknown output format")
             assert not force or any(text in result.stderr for text in refusals), messages
             count += 1
         shutil.rmtree(folder / "into", ignore_errors=True)
@@ -344,7 +344,7 @@ def test_folder_without_write_permission_is_refused_before_the_work(
         out = outputs[place : place + 2]
         given = answer(*words, *needed, *out, folder=folder)
         assert (given.returncode, given.stdout) == (2, ""), (words, given)
-        assert "no file may be made" in given.stderr
+        assert "no permission to create a file" in given.stderr
         assert one_line(given)
     assert sums(folder) == before
     assert not (folder / "new").exists()

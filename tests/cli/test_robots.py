@@ -85,10 +85,10 @@ def test_robots_with_equal_names_get_unique_names() -> None:
         (("a.urdf", "v3"), {}, "are several robots"),
         (("a.urdf", "b.xml", "c.xml"), {}, "are several robots"),
         (("nobody",), {}, "name 'nobody' is not valid; known variants"),
-        (("v3",), {"base": "v3"}, "give the robot once"),
-        (("a.urdf",), {"mjcf": Path("a.xml")}, "give the robot once"),
-        (("v3",), {"keyframe": "home"}, "--keyframe applies to files only"),
-        ((), {"take": "urdf", "feet": ("FL",)}, "--take and --foot apply to files only"),
+        (("v3",), {"base": "v3"}, "the robot is specified more than once"),
+        (("a.urdf",), {"mjcf": Path("a.xml")}, "the robot is specified more than once"),
+        (("v3",), {"keyframe": "home"}, "--keyframe applies only to files"),
+        ((), {"take": "urdf", "feet": ("FL",)}, "--take and --foot apply only to files"),
     ],
 )
 def test_none_or_two_robots_are_refused(
@@ -107,7 +107,7 @@ def test_stand_of_one_file_converts_the_other_in_memory(
     assert status == 0
     given, made = ("URDF", "MJCF") if file is URDF else ("MJCF", "URDF")
     assert out.startswith(f"HOLDS ({given} only) pupper_v3: ")
-    assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
+    assert f"the {made} was converted from {file.name} in memory" in out.replace("\n", " ")
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_robot_is_read_from_standard_input(
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(URDF.read_bytes())))
     status, out, err = run_command(capfd, "stand", "--explain", "-")
     assert status == 0, err
-    assert "was made of standard input in memory" in out.replace("\n", " ")
+    assert "was converted from standard input in memory" in out.replace("\n", " ")
 
 
 @pytest.mark.slow

@@ -75,17 +75,17 @@ def test_malformed_model_is_refused_at_its_line(case: str, tmp_path: Path) -> No
 
 def test_missing_file_folder_and_pipe_are_refused_as_such(tmp_path: Path) -> None:
     assert "no such file" in get_refusal(lambda: read_model(tmp_path / "x.urdf"))
-    assert "it is a folder" in get_refusal(lambda: read_model(tmp_path))
+    assert "the path is a folder" in get_refusal(lambda: read_model(tmp_path))
     assert "no such file" in get_refusal(lambda: read_model("a\0\nb"))
     os.mkfifo(tmp_path / "pipe")
-    assert "no regular file" in get_refusal(lambda: read_model(tmp_path / "pipe"))
+    assert "not a regular file" in get_refusal(lambda: read_model(tmp_path / "pipe"))
 
 
 def test_file_of_the_other_format_is_named(tmp_path: Path) -> None:
     robot = write(tmp_path, r=format_urdf(format_link("a")))
     model = write(tmp_path, m=format_mjcf())
-    assert "it is a URDF" in get_refusal(lambda: read_mjcf(robot))
-    assert "it is an MJCF" in get_refusal(lambda: read_urdf(model))
+    assert "the file is a URDF" in get_refusal(lambda: read_mjcf(robot))
+    assert "the file is an MJCF" in get_refusal(lambda: read_urdf(model))
     assert isinstance(read_model(robot), UrdfFile)
     assert isinstance(read_model(model), MjcfFile)
 
@@ -273,7 +273,7 @@ def test_meshes_are_found_in_the_searched_folders(
 def test_git_lfs_pointer_as_a_model_is_reported(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
-    with pytest.raises(ModelError, match="pointer of Git LFS, not the model: git lfs pull"):
+    with pytest.raises(ModelError, match="Git LFS pointer, not the model; run git lfs pull"):
         read_model(path)
 
 
@@ -399,7 +399,9 @@ def test_cyclic_deep_and_too_many_includes_are_refused(tmp_path: Path) -> None:
             **{f"d{i}": twice.format(i + 1) for i in range(25)},
             "d25": "<mujocoinclude/>",
         },
-        "e.xml:1: it has a DOCTYPE": {"e": '<!DOCTYPE x [<!ENTITY a "b">]>\n<mujocoinclude/>'},
+        "e.xml:1: the file has a DOCTYPE": {
+            "e": '<!DOCTYPE x [<!ENTITY a "b">]>\n<mujocoinclude/>'
+        },
     }
     for message, files in cases.items():
         path = write(tmp_path, m=format_mjcf(f'<include file="{next(iter(files))}.xml"/>'), **files)
@@ -559,7 +561,7 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     notes = " ".join(map(str, model.notes))
     assert all(file in notes for file in ("(k.obj)", "(t.png, up.png)"))
     path = write(tmp_path, m=format_mjcf(*lines, '<contact><pair geom1="g" geom2="s"/></contact>'))
-    assert "m.xml:10: MuJoCo cannot compile it: " in get_refusal(lambda: read_mjcf(path))
+    assert "m.xml:10: MuJoCo cannot compile the MJCF: " in get_refusal(lambda: read_mjcf(path))
 
 
 DANGLING = {
@@ -593,7 +595,7 @@ def test_reference_to_a_missing_element_is_refused_at_its_line(
     )
     path = write(tmp_path, m=text)
     message = get_refusal(lambda: read_mjcf(path))
-    assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")
+    assert message.startswith(f"{path}:4: MuJoCo cannot compile the MJCF: ")
     assert "'nix'" in message or kind == "camera target"  # MuJoCo does not name this target
     file = read_model(path)
     assert isinstance(file, MjcfFile)

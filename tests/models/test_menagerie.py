@@ -61,7 +61,7 @@ def test_robot_is_read_from_the_cache_of_the_package(here: Path) -> None:
     (folder / ".complete").write_text("{}")
     for name in ("unitree_go2", "unitree_go2/go2.xml", "mujoco_menagerie/unitree_go2"):
         assert find_file(name) == folder / "go2.xml"
-    with pytest.raises(ModelError, match=r"no such file; there are: .*go2\.xml"):
+    with pytest.raises(ModelError, match=r"no such file; valid: .*go2\.xml"):
         find_file("unitree_go2/go3.xml")
     with pytest.raises(UnknownNameError, match="unitree_go2"):
         find_file("mujoco_menagerie/unitree_go3")

@@ -59,14 +59,18 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('pos="0.0 0.08 -0.2"', 'pos="0.0 nan -0.2"', "body 'shank0': its pos has nan"),
-        ('axis="0.0 1.0 0.0"', 'axis="0.0 inf 0.0"', "joint 'knee0': its axis has"),
-        ('axis="0.0 1.0 0.0"', 'axis="0 -1e308 0"', "joint 'knee0': its axis has no direction"),
-        ('damping="0.1"', 'damping="nan"', "joint 'hip0': its damping has nan"),
-        ('frictionloss="0.2"', 'frictionloss="1e300"', "joint 'hip0': its frictionloss has 1e+300"),
-        ('mass="1.0"', 'mass="1e200"', "body 'thigh0': its mass has 1e+200"),
-        ('<site name="foot0" pos="0.002', '<site name="foot0" pos="nan', "site 'foot0': its pos"),
-        ('range="-1.0 0.9"', 'range="nan 0.9"', "its jnt_range is nan"),
+        ('pos="0.0 0.08 -0.2"', 'pos="0.0 nan -0.2"', "body 'shank0': pos contains nan"),
+        ('axis="0.0 1.0 0.0"', 'axis="0.0 inf 0.0"', "joint 'knee0': axis contains"),
+        ('axis="0.0 1.0 0.0"', 'axis="0 -1e308 0"', "joint 'knee0': the axis has no direction"),
+        ('damping="0.1"', 'damping="nan"', "joint 'hip0': damping contains nan"),
+        (
+            'frictionloss="0.2"',
+            'frictionloss="1e300"',
+            "joint 'hip0': frictionloss contains 1e+300",
+        ),
+        ('mass="1.0"', 'mass="1e200"', "body 'thigh0': mass contains 1e+200"),
+        ('<site name="foot0" pos="0.002', '<site name="foot0" pos="nan', "site 'foot0': pos"),
+        ('range="-1.0 0.9"', 'range="nan 0.9"', "value of jnt_range is nan"),
         *((WORLD, f'<option gravity="{one}"/>{WORLD}', "gravity") for one in TOO_MUCH),
     ],
 )
@@ -122,7 +126,7 @@ def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
     file.write_text(
         mjcf_text(quadruped()).replace('<site name="foot0"', f'<geom class="{word}"/><site name=""')
     )
-    with pytest.raises(ModelError, match="takes the % for a format"):
+    with pytest.raises(ModelError, match="interprets % as a format"):
         read_mjcf(file)
 
 

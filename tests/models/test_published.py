@@ -163,7 +163,9 @@ def test_file_of_ros_package_is_found(
     "model", ["https://x.org/a.urdf", Path("http://x.org/a.xml"), "HTTPS://x.org/a.usd"]
 )
 def test_web_address_is_refused(model: str | Path) -> None:
-    with pytest.raises(ModelError, match=r"(?i:https?)://x\.org/a.*: nothing is downloaded"):
+    with pytest.raises(
+        ModelError, match=r"(?i:https?)://x\.org/a.*: web addresses are not downloaded"
+    ):
         load_robot(model)
 
 
@@ -175,7 +177,7 @@ def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
     for incomplete in ("rex", "rex/", "", "/rex.urdf"):
         for path in (f"package://{incomplete}", Path(f"package://{incomplete}")):
             if path != Path("package:/rex.urdf"):  # the same path as that of the package rex.urdf
-                with pytest.raises(ModelError, match="name a package and a file"):
+                with pytest.raises(ModelError, match="incomplete path"):
                     find_file(path, {"rex": tmp_path, "rex.urdf": tmp_path})
 
 
@@ -266,7 +268,7 @@ def test_xacro_is_expanded_if_it_is_installed(
     with ensure_run() as run:
         read = read_model(file, None, {})
         # The included file counts as an input, so it must not be an output.
-        with pytest.raises(OutputError, match="which this run reads"):
+        with pytest.raises(OutputError, match="an input of this run"):
             run.register_output(part)
     assert isinstance(read, UrdfFile)
     assert list(read.tree.links) == ["base"]
@@ -277,7 +279,9 @@ def test_xacro_is_expanded_if_it_is_installed(
         raise NameError(f"{path}: name 'mass' is not defined")
 
     package.process_file = refuse  # type: ignore[attr-defined]
-    with pytest.raises(ModelError, match=r"xacro cannot expand it: .*name 'mass' is not defined"):
+    with pytest.raises(
+        ModelError, match=r"xacro cannot expand the file: .*name 'mass' is not defined"
+    ):
         read_model(file, None, {})
     monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(ModelError, match="pip install xacro"):
@@ -321,7 +325,9 @@ def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path
     with pytest.raises(UnknownNameError, match=r"xacro argument 'leg'.*arm"):
         read_model(file, None, {"leg": "true"})
     for model in (tmp_path / "rex.urdf", "v3", URDF):
-        with pytest.raises(ConfigurationError, match=r"no xacro file|files only, not to a variant"):
+        with pytest.raises(
+            ConfigurationError, match=r"not a xacro file|only to files, not to a variant"
+        ):
             load_robot(model, xacro=True, xacro_args={"arm": "true"})
 
 
@@ -392,7 +398,7 @@ def test_expressions_of_xacro_are_evaluated_only_on_request(
     ):
         with pytest.raises(ModelError, match=r"\(in Python: xacro=True\)"):
             read(file)
-    with pytest.raises(ConfigurationError, match="--xacro only"):
+    with pytest.raises(ConfigurationError, match="require --xacro"):
         load_robot(file, xacro_args={"load": "3"})
     with pytest.raises(ConfigurationError, match=r"xacro_args\[load\]: 3 is not a text"):
         load_robot(file, xacro=True, xacro_args={"load": 3})  # type: ignore[dict-item]
@@ -422,7 +428,7 @@ def test_other_functions_read_the_expanded_xacro(evaluated: list[str], tmp_path:
 def test_expression_without_xacro_element_is_not_read_as_a_name(tmp_path: Path) -> None:
     file = tmp_path / "rex.xacro"
     file.write_text('<robot name="rex">\n<link name="${1 + 1}"/></robot>')
-    with pytest.raises(ModelError, match=r"rex.xacro:2: it is a xacro file"):
+    with pytest.raises(ModelError, match=r"rex.xacro:2: the file is a xacro file"):
         read_model(file)
     # xacro expands $$ to a dollar sign: the expanded text may contain such texts.
     file.write_text('<robot name="rex"><link name="base"/><gazebo>$${later}</gazebo></robot>')

@@ -84,7 +84,7 @@ def test_unused_xacro_is_ignored_with_a_note(files: Any, name: str) -> None:
 def test_used_xacro_is_refused_at_its_line(files: Any, name: str) -> None:
     line = with_xacro(files.urdf, USED[name])
     with pytest.raises(
-        ModelError, match=f"robot.urdf:{line}: it is a xacro file; give the expanded"
+        ModelError, match=f"robot.urdf:{line}: the file is a xacro file; give the expanded"
     ):
         read_urdf(files.urdf)
 
@@ -98,7 +98,7 @@ def test_note_lists_the_ignored_xacro_elements(files: Any) -> None:
 def test_an_mjcf_with_xacro_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.xml"
     path.write_text(f'<mujoco{XACRO}><xacro:property name="a" value="1"/></mujoco>')
-    with pytest.raises(ModelError, match="it is a xacro file"):
+    with pytest.raises(ModelError, match="the file is a xacro file"):
         read_model(path)
 
 

@@ -79,7 +79,7 @@ def test_moving_ball_joint_is_named_as_the_cause(tmp_path: Path) -> None:
     assert done.returncode == 1
     lines = done.stdout.splitlines()
     assert lines[0].startswith("DISAGREES arm: torques of the unmodified file deviate")
-    assert "ball joints move, which the prediction holds at rest" in lines[1]
+    assert "ball joints move, but the prediction holds them at rest" in lines[1]
     assert "wrist (line" in lines[1]
     assert "ball joints are held at rest" in done.stdout + done.stderr
     done = answer("hold", str(write_arm(tmp_path)), folder=tmp_path)

@@ -160,4 +160,4 @@ def test_refused_mujoco_import_is_stated_in_the_verdict(tmp_path: Path) -> None:
     verdict = verdict_of(pa.load_robot(urdf))
     assert verdict.keyframe_run is None
     assert verdict.passed
-    assert "what MuJoCo's own import of the URDF does is not known" in format_verdict(verdict)
+    assert "the result of MuJoCo's own import of the URDF is unknown" in format_verdict(verdict)

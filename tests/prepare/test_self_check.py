@@ -196,7 +196,7 @@ def test_servo_with_gain_of_the_wrong_sign_is_replaced_and_named(tmp_path: Path)
     assert made.instead_of is Drive.WRONG_SIGN
     assert not any("no position servos:" in str(note) for note in robot.notes)
     as_is = pa.load_robot(*pair, as_is=True)
-    with pytest.raises(pa.ModelError, match=f"{made.joint}.*is no position servo"):
+    with pytest.raises(pa.ModelError, match=f"{made.joint}.*is not a position servo"):
         study_stance(as_is, pa.StandTask())
 
 

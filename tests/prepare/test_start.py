@@ -118,7 +118,7 @@ def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -
     codes = {note.code for note in robot.notes}
     assert codes >= {"start-pose-is-keyframe", "keyframe-beyond-limits"}
     (beyond,) = [note for note in robot.notes if note.code == "keyframe-beyond-limits"]
-    assert "the start pose has them at their limits" in str(beyond)
+    assert "the start pose has these joints at their limits" in str(beyond)
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -152,7 +152,7 @@ def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) 
     messages = {note.code: str(note) for note in robot.notes}
     assert "start-pose-found" in messages
     assert messages["keyframe-without-stand"].startswith("keyframe 'home': the file stands from it")
-    assert "in which it stands" not in messages["start-pose-found"]
+    assert "in which the robot stands" not in messages["start-pose-found"]
 
 
 @pytest.mark.slow

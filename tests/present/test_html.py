@@ -238,7 +238,7 @@ def test_failures_and_notes_are_in_the_summary() -> None:
     summary = read_text(page.root.get_element_by_id("summary"))
     assert "v3 ✗ FAILED knees: it fell" in summary
     assert "Notes: 2" in summary
-    assert "leg_*_1 turns about y" in read_text(page.root.get_element_by_id("n1"))
+    assert "leg_*_1 rotates about y" in read_text(page.root.get_element_by_id("n1"))
     both = page_of(failed, replace(analysis(), name="other"))
     summary = read_text(both.root.get_element_by_id("summary"))
     assert summary.index("v3 ✗ FAILED") < summary.index("other ✓ VERIFIED")
@@ -586,7 +586,7 @@ def test_line_plot_marks_its_point_beside_omitted_points(count: int) -> None:
 
 
 def test_write_report_raises_for_invalid_arguments(tmp_path: Path) -> None:
-    with pytest.raises(pa.ConfigurationError, match="no result"):
+    with pytest.raises(pa.ConfigurationError, match="no result to report"):
         pa.report.write_report([], tmp_path / "r.html")
     with pytest.raises(pa.ConfigurationError, match="'en' nor 'zh'"):
         pa.report.write_report(audit(), tmp_path / "r.html", language="fr")

@@ -202,7 +202,7 @@ def test_view_highlights_and_describes_a_selected_joint(opened: Opened) -> None:
     orange = (lit[..., 0] > 190) & (lit[..., 1] < 140) & (lit[..., 2] < 70)
     assert orange.sum() > ((dark[..., 0] > 190) & (dark[..., 1] < 140) & (dark[..., 2] < 70)).sum()
     button.blur()
-    assert opened.page.locator(".hint").inner_text().startswith("Drag to turn")
+    assert opened.page.locator(".hint").inner_text().startswith("Drag to rotate")
 
 
 def test_view_plays_the_simulated_motion(opened: Opened) -> None:
@@ -319,7 +319,7 @@ def test_view_states_that_webgl_is_missing(browser: Any, file: Path) -> None:
     one.page.locator(".canvas").scroll_into_view_if_needed()
     message = one.page.locator(".hint")
     sync_api = pytest.importorskip("playwright.sync_api")
-    sync_api.expect(message).to_contain_text("The browser has no WebGL")
+    sync_api.expect(message).to_contain_text("the browser has no WebGL")
     one.page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
     sync_api.expect(message).to_contain_text("leg_front_r_2: roll")
     one.close()

@@ -55,7 +55,7 @@ DOCUMENT = Document(
     ),
     passed=False,
     verdict=text("FAILS"),
-    failures=(diagnostic_text(problem("it fell over")),),
+    failures=(diagnostic_text(problem("the robot fell over")),),
     findings=(diagnostic_text(problem("height 0.13 m")),),
     notes=(diagnostic_text(problem("a floor was added")),),
 )
@@ -68,7 +68,7 @@ def test_document_is_written_as_markdown() -> None:
         == """\
 ### ❌ FAILS v3
 
-- **it fell over**
+- **the robot fell over**
 - height 0.13 m
 
 **Motor torques**
@@ -149,7 +149,7 @@ def test_markdown_is_cut_to_the_length_of_a_comment() -> None:
     assert "--json" not in shown
     shown = write_markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
     assert len(shown) < MAX_COMMENT_LENGTH
-    assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
+    assert shown.startswith("### ❌ FAILS v3\n\n- **the robot fell over**")
     assert "`--json` has all numbers" in shown
 
 

@@ -127,7 +127,7 @@ def test_picture_of_a_result_without_view_is_refused(
     with pytest.raises(pa.ConfigurationError, match="contains no configuration"):
         pictures.show_result(pa.gravity_compensation(pa.Configuration(load("v3"), stand.qpos)))
     movie = pictures.Animation(np.zeros((2, 4, 4, 3), np.uint8), 10.0)
-    with pytest.raises(pa.ConfigurationError, match=r"'\.avi' is none of"):
+    with pytest.raises(pa.ConfigurationError, match=r"'\.avi' is unknown; valid:"):
         movie.save(tmp_path / "a.avi")
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingPackageError, match="pip install"):

@@ -87,7 +87,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
     )
     assert "base height 104.4 mm on rigid" in text
     assert (
-        "compensated for contact penetration it would be out of reach: simulated with joints"
+        "out of reach with compensation of the contact penetration: simulated with the joint"
         in text
     )
     assert "HOLDS" not in text

@@ -28,7 +28,7 @@ def test_load_robot_accepts_the_name_of_a_variant(name: str) -> None:
 
 
 def test_load_robot_refuses_options_of_files_for_a_variant() -> None:
-    with pytest.raises(pa.ConfigurationError, match="files only, not to a variant"):
+    with pytest.raises(pa.ConfigurationError, match="only to files, not to a variant"):
         pa.load_robot("v3", feet=["foot"])
     with pytest.raises(pa.VariantError, match=r"known variants: original, .* give a file"):
         pa.load_robot("v4")

@@ -119,7 +119,7 @@ def test_files_read_for_a_variant_are_recorded_in_each_run() -> None:
         parts = {"pupper_v3.xml", "pupper_v3_body.xml", "pupper_v3_shared.xml"}
         names = {Path(name).name for name in run.inputs.values()}
         assert names == {"pupper_v3.urdf", *parts, *meshes}
-        with pytest.raises(pa.OutputError, match="which this run reads"):
+        with pytest.raises(pa.OutputError, match="an input of this run"):
             run.register_output(find_model_folder("mjcf") / "pupper_v3_body.xml")
 
 

@@ -80,7 +80,7 @@ SEEN: dict[str, tuple[tuple[object, ...], object, tuple[str, ...]]] = {
         (
             r"^AxisAlignTask base_link +\de-(09|1\d) \de-(09|1\d)$",
             r"largest straight push of FR: 5\d\.\d N",
-            r"the task PositionTask base_link misses its target by 0\.2\d* m; it conflicts with ",
+            r"the task PositionTask base_link misses its target by 0\.2\d* m; conflicting tasks: ",
         ),
     ),
     "reach_with_arm": (

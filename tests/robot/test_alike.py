@@ -72,7 +72,7 @@ def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: P
 def test_leg_without_a_foot_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(write_slip(tmp_path, '<sphere radius="0.02"/>', ""))
     [message] = report_limbs_without_feet(robot)
-    assert "RR_calf has none" in str(message)
+    assert "RR_calf has no foot" in str(message)
 
 
 @pytest.mark.slow

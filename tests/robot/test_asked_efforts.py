@@ -79,8 +79,8 @@ def test_efforts_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
     assert "lift 40 N (MJCF) of 50 N" in str(differing)
     assert not str(differing).count("50 N m")
     requested = str(with_efforts(robot, {"turn": 2.0, "lift": 30.0}).notes[-1])
-    assert "turn 2 N m of 6 N m" in requested
-    assert "lift 30 N of 40 N" in requested
+    assert "turn 2 N m instead of 6 N m" in requested
+    assert "lift 30 N instead of 40 N" in requested
     assert not requested.count("40 N m")
 
 

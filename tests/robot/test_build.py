@@ -52,7 +52,10 @@ def test_stand_is_refused_if_gravity_is_not_downwards(option: str, tmp_path: Pat
         ('<option><flag contact="disable"/></option>', "nothing touches the ground"),
         ('<option><flag constraint="disable"/></option>', "nothing touches the ground"),
         ('<option><flag actuation="disable"/></option>', "no motor has any torque"),
-        ('<option actuatorgroupdisable="0"/>', "actuatorgroupdisable disables actuators: "),
+        (
+            '<option actuatorgroupdisable="0"/>',
+            "actuatorgroupdisable of the MJCF disables actuators: ",
+        ),
         ('<option gravity="0 0 -9.80665" timestep="0.001"/>', None),
     ],
 )

@@ -92,7 +92,7 @@ def test_inexact_solver_is_kept_with_a_note(tmp_path: Path) -> None:
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.iterations == 1
     (warning,) = [str(note) for note in robot.notes if note.code in EXACT]
-    assert "not to be trusted" in warning
+    assert "is unreliable" in warning
     rewrite_file(pair.mjcf, (option, ""))
     robot = pa.load_robot(*pair)
     assert not any(note.code in EXACT for note in robot.notes)

@@ -93,7 +93,7 @@ TOE = 'size="0.02" pos="0 0'
         (TINY_MJCF.replace('mass="0.5"', 'mass="-2"'), r"robot.xml:\d+: MuJoCo cannot compile"),
         (
             TINY_MJCF.replace(TOE, f'contype="0" conaffinity="0" {TOE}'),
-            "no sphere|can touch the ground",
+            "no collision sphere|can touch the ground",
         ),
     ],
 )
@@ -227,7 +227,7 @@ def test_base_without_free_joint_in_the_mjcf_is_fixed(tmp_path: Path) -> None:
     robot = pa.load_robot(*files)
     assert not robot.floating
     assert robot.nq == 3
-    assert any("its base stays fixed" in str(note) for note in robot.notes)
+    assert any("the base stays fixed" in str(note) for note in robot.notes)
     assert load_files(files).floating
 
 
@@ -280,12 +280,12 @@ PUSH = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
         (
             TINY_URDF,
             replace_text(TINY_MJCF, PUSH, "").replace('<motor joint="push"/>', ""),
-            "joints that only the URDF has, held at zero: push",
+            "joints of the URDF alone are held at zero: push",
         ),
         (
             replace_text(TINY_URDF, '"push" type="prismatic"', '"push" type="fixed"'),
             TINY_MJCF,
-            "joints that only the MJCF has, held at zero: push",
+            "joints of the MJCF alone are held at zero: push",
         ),
         (
             replace_text(TINY_URDF, 'name="push"', 'name="pull"'),
@@ -325,8 +325,8 @@ def test_missing_file_folder_and_binary_file_are_refused_by_path(
     binary.write_bytes(b"\xff\xfe\x00\x81")
     for wrong, reason in (
         (tmp_path / "none", "there is no such file"),
-        (tmp_path, "it is a folder"),
-        (binary, "it is encoded in UTF-16"),
+        (tmp_path, "the path is a folder"),
+        (binary, "the file is encoded in UTF-16"),
     ):
         for files in (Files(wrong, tiny_files.mjcf), Files(tiny_files.urdf, wrong)):
             with pytest.raises(pa.ModelError) as caught:

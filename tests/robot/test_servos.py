@@ -237,7 +237,7 @@ def test_a_requested_time_step_is_simulated_with_a_note() -> None:
         ({"timestep": 0.0}, "timestep: 0 s is not between"),
         ({"timestep": 1.0}, "timestep: 1 s is not between"),
         ({"timestep": 1e-5}, "timestep: 1e-05 s is not between"),
-        ({"cone": "round"}, "known: elliptic, pyramidal"),
+        ({"cone": "round"}, "valid: elliptic, pyramidal"),
         ({"impratio": -1.0}, "must be positive and at most 100000"),
         ({"impratio": 1.01e5}, "must be positive and at most 100000"),
         ({"impratio": math.nan}, "must be positive and at most 100000"),

@@ -239,7 +239,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     mode = found.stability.modes_growing_within()[0]
     assert mode.shakes
     assert set(mode.joints) <= set(robot.joint_names)
-    assert any("it shakes at 250 Hz" in str(reason) for reason in found.failures)
+    assert any("the robot shakes at 250 Hz" in str(reason) for reason in found.failures)
     finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
     assert finer.stability.is_stable_for()
 
@@ -288,11 +288,11 @@ def test_transient_excursion_counts_as_leaving() -> None:
     assert not found.stays
     stability = pa.robot.step_stability(model, mujoco.MjData(model))
     (warning,) = find_instability(stability, found)
-    assert "a joint is 2 deg from its position, and returns" in str(warning)
+    assert "a joint moves 2 deg from its position, and returns" in str(warning)
     assert not find_instability(stability, replace(found, farthest=9e-3))
     slide = simulate_slide()
     (warning,) = find_instability(stability, slide)
-    assert "a joint is 20 mm from its position, and returns" in str(warning)
+    assert "a joint moves 20 mm from its position, and returns" in str(warning)
 
 
 def simulate_slide() -> Nudge:

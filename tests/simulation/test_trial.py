@@ -185,7 +185,9 @@ def test_stand_far_from_limits_fails_if_a_large_nudge_makes_it_shake(
     assert judged.passed != shakes
     if shakes:
         (failure,) = judged.failures
-        assert "nudged at 50 mm/s, it shakes without decay: leg_front_r_1" in str(failure)
+        assert "the robot shakes without decay after a nudge of 50 mm/s: leg_front_r_1" in str(
+            failure
+        )
 
 
 @pytest.mark.parametrize(("kp", "passes"), [(5.0, True), (1e5, False)])

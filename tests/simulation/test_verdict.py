@@ -157,7 +157,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         },
         VerdictCode.LIMB_WITHOUT_FOOT,
         False,
-        "3 of 4 limbs that are alike have a foot, and calf has none",
+        "calf has no foot, unlike 3 of 4 similar limbs",
     ),
     "tied": (
         {
@@ -177,7 +177,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"remarks": (diagnose("on-balls-for-soles", count=8),)},
         VerdictCode.HOLDS,
         True,
-        "on 8 spheres in place of its soles",
+        "with 8 spheres in place of the soles",
     ),
     "stands otherwise": (
         {"fed": run(passed=False, stays=True)},

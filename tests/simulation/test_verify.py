@@ -190,7 +190,7 @@ def test_fall_is_a_failure_of_the_verification() -> None:
     qpos[3:7] = 0, 1, 0, 0
     result = pa.verify_stand(robot, replace(stand, qpos=qpos), feedforward=False)
     assert not result.passed
-    assert str(result.failures[0]).startswith("it fell over: tilt 180 deg")
+    assert str(result.failures[0]).startswith("the robot fell over: tilt 180 deg")
     assert any(str(reason).startswith("base_link touches the ground") for reason in result.failures)
 
 
@@ -264,7 +264,7 @@ def test_verification_refuses_fixed_bases_and_stands_of_other_robots(tiny: pa.Ro
     """The message names the reason, and the robot."""
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.verify_stand(load("v3", fixed_base=True), stand_of("v3"))
-    with pytest.raises(pa.ConfigurationError, match="solve it for tiny"):
+    with pytest.raises(pa.ConfigurationError, match="solve a stand for tiny"):
         pa.verify_stand(tiny, stand_of("v3"))
 
 

@@ -134,7 +134,7 @@ def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
     """Reference: distances to the ground in MuJoCo at the nearest stand that is proposed."""
     robot = load("v3")
     with pytest.raises(
-        pa.StanceUnreachableError, match=r"leg_\w+_2 is .* mm in the ground"
+        pa.StanceUnreachableError, match=r"leg_\w+_2 penetrates the ground by .* mm"
     ) as caught:
         pa.solve_stand(robot, LOW)
     error = caught.value

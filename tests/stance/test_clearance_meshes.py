@@ -199,7 +199,9 @@ def test_clearance_is_refused_without_shapes_beside_the_feet(tmp_path: Path) -> 
     pair.mjcf.write_text(text.replace(TRUNK, ""))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     assert pa.solve_stand(robot).ground_clearance is None
-    with pytest.raises(pa.ConfigurationError, match=r"^ground_clearance: .* no shapes but"):
+    with pytest.raises(
+        pa.ConfigurationError, match=r"^ground_clearance: .* no collision shapes except"
+    ):
         pa.solve_stand(robot, pa.StandTask(ground_clearance=0.001))
     pa.solve_stand(robot, pa.StandTask(self_clearance=0.01))  # of the feet
 
@@ -210,7 +212,9 @@ def test_distance_to_a_signed_distance_field_is_refused(robot: pa.Robot) -> None
     def as_field(model: mujoco.MjModel) -> None:
         model.geom_type[next(list_collidable_geoms(model))] = mujoco.mjtGeom.mjGEOM_SDF
 
-    with pytest.raises(pa.ModelError, match="is a sdf, for which no distance can be computed"):
+    with pytest.raises(
+        pa.ModelError, match="is a sdf with contacts, for which no distance can be computed"
+    ):
         pa.solve_stand(change_model(robot, as_field))
 
 

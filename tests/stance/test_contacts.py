@@ -455,19 +455,19 @@ def plane(**more: object) -> pa.Contact:
         (lambda: pa.Plane((0, 0), (0, 0, 1)), r"plane\.point"),  # type: ignore[arg-type]
         (lambda: plane(radius=0), "radius"),
         (lambda: pa.StandTask(contacts={"FL": "wall"}), r"contacts\[FL\]"),  # type: ignore[dict-item]
-        (lambda: pa.StandTask.from_dict({"contacts": {"FL": {"wall": 1}}}), "is no contact"),
+        (lambda: pa.StandTask.from_dict({"contacts": {"FL": {"wall": 1}}}), "is not a contact"),
         (
             lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(heights={"FL": 0.01})),
-            "FL has a plane of its own, and is in heights",
+            "FL has both a plane of its own and an entry in heights",
         ),
         (lambda: pa.Slope(0.1, math.inf), r"slope\.uphill"),
         (lambda: pa.Bar((0, 0, 0), (0, 0, 0), 0.1), "not a direction"),
         (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.0), r"bar\.radius: 0"),
         (lambda: plane(grip=0), "grip: 0 is not more than 0"),
-        (lambda: plane(grip=5.0, force=3.0), "no force is stated"),
+        (lambda: plane(grip=5.0, force=3.0), "either a grip or a force"),
         (
             lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.1).contact_plane((0, 3, 0)),
-            "in the middle of the bar",
+            "on the axis of the bar",
         ),
         (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
         (
@@ -536,7 +536,7 @@ def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> Non
         pa.solve_stand(armed, calf)
     v3 = load("v3")
     carrier = v3.contact_frames["FL"]
-    with pytest.raises(pa.ConfigurationError, match="state the contact of FL"):
+    with pytest.raises(pa.ConfigurationError, match="specify the contact of FL"):
         pa.solve_stand(v3, pa.StandTask(contacts={carrier: plane()}))
     with pytest.raises(pa.ConfigurationError, match="trunk is fixed to the base"):
         pa.solve_stand(armed, pa.StandTask(contacts={"trunk": plane()}))

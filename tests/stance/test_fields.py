@@ -176,7 +176,7 @@ def test_task_is_restored_from_json_and_from_changed_values_alone(field: Field) 
     }
     if field.name != "contacts":
         assert pa.StandTask.from_dict(alone) == task
-    with pytest.raises(pa.ConfigurationError, match="a stance has height, "):
+    with pytest.raises(pa.ConfigurationError, match="unknown field of a stance; valid: height, "):
         pa.StandTask.from_dict({f"{field.name}s_": 0.1})
 
 

@@ -155,7 +155,9 @@ def test_stand_of_another_robot_is_refused(other: str) -> None:
         pa.stance.minimum_stiffness,
         pa.push_recovery,
     ):
-        with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
+        with pytest.raises(
+            pa.ConfigurationError, match=f"another model .v3.*solve a stand for {other}"
+        ):
             use(robot, stand)
 
 

@@ -495,7 +495,7 @@ def test_welded_arm_has_the_verdict_and_document_of_a_stand(arm: pa.Robot, *, al
     (row,) = (line for line in shown.splitlines() if line.startswith("| base |"))
     shown_force = [float(cell) for cell in row.split("|")[2:5]]
     assert shown_force == pytest.approx(wrench[:3], abs=6e-4)
-    moment = shown.split("by a moment of ")[1].split(" N m")[0]
+    moment = shown.split("an additional moment of ")[1].split(" N m")[0]
     assert [float(one) for one in moment.split()] == pytest.approx(wrench[3:], rel=1e-3, abs=1e-3)
 
 
@@ -512,9 +512,9 @@ def test_welds_are_equal_after_text_and_json_round_trips() -> None:
     ("contacts", "message"),
     [
         ({"base": pa.Weld(), "trunk": pa.Weld()}, "move as one body"),
-        ({"base": pa.Weld(offset=(0, 0, 0.1))}, "leave out offset"),
-        ({"base": pa.Weld(place=(0, 0, 0.1))}, "leave out place"),
-        ({"FL_calf": pa.Weld(place=(0, 0, 0.1))}, "leave out place"),
+        ({"base": pa.Weld(offset=(0, 0, 0.1))}, "omit offset"),
+        ({"base": pa.Weld(place=(0, 0, 0.1))}, "omit place"),
+        ({"FL_calf": pa.Weld(place=(0, 0, 0.1))}, "omit place"),
         (
             {"hand": pa.Weld(), "arm_elbow_link": pa.Contact(pa.Plane((0, 0, 0.5), (0, 0, 1)))},
             "move as one",

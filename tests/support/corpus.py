@@ -56,9 +56,9 @@ _CHAIN = [
 
 # What to write into the file; the line in the message (None: none); what the message says.
 MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
-    "empty": ("", None, "it is empty"),
-    "blank": (" \n\n", None, "it is empty"),
-    "binary": (b"<robot>\n\x00\x01", 2, "no text"),
+    "empty": ("", None, "the file is empty"),
+    "blank": (" \n\n", None, "the file is empty"),
+    "binary": (b"<robot>\n\x00\x01", 2, "not a text file"),
     "latin-1": ('<robot name="r">\n\xe9</robot>'.encode("latin-1"), 2, "0xe9 is not UTF-8"),
     "utf-16": ("<robot/>".encode("utf-16"), None, "UTF-16"),
     "no XML": ("solid cube\n", 1, "not well-formed"),
@@ -73,15 +73,15 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
     ),
     "too large": (b"<robot>" + b" " * 20_000_000, None, "more than 20 MB"),
     "too deep": ("<robot>" + "<a>" * 5000 + "</a>" * 5000 + "</robot>", 1, "deeper than 250"),
-    "too many elements": (format_urdf("<a/>" * 30_001), None, "at most 30000"),
+    "too many elements": (format_urdf("<a/>" * 30_001), None, "the maximum is 30000"),
     "other root": ("<html/>", 1, "the root element is <html>"),
     "part": ("<mujocoinclude/>", 1, "give the file that includes it"),
     "xacro": (
         '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro">\n<xacro:include/></robot>',
         2,
-        "expand it",
+        "give the expanded URDF",
     ),
-    "xacro undeclared": ('<robot name="r">\n<xacro:include/></robot>', 2, "expand it"),
+    "xacro undeclared": ('<robot name="r">\n<xacro:include/></robot>', 2, "give the expanded URDF"),
     "undeclared prefix": ('<robot name="r">\n<a:b/></robot>', 2, "prefix a on b is not defined"),
     "xacro value": (_format_two_links('<limit effort="${e}" velocity="1"/>'), 4, "is xacro"),
     "no robot name": ("<robot><link name='a'/></robot>", 1, "the robot has no name"),
@@ -91,7 +91,7 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
     "link twice": (
         format_urdf(format_link("a"), format_link("a")),
         3,
-        "'a' is there already (line 2)",
+        "'a' exists already (line 2)",
     ),
     "joint twice": (
         format_urdf(
@@ -102,22 +102,22 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
             format_joint("j", "b", "c"),
         ),
         6,
-        "'j' is there already",
+        "'j' exists already",
     ),
     "material twice": (
         format_urdf('<material name="m"/>', '<material name="m"/>'),
         3,
-        "'m' is there",
+        "'m' exists already",
     ),
     "unknown parent": (
         format_urdf(format_link("a"), format_joint("j", "x", "a")),
         3,
-        "its parent 'x' is not a link",
+        "parent 'x' is not a link",
     ),
     "unknown child": (
         format_urdf(format_link("a"), format_joint("j", "a", "x")),
         3,
-        "its child 'x' is not a link",
+        "child 'x' is not a link",
     ),
     "no parent": (
         format_urdf(format_link("a"), '<joint name="j" type="fixed"><child link="a"/></joint>'),
@@ -160,7 +160,11 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
         "the child of two joints, 'j', 'k'",
     ),
     "long chain": (format_urdf(format_link("l0"), *_CHAIN), 503, "more than 250 joints"),
-    "many links": (format_urdf(*(format_link(f"l{i}") for i in range(2001))), None, "at most 2000"),
+    "many links": (
+        format_urdf(*(format_link(f"l{i}") for i in range(2001))),
+        None,
+        "the maximum is 2000",
+    ),
     "unknown type": (_format_two_links(LIMIT, "hinge"), 4, "'hinge'; valid: revolute"),
     "no type": (
         format_urdf(
@@ -175,7 +179,7 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
     "two coordinates": (
         _format_two_links('<origin xyz="0 0"/>', "fixed"),
         4,
-        "has 2 values; it takes 3",
+        "has 2 values; 3 are required",
     ),
     "no number": (_format_two_links('<origin xyz=""/>', "fixed"), 4, "has 0 values"),
     "nan": (

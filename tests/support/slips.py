@@ -118,10 +118,10 @@ SLIPS: dict[str, Slip] = {
     "a range is in degrees": _edit_list("range", _degrees),
     "an axis has the wrong sign": _edit_list("axis", lambda v, _: v.__setitem__(1, -1.0)),
     "a mass is ten times": _number("mass", lambda v: v * 10, one=True),
-    "damping is negative": _text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
+    "negative damping": _text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
     "damping is a thousand times": _text('axis="0 1 0"', 'axis="0 1 0" damping="500"'),
     "dry friction is in N mm": _text('axis="0 1 0"', 'axis="0 1 0" frictionloss="50"'),
-    "contacts are overridden": _text(
+    "contact parameters are overridden": _text(
         "<option ", '<option o_solref="2 1"><flag override="enable"/></option><option '
     ),
     "a foot is excluded": _text(

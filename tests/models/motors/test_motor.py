@@ -58,23 +58,23 @@ def test_numbers_are_converted_from_their_unit(kind: str, text: object, value: f
     ("kind", "text", "words"),
     [
         ("torque constant", "0.08", "no unit; write one of N m/A"),
-        ("torque constant", "0.08 rpm", "rpm is not a unit"),
-        ("torque", "3 mNm/A", "mN m/A is not a unit"),
+        ("torque constant", "0.08 rpm", "rpm is not a valid unit"),
+        ("torque", "3 mNm/A", "mN m/A is not a valid unit"),
         ("speed", 400, "no unit"),
         ("resistance", "-0.2 ohm", "out of range"),
         ("resistance", "0 ohm", "out of range"),
-        ("mass", "heavy", "no number"),
-        ("ratio", True, "no number"),
+        ("mass", "heavy", "not a number"),
+        ("ratio", True, "not a number"),
         ("fraction", "120 %", "at most 1"),
         ("efficiency", "0 %", "out of range"),
         ("mass", "-1 kg", r"out of range: more than 0 kg$"),
         ("fraction", "-0.1", r"out of range: at least 0, at most 1$"),
         ("temperature", "-274 degC", r"out of range: at least -273.15 degC$"),
-        ("mass", "1e999 kg", "no number with one of the units kg, g"),
-        ("ratio", math.inf, "no number"),
-        ("efficiency", math.nan, "no number"),
+        ("mass", "1e999 kg", "not a number with one of the units kg, g"),
+        ("ratio", math.inf, "not a number"),
+        ("efficiency", math.nan, "not a number"),
         ("temperature", "-300 degC", "out of range"),
-        ("current", "inf A", "no number"),
+        ("current", "inf A", "not a number"),
     ],
 )
 def test_numbers_with_another_unit_or_range_are_refused(
@@ -113,7 +113,7 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
             r"400 rad/s contradicts .*\(torque_constant x gear_ratio\) = 40 rad/s",
         ),
         ('peak_torque = "1 N m"\ncontinuous_torque = "2 N m"', "2 N m is above the peak torque"),
-        ('kp = "5 N m"', "N m is not a unit"),
+        ('kp = "5 N m"', "N m is not a valid unit"),
         ("gear_efficiency = 0", "gear_efficiency: 0 is out of range"),
         ("mass = 3", "no unit"),
         ('peak_torque = "2 N m"\ncoulomb_friction = "3 N m"', "3 N m is not below the largest"),
@@ -256,7 +256,7 @@ def test_a_file_that_is_no_motor_is_refused_by_its_name(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(ModelError, match=rf"motor\.toml: .*{words}"):
             find_motor(str(path))
-    for name, words in ((tmp_path, "it is a folder"), (tmp_path / "no.toml", "no such file")):
+    for name, words in ((tmp_path, "the path is a folder"), (tmp_path / "no.toml", "no such file")):
         with pytest.raises(ModelError, match=words):
             find_motor(str(name))
 
@@ -298,7 +298,7 @@ def test_servo_models_are_read(tmp_path: Path, model: str) -> None:
         ({"model": "m1", "kt": None}, "torque_constant"),
         ({"model": "m3", "load_friction_base": "high"}, "load_friction"),
         ({"model": ["m1"]}, "m1, m2, m3"),
-        ({"model": "m1", "R": math.nan}, "resistance: nan ohm is no number"),
+        ({"model": "m1", "R": math.nan}, "resistance: nan ohm is not a number"),
     ],
 )
 def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: str) -> None:
@@ -308,5 +308,5 @@ def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: s
         read_bam_parameters(path)
     for text in ("{", "[" * 100_000):
         path.write_text(text)
-        with pytest.raises(ModelError, match="no valid JSON"):
+        with pytest.raises(ModelError, match="not valid JSON"):
             read_bam_parameters(path)

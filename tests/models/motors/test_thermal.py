@@ -162,7 +162,7 @@ def test_written_motor_is_read_again() -> None:
         '<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody>'
         '<actuator><motor name="m" joint="a"/></actuator></mujoco>'
     )
-    with pytest.raises(ModelError, match="no dcmotor"):
+    with pytest.raises(ModelError, match="not a dcmotor"):
         read_dcmotor(spec.compile(), 0)
 
 

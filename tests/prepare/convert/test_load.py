@@ -124,10 +124,13 @@ def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
         ({"models": (URDF, URDF)}, "pupper_v3.urdf: give one file"),
         ({"models": (URDF,), "urdf": URDF}, "give one file"),
         *(
-            ({"models": (junk,)}, "is no robot; give a path, a name .*mujoco.MjSpec.*yourdfpy.URDF")
+            (
+                {"models": (junk,)},
+                "is not a robot; give a path, a name .*mujoco.MjSpec.*yourdfpy.URDF",
+            )
             for junk in (5, None, b"v3", [URDF], pa.Robot)
         ),
-        ({"urdf": URDF, "take": "mjcf"}, "take: there is no such file among those given: mjcf"),
+        ({"urdf": URDF, "take": "mjcf"}, "take: no mjcf is among the given files"),
         ({"mjcf": MJCF, "take": "both"}, "give .urdf. or .mjcf."),
         ({"models": (Path("no/such.urdf"),)}, "no/such.urdf: there is no such file"),
     ],
@@ -140,9 +143,9 @@ def test_invalid_combination_of_files_is_refused(given: dict[str, object], messa
 
 def test_file_of_the_wrong_format_is_refused_by_its_format(tmp_path: Path) -> None:
     """A file that MuJoCo refuses is refused with MuJoCo's reason, alone and beside a URDF."""
-    with pytest.raises(pa.ModelError, match="it is an MJCF"):
+    with pytest.raises(pa.ModelError, match="the file is an MJCF"):
         pa.load_robot(urdf=MJCF)
-    with pytest.raises(pa.ModelError, match="it is a URDF"):
+    with pytest.raises(pa.ModelError, match="the file is a URDF"):
         pa.load_robot(mjcf=URDF)
     refused = tmp_path / "refused.xml"
     joint = '<worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>'
@@ -214,7 +217,7 @@ def test_robot_without_any_mass_is_refused(tmp_path: Path) -> None:
     """A robot with a single massless link is accepted: the link gets 1 g, with a note."""
     path = tmp_path / "chain.urdf"
     path.write_text(_chain(""))
-    with pytest.raises(pa.ModelError, match="its links weigh 0 kg together"):
+    with pytest.raises(pa.ModelError, match="the mass of all links is 0 kg"):
         pa.load_robot(path)
     path.write_text(_chain(INERTIAL))
     robot = pa.load_robot(path)
@@ -251,7 +254,7 @@ def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Pa
     with pytest.raises(pa.ConfigurationError) as refused:
         pa.solve_stand(pa.load_robot(path))
     message = str(refused.value)
-    assert "cannot stand: no feet were found, and a mesh file is missing" in message
+    assert "cannot stand: no feet were found; a mesh file is missing" in message
     assert (message.count(mesh), message.count("--package all=DIR")) == (1, 1)
     assert "fixed base" not in message
 
@@ -275,7 +278,7 @@ def test_scene_without_joints_is_no_robot(tmp_path: Path) -> None:
     file.write_text(
         "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
     )
-    with pytest.raises(pa.ModelError, match="no joints"):
+    with pytest.raises(pa.ModelError, match="the robot has no joints"):
         pa.load_robot(file)
 
 

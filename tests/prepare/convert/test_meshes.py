@@ -97,8 +97,8 @@ def write_hostile_meshes(folder: Path) -> dict[str, str]:
     (folder / "instances.dae").write_text(nest_nodes(11, shape=sphere))
     os.mkfifo(folder / "pipe.dae")
     return {
-        "box.zip": "formats that are not read",
-        "box.3mf": "formats that are not read",
+        "box.zip": "formats are not supported",
+        "box.3mf": "formats are not supported",
         "large.stl": "larger than",
         "broken.dae": "broken",
         "text.ply": "broken",

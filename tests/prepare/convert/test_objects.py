@@ -456,8 +456,8 @@ TWO_ROBOTS = ARM_MJCF.replace(
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: (3,), "is no robot"),
-        (lambda: (mujoco.MjSpec,), "is no robot"),
+        (lambda: (3,), "is not a robot"),
+        (lambda: (mujoco.MjSpec,), "is not a robot"),
         (lambda: (mujoco.MjSpec(),), "joint"),
         (lambda: ("<foo/>",), "<foo>"),
         (lambda: ("<mujoco><worldbody></mujoco>",), "XML"),

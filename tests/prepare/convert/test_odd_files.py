@@ -45,11 +45,11 @@ def _drift(mjcf: Path, but: str = "") -> float:
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (('"FR_pitch"', '"universe"'), "Pinocchio's own joint is called so"),
-        (('"FR_pitch"', '"root_joint"'), "Pinocchio's own joint is called so"),
+        (('"FR_pitch"', '"universe"'), "Pinocchio reserves this name"),
+        (('"FR_pitch"', '"root_joint"'), "Pinocchio reserves this name"),
         (('"FR_pitch"', '"trunk"'), "called like its base, 'trunk'"),
-        (('"FR_thigh"', '"world"'), "the name of the fixed world"),
-        (('"FR_pitch"', '"%s"'), "takes the % for a format"),
+        (('"FR_thigh"', '"world"'), "reserves this name for the fixed world"),
+        (('"FR_pitch"', '"%s"'), "interprets % as a format"),
         (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis has no direction"),
     ],
 )
@@ -64,7 +64,7 @@ def test_refusal_of_a_conversion_names_the_source_file(
 
 def test_free_base_is_refused_if_its_root_link_is_named_world(tmp_path: Path) -> None:
     urdf = _write_changed(tmp_path, ('"trunk"', '"world"'))
-    with pytest.raises(pa.ModelError, match="the name of the fixed world"):
+    with pytest.raises(pa.ModelError, match="reserves this name for the fixed world"):
         pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
 
 
@@ -176,8 +176,8 @@ def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
     )
     _, found = convert_file(source, "two.urdf")
     assert {
-        "bodies that the robot does not carry: 'table', 'goal'",
-        "geoms of the world and of such bodies: 2",
+        "bodies that are not part of the robot: 'table', 'goal'",
+        "geoms of the world and of these bodies: 2",
         "cameras: 1",
         "actuators: 1",
         "gravity (0, 0, -3) m/s^2",
@@ -250,7 +250,7 @@ def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
     )
     _, found = convert_file(source, "two.urdf")
     assert found.agree
-    assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
+    assert "mesh 'left_hand': mesh file 'hand.stl' is not in the MJCF's folder for meshes" in (
         map(str, found.not_converted)
     )
 
@@ -267,7 +267,7 @@ def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path) -> None:
-    """Toe links without mass, with a sphere of radius 0 (as in Drake's Atlas), which the conversion
+    """Toe massless links, with a sphere of radius 0 (as in Drake's Atlas), which the conversion
     must keep; otherwise the feet sink by 20 mm (Kuavo)."""
     ball = format_shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     point = '<sphere radius="0.0"/>'
@@ -280,8 +280,8 @@ def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path
     urdf = _write_changed(tmp_path, (ball, ""), ("</robot>", f"{toes}</robot>"))
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
-    assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
-    assert "spheres of radius 0, points that touch, have a radius of 1 mm" in map(
+    assert any("massless links" in str(note) and "FL_toe" in str(note) for note in found.notes)
+    assert "collision spheres of radius 0 (points) have a radius of 1 mm" in map(
         str, found.not_converted
     )
     model = compile_file(mjcf)

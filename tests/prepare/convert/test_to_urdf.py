@@ -154,7 +154,7 @@ def test_floating_robot_takes_precedence_over_hinged_objects(tmp_path: Path) -> 
         ((CUBE, LEFT), "cube", "body 'cube' carries no hinge or slide joint"),
         ((TABLE, LEFT), "table", "body 'table' carries no hinge or slide joint"),
         ((LEFT,), "middle", "no body 'middle'"),
-        ((TABLE,), None, "it has no joints"),
+        ((TABLE,), None, "the robot has no joints"),
         ((CUBE, CUBE.replace("cube", "ball")), None, "several free bodies"),
     ],
 )
@@ -168,7 +168,7 @@ def test_scene_without_a_single_robot_is_refused(
 def test_body_option_is_refused_for_a_urdf() -> None:
     from pupper_analysis.pupper.variants import find_model_folder
 
-    with pytest.raises(pa.ConfigurationError, match="it names a body of an MJCF"):
+    with pytest.raises(pa.ConfigurationError, match="selects a body of an MJCF"):
         pa.load_robot(find_model_folder("urdf") / "pupper_v3.urdf", body="base_link")
 
 
@@ -216,6 +216,6 @@ def test_linear_equality_of_joints_becomes_a_mimic(tmp_path: Path) -> None:
 def test_mjcf_with_several_robots_requires_a_name(tmp_path: Path) -> None:
     left, right = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
     file = scene(tmp_path, left, right)
-    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; name one"):
+    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; select one"):
         pa.load_robot(file)
     assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")

@@ -141,8 +141,9 @@ def test_zero_angle_effect_equals_the_closed_form_of_a_pendulum(tmp_path: Path) 
     explanation, angles, _ = swing(tmp_path, quaternion=turned)
     difference = get_difference(explanation)
     assert difference.kind == "rotation"
-    assert "turned by 5.73 deg about (0, 1, 0) (its own axis: the files' zero angles differ)" in (
-        difference.message
+    assert (
+        "rotated by 5.73 deg about (0, 1, 0) (the joint's own axis: the files' zero angles differ)"
+        in (difference.message)
     )
     expected = MASS * GRAVITY * LENGTH * (np.sin(angles + 0.1) - np.sin(angles))
     assert difference.effects["gravity"].deviation == pytest.approx(
@@ -446,7 +447,9 @@ def test_armature_of_a_neck_is_not_compared_with_legs(tmp_path: Path) -> None:
 
 
 def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
-    with pytest.raises(ConfigurationError, match=r"no kind 'masses'; valid: mass, com, inertia,"):
+    with pytest.raises(
+        ConfigurationError, match=r"unknown kind 'masses'; valid: mass, com, inertia,"
+    ):
         Tolerances().with_values({"masses": 1.0})
 
 
@@ -479,7 +482,7 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
         {"quaternion": TURNED},
         {"quaternion": (*TURNED[1:], TURNED[0])},
         "rotation",
-        "(a quaternion in another order: MJCF has (w, x, y, z)?)",
+        "(another order of the quaternion: MJCF has (w, x, y, z)?)",
     ),
     "type": ({}, {"kind": "prismatic"}, "type", "revolute in the URDF, prismatic in the MJCF"),
     "unlimited": (
@@ -518,7 +521,7 @@ def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
     assert {difference.element for difference in differences} == {"knee0"}
     for difference in differences:
         assert "?" not in difference.message
-        assert "other sign" not in difference.message
+        assert "opposite sign" not in difference.message
         assert "zero angles" not in difference.message
 
 

@@ -325,7 +325,9 @@ def test_other_name_is_a_difference_with_strict_names(tmp_path: Path) -> None:
 
 def test_urdf_without_any_mass_is_refused(tmp_path: Path) -> None:
     files = write_parts(tmp_path, all_changed(quadruped(), mass=0.0), quadruped())
-    with pytest.raises(ModelError, match="its links weigh 0 kg together; give them <inertial>s"):
+    with pytest.raises(
+        ModelError, match="the mass of all links is 0 kg; give the links <inertial>s"
+    ):
         compare_files(files)
 
 

@@ -118,7 +118,7 @@ def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
     )
     comparison = compare_files(files)
     assert list_differences(comparison) == [("axis", "joint_t3")]
-    assert "turned by 5.73 deg" in comparison.differences[0].message
+    assert "rotated by 5.73 deg" in comparison.differences[0].message
 
 
 def test_offset_across_the_axis_is_reported_with_its_size(tmp_path: Path) -> None:
@@ -169,8 +169,8 @@ def test_joint_zero_shifted_with_its_limits_is_one_cause(tmp_path: Path, offset:
     assert list_differences(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
     assert format_headline(comparison).startswith(
-        "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, "
-        "and its limits with it: "
+        "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: zero and limits "
+        "are offset: "
         f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
     )
     # The one cause is all there is: at matched zeros the two are the same robot.
@@ -240,7 +240,7 @@ def test_moved_base_frame_of_a_free_base_is_one_cause(tmp_path: Path, pose: str)
     comparison = compare_files(pair(tmp_path, mjcf, feet))
     assert list_differences(comparison) == [("base frame", "base")]
     assert format_headline(comparison).startswith(
-        "SAME ROBOT, DIFFERENT CONVENTIONS: the base's frame is elsewhere: that of the "
+        "SAME ROBOT, DIFFERENT CONVENTIONS: the base frames differ: the frame of the "
     )
     assert comparison.same_robot
     assert not comparison.agree
@@ -297,7 +297,7 @@ def test_moved_base_frame_of_a_fixed_base_is_a_note(tmp_path: Path, pose: str) -
     mjcf, _ = change_frame(arm(), [], "base", *POSES[pose])
     comparison = compare_files(pair(tmp_path, mjcf, urdf=arm()))
     assert comparison.agree
-    reported = [note for note in comparison.notes if "the fixed base's frame" in str(note)]
+    reported = [note for note in comparison.notes if "the frame of the fixed base" in str(note)]
     assert len(reported) == 1
 
 
@@ -312,8 +312,8 @@ def test_rotated_fixed_base_gives_one_note(tmp_path: Path, names: bool) -> None:
     mjcf = change_part(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
     comparison = compare_files(pair(tmp_path, mjcf, urdf=urdf))
     assert comparison.agree
-    (reported,) = (str(note) for note in comparison.notes if "is placed" in str(note))
-    assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in reported
+    (reported,) = (str(note) for note in comparison.notes if "MJCF places" in str(note))
+    assert "rotated by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in reported
     assert set(comparison.joints) == {"turn", "lift", "push"}
 
 
@@ -373,7 +373,7 @@ def test_turned_base_frame_without_mass_may_be_the_zero_of_its_only_joint(tmp_pa
     comparison = compare_files(pair(tmp_path, mjcf, urdf=bare))
     assert not comparison.agree
     assert list_differences(comparison) == [("base frame", "base")]
-    assert "or the zero of the one joint on it is" in format_headline(comparison)
+    assert "or only the zero of the one joint at the base differs" in format_headline(comparison)
     assert comparison.complete
 
 
@@ -388,7 +388,9 @@ def test_limits_of_the_only_joint_on_a_base_distinguish_its_zero_from_the_base_f
     mjcf, _ = change_frame(bare, [], "base", *POSES["turned"])
     comparison = compare_files(pair(tmp_path, mjcf, urdf=bare))
     assert comparison.agree
-    assert len([note for note in comparison.notes if "the fixed base's frame" in str(note)]) == 1
+    assert (
+        len([note for note in comparison.notes if "the frame of the fixed base" in str(note)]) == 1
+    )
     column, quarter = mjcf["column"], math.pi / 2
     moved = change_part(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
     assert not compare_files(pair(tmp_path, moved, urdf=bare)).agree

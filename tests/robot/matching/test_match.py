@@ -70,9 +70,7 @@ def with_root(kind: str, origin: str = "", urdf: str = URDF) -> str:
 def test_massless_root_link_is_left_out_with_a_note(tmp_path: Path, kind: str) -> None:
     comparison = compare_texts(tmp_path, with_root(kind), MJCF)
     assert comparison.agree
-    assert "robot.urdf: root link 'world' has no mass and was left out" in map(
-        str, comparison.notes
-    )
+    assert "robot.urdf: root link 'world' has no mass and is ignored" in map(str, comparison.notes)
 
 
 def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
@@ -104,7 +102,7 @@ def test_floating_or_planar_joint_of_the_urdf_is_fixed_at_rest_with_a_note(
 def test_robots_without_a_common_joint_are_refused(tmp_path: Path) -> None:
     """Names and structure differ: no guess, but a hint at mappings."""
     other = {name: replace(part, joint=f"x{part.joint}") for name, part in arm().items()}
-    with pytest.raises(ModelError, match=r"no joint in common .*pair the joints by --map"):
+    with pytest.raises(ModelError, match=r"no joint in common .*pair the joints with --map"):
         compare_files(write_parts(tmp_path, quadruped(), other))
 
 
@@ -174,7 +172,7 @@ def test_references_to_a_joint_of_the_mjcf_alone_are_removed_with_the_joint(
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
     (part,) = comparison.parts
-    assert "has a part that the URDF lacks: body tail on the base (0.1 kg), with" in str(part)
+    assert "has the part body tail on the base (0.1 kg), with" in str(part)
     assert list_differences(comparison) == []  # with it taken off
     assert not comparison.agree
     assert comparison.complete
@@ -269,7 +267,7 @@ def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
     reported = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("one", "two"), ("to_left", "to_right"))
-    assert "say which: --map one=to_left or --map one=to_right" in reported[0]
+    assert "select one: --map one=to_left or --map one=to_right" in reported[0]
     assert len(reported) == 2
 
 
@@ -283,10 +281,10 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
         name: replace(part, axis=(0.0, 0.0, 1.0)) if name != "thigh0" and part.parent else part
         for name, part in quadruped().items()
     }
-    with pytest.raises(ModelError, match="only 1 of 8 joints have a partner") as raised:
+    with pytest.raises(ModelError, match="only 1 of 8 joints match a joint") as raised:
         compare_files(write_parts(tmp_path, urdf, rename_links(mjcf)))
     assert "..." not in str(raised.value)  # what is printed can be pasted
-    assert "the URDF's xknee0, xhip1" in str(raised.value)
+    assert "without likely match: xknee0, xhip1" in str(raised.value)
 
 
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
@@ -303,7 +301,7 @@ def test_gripper_of_one_file_alone_is_reported_as_a_part(tmp_path: Path, where: 
     urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
     comparison = compare_files(write_parts(tmp_path, urdf, mjcf, free=False))
     (part,) = comparison.parts
-    assert f"the {where} has a part that the " in str(part)
+    assert f"only the {where} has the part " in str(part)
     assert "hand on push (0.7 kg), with joints to_finger0, to_finger1" in str(part)
     assert list_differences(comparison) == []
     assert not comparison.agree
@@ -474,7 +472,7 @@ def test_ball_joint_of_the_mjcf_is_fixed_at_rest_with_a_note(tmp_path: Path) -> 
 
 def test_mjcf_without_joints_is_refused(tmp_path: Path) -> None:
     text = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
-    with pytest.raises(ModelError, match="it has no joints"):
+    with pytest.raises(ModelError, match="the robot has no joints"):
         compare_texts(tmp_path, URDF, text)
 
 
@@ -682,7 +680,7 @@ def test_mimic_joint_without_equality_in_the_mjcf_is_a_difference(tmp_path: Path
     assert "knee0" in comparison.joints
     assert list_differences(comparison) == [("mimic", "knee0")]
     assert comparison.differences[0].message.startswith(
-        "joint knee0: it mimics hip0 in the URDF (times 2, plus 0)"
+        "joint knee0: mimics hip0 in the URDF (times 2, plus 0)"
     )
 
 

@@ -194,7 +194,7 @@ def test_only_force_writes_a_file_with_uncommitted_changes(tmp_path: Path) -> No
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     before, typed = path.read_bytes(), ["audit", str(path), "--fix", "--yes"]
     refused = CliRunner().invoke(group, typed)
-    assert "commit them, or add --force" in str(refused.exception)
+    assert "commit the changes, or add --force" in str(refused.exception)
     assert path.read_bytes() == before
     CliRunner().invoke(group, [*typed, "--force"])
     assert audit_model(path).passed

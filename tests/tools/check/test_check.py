@@ -300,9 +300,9 @@ def test_update_baseline_refuses_a_file_that_is_no_baseline(
     (folder / BASELINE).write_text(content)
     result = run(folder, "--update-baseline", *options)
     assert result.returncode == 2
-    assert "which this run reads; give another name" in result.stderr
+    assert "an input of this run; give another name" in result.stderr
     assert (folder / BASELINE).read_text() == content
-    with pytest.raises(OutputError, match="which this run reads"):
+    with pytest.raises(OutputError, match="an input of this run"):
         pa.guard.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
 
 
@@ -610,5 +610,5 @@ def test_number_does_not_agree_with_a_value_of_another_kind(other: object) -> No
 
 def test_robot_in_memory_is_refused_in_place_of_a_configuration() -> None:
     text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
-    with pytest.raises(pa.ConfigurationError, match="config: this robot is in memory"):
+    with pytest.raises(pa.ConfigurationError, match="config: this robot in memory"):
         pa.guard.check_repository(text)

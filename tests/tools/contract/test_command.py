@@ -23,7 +23,7 @@ BAD = {
     "cut.yaml": ("a: [1\nb: 2", "invalid YAML"),
     "none.py": ("import os\nos.system('touch made')\n", "the file contains no number of joints"),
     "circle.py": ("from circle import A\nB = A\n", "the file contains no number of joints"),
-    "big.yaml": ("#" * 20_000_001, "it has more than 20 MB"),
+    "big.yaml": ("#" * 20_000_001, "the file has more than 20 MB"),
     "cut.onnx": ("\x7f\x7f", "the file is not a readable ONNX model"),
     "text.txt": ("x", "unknown kind of file; valid endings: .json"),
     "other.py": ("C = ACfg(init_state=S(joint_pos={'knee': 1.0}), "

@@ -483,7 +483,7 @@ def test_mjcf_with_an_invalid_joint_is_refused_with_the_message_of_mujoco(tmp_pa
         '<mujoco><worldbody><body><joint name="hip" axis="0 0 0"/><geom size="0.1"/></body>'
         "</worldbody></mujoco>"
     )
-    with pytest.raises(ModelError, match="MuJoCo cannot compile it"):
+    with pytest.raises(ModelError, match="MuJoCo cannot compile the MJCF"):
         read_contract(path, stand=False)
 
 

@@ -42,7 +42,7 @@ def test_guessed_name_is_an_error_with_strict(models: Path, tmp_path: Path) -> N
     assert "by part of the name (confirm with --map): lh_kfe=knee2" in loose.stdout
     strict = run(tmp_path, *pair, "--strict")
     assert strict.returncode == 1
-    assert ": joint knee2: it is called lh_kfe in the URDF, knee2 in the" in strict.stdout
+    assert ": joint knee2: named lh_kfe in the URDF, knee2 in the" in strict.stdout
     assert run(tmp_path, *pair, "--strict", "--map", "lh_kfe=knee2").returncode == 0
 
 
@@ -99,7 +99,7 @@ def test_findings_are_failed_cases_of_junit(models: Path) -> None:
 
 BAD: dict[str, tuple[list[str], str]] = {
     "missing URDF": (["nobody.urdf", "robot.xml"], "nobody.urdf: there is no such file"),
-    "a folder": (["folder", "robot.xml"], "folder: it is a folder"),
+    "a folder": (["folder", "robot.xml"], "folder: the path is a folder"),
     "no XML": (["text.urdf", "robot.xml"], "text.urdf:1: not well-formed XML"),
     "two URDFs": (["robot.urdf", "robot.urdf"], "robot.urdf"),
     "one file": (["robot.urdf"], "argument MJCF is missing: the MJCF to compare with the URDF"),
@@ -114,10 +114,10 @@ BAD: dict[str, tuple[list[str], str]] = {
     ),
     "tolerance of nothing": (
         ["robot.urdf", "robot.xml", "--tolerance", "weight=1"],
-        "no kind 'weight'; valid: mass, com,",
+        "unknown kind 'weight'; valid: mass, com,",
     ),
     "package nowhere": (["robot.urdf", "robot.xml", "--package", "parts=nowhere"], "nowhere"),
-    "JSON in a folder": (["robot.urdf", "robot.xml", "--json", "folder"], "it is a folder"),
+    "JSON in a folder": (["robot.urdf", "robot.xml", "--json", "folder"], "the path is a folder"),
 }
 
 

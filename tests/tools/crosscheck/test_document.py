@@ -48,10 +48,10 @@ def test_unexplained_deviation_is_the_verdict(
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     first = printed(comparison).replace(" robot.urdf and robot.xml: ", ": ", 1)
-    assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
+    assert re.match(r"DISAGREE: \S+ of forward dynamics is not explained by the differences", first)
     (remark,) = (r for r in make_comparison_annotations(comparison) if r.title == "agreement")
     assert remark.level == "error"
-    assert "no difference explains" in remark.message
+    assert "is not explained by the differences" in remark.message
 
 
 def test_printed_verdict_is_the_largest_difference_and_groups_equal_differences(
@@ -109,7 +109,7 @@ def test_springs_of_the_mjcf_alone_are_printed_with_their_effect(tmp_path: Path)
     for leg in (0, 2):
         text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
     out = printed(compare_files(write(tmp_path, urdf_text(quadruped()), text)))
-    spring = "stated in the MJCF alone: stiffness 20, springref 0"
+    spring = "only in the MJCF: stiffness 20, springref 0"
     assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
     assert f": {spring}\n" in out
     assert "   likewise on 1 more: hip" in out
@@ -134,5 +134,5 @@ def test_joint_of_one_file_alone_is_the_printed_cause(tmp_path: Path) -> None:
     still = change_part(quadruped(), "shank3", kind="fixed")
     comparison = compare_files(write_parts(tmp_path, still, quadruped()))
     text = printed(comparison)
-    assert text.startswith("DISAGREE robot.urdf and robot.xml: they do not have the same joints\n")
+    assert text.startswith("DISAGREE robot.urdf and robot.xml: the files have different joints\n")
     assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text

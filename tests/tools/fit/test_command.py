@@ -261,7 +261,8 @@ def test_refusal_of_an_option_names_the_modes_that_use_the_option(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     message = (
-        "--weight: it has no effect with --plan; it applies to --stands; leave one of the two out"
+        "--weight: the option has no effect with --plan; it applies to --stands; "
+        "omit one of the two"
     )
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "--weight", "3kg"), message)
 

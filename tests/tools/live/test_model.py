@@ -149,7 +149,7 @@ def test_panel_of_a_refusal_states_the_limit_in_mm_or_degrees(state: State, name
     (limit,) = error.limits[name].values()
     unit, factor = ("mm", 1e3) if name == "height" else ("deg", np.degrees(1.0))
     html = render_panel(refusal_document(found, error, pending=False), ENGLISH)
-    assert f"Possible with all else as asked: {name} {factor * limit:.1f} {unit}." in html
+    assert f"Possible with all else unchanged: {name} {factor * limit:.1f} {unit}." in html
 
 
 @pytest.mark.parametrize("length", [0.1, 131.51, 120.0, 1e-7, -33.3, 1e20])

@@ -47,7 +47,7 @@ def test_walk_restarts_after_a_fall(session: WalkSession) -> None:
     session.impulse.value = 3.0
     session.push(0.0, 1.0)
     wait_for(lambda: session.fall is not None, "it stands a push of 3 m/s")
-    wait_for(lambda: shown("it fell over"), "the fall is not said")
+    wait_for(lambda: shown("the robot fell over"), "the fall is not said")
     session.restart_walk()
     wait_for(lambda: session.fall is None and shown("on its feet for"), "it does not begin again")
 

@@ -60,8 +60,11 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     ("arguments", "message"),
     [
         (("--payload-at", "1,2"), "payload-at: '1,2' is not of the form X,Y,Z (10mm,0,0)"),
-        (("--slope", "0.8", "--pitch", "-0.8"), "the coefficient is 1.000, and 1.030 is needed"),
-        (("--json", "."), "it is a folder"),
+        (
+            ("--slope", "0.8", "--pitch", "-0.8"),
+            "the friction coefficient is 1.000, but balance needs 1.030",
+        ),
+        (("--json", "."), "the path is a folder"),
     ],
 )
 def test_invalid_input_is_refused_in_one_line(

@@ -28,7 +28,7 @@ def test_stand_that_does_not_last_gives_exit_status_1(
         monkeypatch.setattr(module, "FALLEN_TILT", -1.0)
     status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
-    assert "COLLAPSES in MuJoCo: it fell over" in out
+    assert "COLLAPSES in MuJoCo: the robot fell over" in out
     assert "the robot does not stand, so it withstands no push" in out
 
 

@@ -41,7 +41,7 @@ def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     text = " ".join(print_words(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
     assert "largest push in the weakest direction (240 deg): 0.43 N s" in text
-    one.recovery.failures_without_push = (problem("it fell over"),)
+    one.recovery.failures_without_push = (problem("the robot fell over"),)
     text = " ".join(print_words(push_document(one)))
     assert text.startswith("FAILS one: the robot does not stand, so it withstands no push ")
     assert " mass 2.15 kg " in text
@@ -55,7 +55,7 @@ def test_next_command_after_a_failure_compares_the_files_that_explain_it() -> No
             "files-of-two-robots", mjcf=Quantity(2.0, "kg"), urdf=Quantity(3.0, "kg"), residual=9.0
         ),
     )
-    fall = (problem("it fell over"),)
+    fall = (problem("the robot fell over"),)
     pair = Published((), (Cause("pair", (), difference=fall[0]),), differs=True)
     for found, converted, published, command in (
         (failures, "", None, "crosscheck"),

@@ -76,7 +76,7 @@ def test_positions_of_slides_are_in_millimetres_and_in_the_file_in_metres(
     assert abs(knee) > 1e-3
     (row,) = [line.split() for line in out.splitlines() if line.startswith("FL_knee ")]
     assert float(row[-1]) == pytest.approx(1e3 * knee, abs=0.01)
-    assert "Of joints that slide (FL_knee, FR_knee, RL_knee, RR_knee) read mm" in out
+    assert "For slides (FL_knee, FR_knee, RL_knee, RR_knee), read mm" in out
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_missing_minimum_stiffness_is_reported_with_its_reason() -> None:
     """With a welded base no stiffness is the least one; the option was ignored."""
     result = study_stance(load_variant("v3"), StandTask(contacts={"base": Weld()}), stiffness=True)
     assert (result.minimum_stiffness, result.passed) == (None, True)
-    assert "does not stand so without feed-forward with any kp" in printed(result)
+    assert "does not stand without feed-forward with any kp" in printed(result)
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_overloaded_motors_are_reported() -> None:
 
 
 BAD = {
-    "name and files": (["v3", "--urdf", "a.urdf"], "give the robot once: a variant's name"),
+    "name and files": (["v3", "--urdf", "a.urdf"], "the robot is specified more than once"),
     "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
     "no scale": (["--leg-scale", "0"], "greater than 0"),
     "a map alone": (["--map", "a=b"], "--map applies to files only, not to a variant"),
@@ -148,7 +148,7 @@ BAD = {
     "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
     "no such foot": (["v3", "--swing", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
     "two lifted": (["v3", "--swing", "FL=0.02", "--swing", "FR=0.02"], "only 2 feet carry"),
-    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
+    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is not a valid length"),
     "no place": (
         ["v3", "--com", "insde"],
         "'insde' is not of the form X,Y (10mm,0), centre, inside",
@@ -158,7 +158,7 @@ BAD = {
         ["v3", "--contact", "FL=bar:40cm,0,2cm,0,1,0,1cm"],
         "Possible with all else as asked: contacts FL=bar:",
     ),
-    "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
+    "figure in a folder": (["v3", "--figure", "."], "the path is a folder"),
 }
 
 

@@ -192,7 +192,7 @@ def test_invalid_metric_is_refused(metric: Any, message: str) -> None:
     ("more", "message"),
     [
         ("sed = 5\n", "keys of a study: robot, vary"),
-        ("stand = { hight = 0.12 }\n", "a stance has height, roll"),
+        ("stand = { hight = 0.12 }\n", "unknown field of a stance; valid: height, roll"),
         ("robot = ", "not a TOML file"),
     ],
 )

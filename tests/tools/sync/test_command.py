@@ -130,7 +130,7 @@ def test_difference_within_the_tolerance_is_written_with_a_smaller_tolerance(
 
 def test_robot_in_memory_is_refused_because_files_are_written_in_place() -> None:
     text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
-    with pytest.raises(pa.ConfigurationError, match="mjcf: this robot is in memory"):
+    with pytest.raises(pa.ConfigurationError, match="mjcf: this robot in memory"):
         pa.sync_models(ROOT / "urdf" / "pupper_v3.urdf", text)
     with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
         pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]

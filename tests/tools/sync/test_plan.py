@@ -353,7 +353,7 @@ def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
     files = write(tmp_path, urdf_text(ROBOT), sprung)
     for side, said in (
         ("mjcf", "not expressible in a URDF"),
-        ("urdf", "the MJCF alone has it: take it out of that by hand"),
+        ("urdf", "only in the MJCF: delete it there by hand"),
     ):
         result = sync(files, side, dry_run=True)
         assert [(one.difference, str(one.reason)) for one in result.not_mended] == [
@@ -451,7 +451,7 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
     git(tmp_path, "commit", "-m", "robot")
     replace_text(files.mjcf, 'mass="6"', 'mass="7"')
     before = files.mjcf.read_bytes()
-    with pytest.raises(pa.OutputError, match="changes that are not committed; commit them, or add"):
+    with pytest.raises(pa.OutputError, match="uncommitted changes; commit the changes, or add"):
         sync(files, "urdf")
     assert files.mjcf.read_bytes() == before
     assert sync(files, "urdf", dry_run=True).agree
@@ -481,7 +481,7 @@ def test_a_file_with_uncommitted_changes_is_refused(urdf: Path) -> None:
     urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
     refuse_uncommitted(urdf)
     urdf.write_bytes(text + b"\n")
-    with pytest.raises(pa.OutputError, match="not committed"):
+    with pytest.raises(pa.OutputError, match="uncommitted"):
         refuse_uncommitted(urdf)
     new = urdf.with_name("new.urdf")
     new.write_bytes(text)  # nobody's, as far as git knows

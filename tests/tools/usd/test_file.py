@@ -180,7 +180,7 @@ def test_equal_prim_names_are_distinguished_by_path(tmp_path: Path) -> None:
 
 
 def test_usd_is_refused_by_commands_that_need_xml(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="is a USD"):
+    with pytest.raises(ModelError, match="format USD"):
         read_model(usd.write(tmp_path))
 
 

@@ -157,4 +157,4 @@ def test_option_without_effect_on_a_policy_is_refused(
 ) -> None:
     policy = str(made.write_standing_policy(tmp_path / "still.json"))
     typed = tuple(policy if word == "still.json" else word for word in words)
-    check_refusal(capfd, tmp_path, typed, f"{option}: it has no effect")
+    check_refusal(capfd, tmp_path, typed, f"{option}: the option has no effect")

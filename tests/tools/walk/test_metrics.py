@@ -49,7 +49,7 @@ def test_walk_torque_of_a_fall_is_unknown(tmp_path: Path) -> None:
         ("walk_margin:none.json", "none.json"),
         ("servo_sag:still.json", "accepts no file"),
         ("walk_margin:still.json@fast", "number"),
-        ("walk_margin:still.json@0,0", "nor 3 of them"),
+        ("walk_margin:still.json@0,0", "nor 3 numbers"),
     ],
 )
 def test_invalid_walk_metrics_are_refused(
