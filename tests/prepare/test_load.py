@@ -289,7 +289,7 @@ def test_base_frame_on_the_ground_is_raised_to_the_com_of_the_base(
         text = re.sub(r"(</body>\s*</worldbody>)", r"</frame>\1", text)
         pair.mjcf.write_text(text)
     robot = load(pair)
-    raised = f"raised by {1000 * (below + 0.1):.0f} mm, to the base's com"
+    raised = f"raised by {1000 * (below + 0.1):.0f} mm to the base's CoM"
     assert raised in find_note(robot, "below all limbs")
     # The pelvis' com is 0.1 m above the frame that it has otherwise.
     height = plain.stand_height
@@ -560,7 +560,7 @@ def test_names_with_another_prefix_are_matched_with_a_note(tmp_path: Path) -> No
 def test_joint_of_the_mjcf_alone_is_fixed_at_zero_and_named(tmp_path: Path) -> None:
     """The head of 0.3 kg is in the MJCF alone: the verdict states both masses."""
     robot = load(quadruped(tmp_path, head=True))
-    assert "nod" in find_note(robot, "only the MJCF has, held at zero")
+    assert "nod" in find_note(robot, "joints of the MJCF alone are held at zero")
     found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert found.failures[0].code == "files-of-two-robots"
     assert "8.700 kg" in str(found.failures[0])

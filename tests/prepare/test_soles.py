@@ -178,7 +178,7 @@ def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> Non
     with pytest.raises(pa.StanceUnreachableError) as caught:  # names the missing joints
         pa.solve_stand(robot, pa.StandTask(swing={"left_tilt_link": 0.05}))
     assert caught.value.possible == {}
-    assert "takes a leg of six joints; that of left_tilt_link has 4" in str(caught.value)
+    assert "needs a leg of six joints; the leg of left_tilt_link has 4" in str(caught.value)
     assert str(caught.value.lacks) in str(caught.value)
 
 

@@ -151,7 +151,9 @@ def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) 
     robot = pa.load_robot(pair.mjcf)
     messages = {note.code: str(note) for note in robot.notes}
     assert "start-pose-found" in messages
-    assert messages["keyframe-without-stand"].startswith("keyframe 'home': the file stands from it")
+    assert messages["keyframe-without-stand"].startswith(
+        "keyframe 'home': the file stands from this keyframe"
+    )
     assert "in which the robot stands" not in messages["start-pose-found"]
 
 

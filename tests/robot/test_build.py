@@ -90,10 +90,14 @@ def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('mass value="0.5"', 'mass value="-0.5"', "what joint 'turn' moves has a mass of -0.5 kg"),
+        (
+            'mass value="0.5"',
+            'mass value="-0.5"',
+            "the body that joint 'turn' moves has a mass of -0.5 kg",
+        ),
         ('mass value="2"', 'mass value="-2"', "the base has a mass of -2 kg"),
         ('ixx="0.02"', 'ixx="-0.02"', "a mass of 2 kg and moments of inertia from -0.02"),
-        ('ixx="0.001"', 'ixx="-1"', "what joint 'bend' moves"),
+        ('ixx="0.001"', 'ixx="-1"', "the body that joint 'bend' moves"),
     ],
 )
 def test_negative_masses_and_inertias_are_refused_for_a_stand(

@@ -388,7 +388,7 @@ def test_mimic_of_the_urdf_alone_is_added_to_the_mjcf(tmp_path: Path) -> None:
     coupling yields.
     """
     robot = load(belts(tmp_path, in_mjcf=False))
-    assert any("are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes)
+    assert any("were also coupled in the MJCF: FL_knee" in str(note) for note in robot.notes)
     for stand, give in ((verify_held_stand(robot), 0.05), (pa.solve_stand(robot), 1e-9)):
         motor, knee = (joint_value(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
         assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=give)

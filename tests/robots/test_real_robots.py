@@ -144,8 +144,8 @@ def test_remaining_differences_of_mini_cheetah_are_damping_friction_and_efforts(
     assert list_differences(comparison)[0] == ("mass", "base")
     assert set(list_differences(comparison)[1:3]) == {("com", "base"), ("inertia", "base")}
     notes = " ".join(map(str, comparison.notes))
-    assert "damping (0.2 N m s/rad on 12 joints) is stated by the MJCF alone" in notes
-    assert "dry friction (0.2 N m on 12 joints) is stated by the MJCF alone" in notes
+    assert "damping (0.2 N m s/rad on 12 joints) is only in the MJCF" in notes
+    assert "dry friction (0.2 N m on 12 joints) is only in the MJCF" in notes
     assert elements(comparison, "effort") == JOINTS
     assert len(comparison.differences) == 3 + 12
     assert {one.mjcf for one in comparison.differences if one.kind == "effort"} == {23.7, 45.43}

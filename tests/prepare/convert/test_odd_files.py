@@ -47,7 +47,7 @@ def _drift(mjcf: Path, but: str = "") -> float:
     [
         (('"FR_pitch"', '"universe"'), "Pinocchio reserves this name"),
         (('"FR_pitch"', '"root_joint"'), "Pinocchio reserves this name"),
-        (('"FR_pitch"', '"trunk"'), "called like its base, 'trunk'"),
+        (('"FR_pitch"', '"trunk"'), "has the name of its base, 'trunk'"),
         (('"FR_thigh"', '"world"'), "reserves this name for the fixed world"),
         (('"FR_pitch"', '"%s"'), "interprets % as a format"),
         (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis has no direction"),

@@ -477,7 +477,7 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
     "degrees": ({}, {"lower": math.degrees(-2.5)}, "lower limit", "(degrees for radians?)"),
     "degrees rounded": ({"upper": -28.6}, {}, "upper limit", "(degrees for radians?)"),
     "reversed axis": ({}, {"axis": (0, -1, 0)}, "axis", "axis reversed: (0, 1, 0) in the URDF, (0"),
-    "turned axis": ({}, {"axis": (1, 1, 0)}, "axis", "axis turned by 45 deg"),
+    "turned axis": ({}, {"axis": (1, 1, 0)}, "axis", "axis rotated by 45 deg"),
     "quaternion order": (
         {"quaternion": TURNED},
         {"quaternion": (*TURNED[1:], TURNED[0])},

@@ -47,7 +47,7 @@ def test_robots_in_memory_are_compared_like_their_files() -> None:
 def test_object_of_the_other_format_is_refused(urdf: object, mjcf: object) -> None:
     first = mujoco.MjSpec.from_file(str(MJCF)) if urdf is MJCF else URDF
     second = URDF.read_text() if mjcf is URDF else MJCF
-    with pytest.raises(ModelError, match="this robot in memory is no") as caught:
+    with pytest.raises(ModelError, match="this robot in memory is not of format") as caught:
         pa.compare_models(first, second)
     assert "\n" not in str(caught.value)
 

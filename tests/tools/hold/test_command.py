@@ -55,7 +55,7 @@ def test_weak_motors_give_exit_status_1_and_invalid_input_is_refused(
         (("--joints", "elbow=3"), f"elbow at 171.9 deg, outside 11.46 deg to {high}"),
         (("--joints", "elbow=90"), "(for degrees write 90deg)"),
         (("--joints", "elbow=3kg"), "3kg"),
-        (("--joints", "elbow=3cm"), "elbow turns: its position is an angle"),
+        (("--joints", "elbow=3cm"), "the position of elbow is an angle"),
         (("--joints", "knee=3deg"), "there are: elbow"),
         (("--tool", "thumb"), "thumb"),
         (("--payload", "-1"), "--payload: -1.0 kg"),
