@@ -193,8 +193,7 @@ def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
 def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
     """Return an iterable of names as a tuple; raise an error for a single text.
 
-    The elements are not checked. If an element is no known name, the caller raises
-    `UnknownNameError`.
+    The elements are not checked.
 
     Args:
         name: Name of the argument, for the message.
@@ -235,7 +234,7 @@ def check_length(name: str, value: object) -> float:
 
 
 def suggest_degrees(angle: float, low: float, high: float) -> str | None:
-    """Write an angle that is out of range in degrees, as its user must write the angle.
+    """Return the text with which a user writes an angle in degrees, if degrees were meant.
 
     The text is ``5deg`` on the command line, and ``math.radians(5)`` in Python.
 
@@ -331,19 +330,19 @@ def check_type(name: str, value: object, hint: Any) -> None:
 
 
 def _is_identifier(key: object) -> bool:
-    """Return True for a text that can be the name of an argument."""
+    """Return True for a text that is a Python identifier."""
     return isinstance(key, str) and key.isidentifier()
 
 
 @cache
 def _get_type_hints(described: Any) -> dict[str, Any]:
-    """Return {argument or field: type} of a function or class; text annotations are resolved."""
+    """Return the type hints of a function or class by name; text annotations are resolved."""
     return typing.get_type_hints(described)
 
 
 @cache
 def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
-    """Return {argument: function that tests a value against the type hint} of a function."""
+    """Return {name: function that tests a value against its type hint} of a function."""
     return {name: _make_type_test(hint) for name, hint in _get_type_hints(function).items()}
 
 

@@ -68,16 +68,16 @@ def make_placement(quaternion: Array, position: Array) -> pin.SE3:
 
 
 def make_inertia(mass: float, com: Array, tensor: Array) -> pin.Inertia:
-    """Return the spatial inertia of a body, even if the values are not physical.
+    """Return the spatial inertia of a body, even if a moment of inertia is negative.
 
-    Pinocchio's constructor rejects a tensor that is not symmetric, or has a negative diagonal
-    element. A model file may contain such a tensor, so the attributes are set without the
-    constructor.
+    Pinocchio's constructor rejects a tensor with a negative diagonal element. A model file may
+    contain such a tensor, so the attributes are set without the constructor.
 
     Args:
         mass: Mass [kg].
         com: Centre of mass (3,) [m], in the frame of the result.
-        tensor: Inertia tensor (3, 3) [kg m^2] about the centre of mass, in the axes of that frame.
+        tensor: Symmetric inertia tensor (3, 3) [kg m^2] about the centre of mass, in the axes of
+            that frame.
     """
     result = pin.Inertia.Zero()
     result.mass, result.lever, result.inertia = float(mass), np.array(com), np.array(tensor)

@@ -333,7 +333,8 @@ class PostureUnreachableError(PupperAnalysisError):
         far: Whether the target is so far away that the user has probably written mm.
 
     Attributes:
-        task: Required task with the largest residual in the best configuration found.
+        task: Required task, or kept contact, with the largest residual in the best configuration
+            found.
         residual: The residual of this task, in ``unit``.
         unit: Unit of the residual: m or rad.
         residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
@@ -551,7 +552,7 @@ class FitError(PupperAnalysisError):
 
 
 def __dir__() -> list[str]:
-    """Return the names for ``dir``: objects that this module defines, and special names."""
+    """Return the names for ``dir``, without imported objects and constants."""
     return sorted(
         name
         for name, value in globals().items()

@@ -50,7 +50,7 @@ def make_lazy_exports(
         """Import an object that the package's stub file (``.pyi``) exports, and return the object.
 
         Raises:
-            AttributeError: If the stub file does not export the name.
+            AttributeError: If the stub does not export the name, or the name is left out.
         """
         if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")

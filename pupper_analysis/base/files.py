@@ -1,11 +1,10 @@
 """Atomic writing of output files, with protection of inputs and of other existing files.
 
-All output files are written by this module (except for scratch files in the system's temporary
-folder). A regular file is written completely or not at all. A run does not overwrite an input of
-the same run (`runs`), except a file that the run edits in place. Without ``force``, a non-empty
-file is replaced only if it has the same content, or is a result of the same kind (`kinds`). New
-contents are first written to hidden temporary files in the same folder. Temporary files of killed
-processes are removed later.
+New contents are written to hidden temporary files in the same folder, which then replace the files
+by renames. `write_atomically` lists the exceptions, such as pipes. A run does not overwrite an
+input of the same run (`runs`), unless the run edits the file in place. Without ``force``, the kind
+of the output (`kinds`) determines which existing files may be replaced. Temporary files of killed
+processes are removed later on POSIX systems.
 """
 
 from __future__ import annotations
@@ -59,8 +58,7 @@ _cleaned_folders: Final[set[tuple[int, Path]]] = set()
 def hidden_beside(target: Path) -> Path:
     """Return a random path for a hidden temporary file in the folder of a file.
 
-    The first call of a process for this folder also removes old temporary files; see
-    `remove_stale_files`.
+    Old temporary files in the folder are removed (`remove_stale_files`).
     """
     remove_stale_files(target.parent)
     return target.parent / f".{hidden_token()}.tmp"
@@ -75,9 +73,10 @@ container cannot be tested. Chosen: one day, since no write takes that long."""
 def remove_stale_files(folder: Path) -> None:
     """Remove old temporary files from a folder, once per process; only on POSIX systems.
 
-    A temporary file is removed in two cases. First, if the process that wrote the file ran on this
-    machine and has ended. Second, if the file is older than `MAX_TEMPORARY_AGE`. The age is
-    measured from the last change of the status of the file. Files that cannot be removed remain.
+    A temporary file is removed in two cases. First, if it was written on this machine, and no
+    process with the ID of its writer exists. Second, if the file is older than `MAX_TEMPORARY_AGE`.
+    The age is measured from the last change of the status of the file. Files that cannot be removed
+    remain.
 
     On other systems the function does nothing: ``os.kill(pid, 0)``, the test whether a process has
     ended, may end the process there.
@@ -189,8 +188,8 @@ def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None
 
     The run is the current command (`runs.current_run`). If the run reads the registered file before
     writing, an error is raised. A file is not registered if its kind is edited in place. The
-    function does not write the file, but removes old temporary files in its folder. For ``-``, only
-    standard output is checked.
+    function does not write the file, but may remove old temporary files in its folder
+    (`remove_stale_files`). For ``-``, only standard output is checked.
 
     Args:
         path: Output file.
@@ -236,8 +235,8 @@ def _check_replaceable(
 
     Raises:
         OutputError: If a non-empty file has a content that the kind does not permit to replace.
-            Also if the run has read the file. Exception: the kind is edited in place, and the file
-            is of this kind, is empty, or is no regular file.
+            Also if the file is an input of the run (`RunFiles.refuse_input`). Exception: the kind
+            is edited in place, and the file is of this kind, is empty, or is not `is_replaceable`.
         OSError: If a non-empty file cannot be read.
     """
     run = current_run()
@@ -325,6 +324,7 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
 
     Raises:
         OSError: If the status cannot be read, for example without permission.
+        ValueError: If the path contains a zero byte.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -346,13 +346,16 @@ def _standard_stream(status: os.stat_result) -> int | None:
 
 
 def _write_output(writing: Writing) -> None:
-    """Write to standard output, to a pipe or device in place, or replace a file atomically.
+    """Write to standard output, write a file in place, or replace a file atomically.
+
+    `write_atomically` describes which files are written in place.
 
     Raises:
         OutputError: If an existing file must not be replaced, or a regular file cannot be written.
             Also if the parent process has closed standard output.
         OSError: If standard output, a pipe or a device cannot be written, or the path cannot be
             accessed.
+        ValueError: If the path contains a zero byte.
     """
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
@@ -534,7 +537,8 @@ class _StagedFile:
     def _check_unchanged(self) -> None:
         """Raise OutputError if the file's content is not the expected `Writing.before`.
 
-        If the file is missing or cannot be read, an OSError is raised.
+        If the file is missing or cannot be read, an OSError is raised. Without an expected content,
+        nothing is checked.
         """
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
@@ -543,8 +547,7 @@ class _StagedFile:
     def link_existing(self) -> None:
         """Link the existing file to a second name, so that restoring the file needs no disk space.
 
-        If the file system does not support hard links, the file is copied. A missing file is
-        ignored.
+        If the file cannot be linked, it is copied. A missing file is ignored.
 
         Raises:
             OutputError: If the file can be neither linked nor copied.

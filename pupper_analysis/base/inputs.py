@@ -30,8 +30,7 @@ CONFIG_NAME: Final = "pupper-analysis.toml"
 """Name of the configuration file of a project: pairs and rules of `check`, keys of `contract`."""
 
 GENERATED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
-"""Names of folders with generated or installed files. Searches for files skip these folders, and
-folders with a leading dot."""
+"""Names of folders with generated or installed files, which searches for files skip."""
 
 MAX_TEXT_BYTES: Final = 20_000_000
 """Maximum size of a text file, such as a model or settings [bytes]. Chosen, not tuned."""
@@ -58,7 +57,7 @@ _MAX_KEY_LENGTH: Final = 500
 
 _MAX_VALUE_LENGTH: Final = 4096
 """Maximum number of characters of a text in a TOML file. Error messages contain the text. Chosen:
-the longest path of Linux."""
+PATH_MAX of Linux."""
 
 
 def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
@@ -193,7 +192,8 @@ def decode_input(path: Path, data: bytes) -> str:
     string.
 
     Raises:
-        InputError: If the content is not UTF-8, or contains zero bytes; with the line, if known.
+        InputError: If the content is not UTF-8, or contains other zero bytes; with the line, if
+            known.
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, diagnose("encoded-in-utf-16"))

@@ -20,13 +20,13 @@ from pupper_analysis.base.diagnostics import Diagnostic, format_number
 from pupper_analysis.base.units import units_of
 
 MAX_SHOWN_NUMBERS = 12
-"""Largest number of elements of an array, or of a sequence of numbers and names, that a table cell
+"""Largest number of elements of a vector, or of a sequence of numbers and names, that a table cell
 shows on one line. Chosen: number of joints of a quadruped with three joints per leg."""
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of entries of a mapping or a sequence that a table cell shows. Each entry is a
-line. Also the largest number of fields of a result whose nested tables are unfolded. Chosen: number
-of joints of a quadruped with three joints per leg."""
+"""Largest number of entries of a mapping or a sequence that a table cell shows, one per line. Also
+the largest number of fields and reported properties of a result whose nested tables are unfolded.
+Chosen: number of joints of a quadruped with three joints per leg."""
 
 MAX_TEXT_LENGTH = 200
 """Largest number of characters of the text of a nested object. A longer text is cut off; a field
@@ -36,11 +36,12 @@ NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Relative threshold up to which a table cell shows a number of an array, a mapping or a sequence
-of numbers as 0; also the ``repr`` of a result, for short arrays. The reference is the largest
-absolute number of the array or sequence, or 1 if 1 is larger. The reference of an entry of a
-mapping is the number itself, or 1 if 1 is larger, since entries may have different units. Smaller
-numbers are rounding errors of double precision. Chosen, not tuned.
+"""Relative threshold up to which a table cell shows a float of an array, a mapping or a sequence of
+numbers as 0; also the ``repr`` of a result, for short arrays. The reference is the largest absolute
+number of the array or sequence, or 1 if 1 is larger. The reference of an entry of a mapping is the
+number itself, or 1 if 1 is larger, since entries may have different units. Smaller numbers are
+rounding errors of double precision. Also the largest relative span of the values of a table column
+that counts as rounding (`study`). Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"
@@ -54,7 +55,8 @@ def render_result(result: object) -> str:
     """Return the HTML table of a result: a row per public field, with value and unit.
 
     Warnings (`list_warnings`) are the first rows. A field that is a result with a long text is a
-    table in the cell. This table is unfolded if ``result`` has at most `MAX_SHOWN_ROWS` fields.
+    table in the cell, which is unfolded if ``result`` has at most `MAX_SHOWN_ROWS` rows without
+    warnings.
 
     Args:
         result: Instance of a dataclass. The properties that its class lists in ``_reported`` have

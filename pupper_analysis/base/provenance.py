@@ -85,8 +85,8 @@ def list_versions() -> dict[str, str]:
 def collect_provenance() -> Provenance:
     """Collect command, options, versions and file hashes of the current run.
 
-    The run is the command in progress (`runs`). Outside of a run, the provenance contains neither
-    command nor options nor files.
+    The run is the command or Python call in progress (`runs`). Outside of a run, the provenance
+    contains neither command nor options nor files.
     """
     run = current_run()
     files = {}
@@ -128,7 +128,10 @@ def to_marked_json(content: object) -> str:
 
 
 def _iter_result_types(content: object) -> Iterator[type]:
-    """Yield the class of each dataclass in a result or a container; diagnostics are skipped."""
+    """Yield the class of each dataclass in a result, mapping, list or tuple, without diagnostics.
+
+    Nested values are searched, too.
+    """
     if is_dataclass(content) and not isinstance(content, Diagnostic):
         yield type(content)
         content = to_plain(content)

@@ -77,8 +77,8 @@ def to_plain(value: Any) -> Any:
 
 
 _MAX_REPR_LENGTH = 220
-"""Maximum number of characters of the fields in ``repr``; the remaining fields are omitted. Chosen,
-not tuned: two or three lines of a terminal."""
+"""Maximum number of characters of the fields in ``repr``; the rest is omitted. Chosen, not tuned:
+two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
 """Maximum number of items of a vector, tuple or list, or of names of a mapping, that ``repr``
@@ -270,7 +270,7 @@ def _join_texts(value: object) -> str:
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
     """Return a short text of each item of a vector, by `shorten`.
 
-    Rounding errors in a vector that is not compared are written as 0 (`zero_rounding_errors`).
+    Rounding errors in an array that is not compared are written as 0 (`zero_rounding_errors`).
     ``other`` is the vector that is printed beside ``values``: two different numbers at the same
     position get different texts. An ``other`` of another length is ignored.
     """
@@ -292,7 +292,7 @@ def _to_python_scalar(item: object) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names for ``dir``: objects that this module defines, and special names."""
+    """Return the names for ``dir``, without imported objects and constants."""
     return sorted(
         name
         for name, value in globals().items()

@@ -80,8 +80,8 @@ class RunFiles:
 
         Args:
             path: The file.
-            edited: Whether the run has edited the file in place. The file then counts as an input,
-                which later output of the run must not replace. Otherwise the run may read the file.
+            edited: Whether the run has edited the file in place. The file then counts as an input
+                (`refuse_input`). Otherwise the run may read the file.
         """
         identity = identify_file(path)
         if identity is None:
@@ -109,8 +109,8 @@ def current_run() -> RunFiles | None:
 def is_command_line() -> bool:
     """Return True during a command of the command line, False in a Python program.
 
-    Error messages use the result to write a remedy as an option, or as Python code. In another
-    thread or process than the command's, the result is False.
+    Error messages use the result to write a remedy as an option, or as Python code. Threads that
+    the command starts get False.
     """
     run = _current_run.get()
     return run is not None and bool(run.command)
@@ -150,10 +150,7 @@ def register_input(path: str | os.PathLike[str]) -> None:
 
 
 def identify_file(path: Path) -> Identity | None:
-    """Return device and inode number of a file, with links followed.
-
-    None if there is no file, or the system rejects the path.
-    """
+    """Return device and inode number of a file, with links followed; None if not accessible."""
     with suppress(OSError, ValueError):
         status = path.stat()
         return status.st_dev, status.st_ino

@@ -16,8 +16,7 @@ Three files have a line per entry, ``key = { en = "...", zh = "..." }``. ``terms
 names of kinds of things, such as ``joint``. ``texts.toml`` contains headings, labels and remarks of
 documents. ``meanings.toml`` contains descriptions of the fields of results, by class and field. The
 ``words.toml`` of a tool has such lines in its tables ``[terms]``, ``[texts]`` and ``[meanings]``.
-The English text replaces a missing text of another language, for diagnostics and for texts of tools
-from other distributions.
+The English text replaces a missing Chinese text of a diagnostic or a document.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ LANGUAGES = ("en", "zh")
 """Codes of the languages of all catalogue texts: English and Simplified Chinese."""
 
 SHORT_FORM = "short"
-"""Key of the short English form of a catalogue text; the other keys are ``en`` and ``zh``.
-Documents print the short form in short answers. Most texts have no short form."""
+"""Key of the short English form of a catalogue text, for short answers. Most texts have no short
+form."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
@@ -78,9 +77,9 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Return the codes of all diagnostics of this package and its tools, in no particular order.
+    """Return the codes of all diagnostics of this package, in no particular order.
 
-    Tools of other distributions are not included.
+    Tools and formats of this package are included, those of other distributions are not.
     """
     return iter(_load_tables())
 
@@ -173,7 +172,7 @@ def word_files() -> Mapping[str, Path]:
     """Return {name: path} of the TOML files with texts for users, without those of plug-ins.
 
     A file of the folder ``catalogue`` has its file name without suffix as name; the file
-    ``words.toml`` of a tool has the name "tools/TOOL".
+    ``words.toml`` of a tool or format has the name "tools/NAME".
     """
     catalogues = {path.stem: path for path in sorted(_CATALOGUE_FOLDER.glob("*.toml"))}
     tools = {name: tool.folder / "words.toml" for name, tool in own_packages().items()}

@@ -148,7 +148,7 @@ class Diagnostic:
 
     @property
     def _template_values(self) -> dict[str, Any]:
-        """Values for the placeholders of a template: all ``values``, ``subject`` and ``name``."""
+        """Values for the placeholders of a template: ``values``, and the subject with its name."""
         values: dict[str, Any] = dict(self.values)
         if self.subject is not None:
             values.update(subject=self.subject, name=self.subject.name)

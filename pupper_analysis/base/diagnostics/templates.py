@@ -322,8 +322,8 @@ _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 of each item; each part may be missing."""
 
 _MAX_LISTED_ITEMS = 8
-"""Default of the largest number of items in a list. Longer lists hide the rest of the message.
-Chosen, not tuned."""
+"""Default of the largest number of items in a list; a single further item is also shown. Longer
+lists hide the rest of the message. Chosen, not tuned."""
 
 _SEPARATORS = {
     "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
