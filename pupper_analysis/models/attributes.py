@@ -90,7 +90,7 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Value from which a limit in a URDF counts as unspecified: effort [N m, N], velocity [rad/s, m/s]
+"""Value from which a limit in a file counts as unspecified: effort [N m, N], velocity [rad/s, m/s]
 or the absolute value of a position [rad, m]. Reason: the ``<limit>`` of a URDF must state finite
 numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
 
@@ -301,8 +301,8 @@ _CONSTRAINT_WORDS: Final = {
                      "actearly", "delay", "history", "cranklength")
     ),
 }  # fmt: skip
-"""{tag: pairs of an attribute that is compared and its array in MuJoCo's model}. The iterators are
-read once, for `ELEMENT_ATTRIBUTES`."""
+"""{tag or section: pairs of an attribute that is compared and its array in MuJoCo's model}. The
+iterators are read once, for `ELEMENT_ATTRIBUTES`."""
 
 ELEMENT_ATTRIBUTES: Final = (
     *(
@@ -341,8 +341,9 @@ HOME_KEYFRAME: Final = "home"
 """Name of the keyframe of the initial pose."""
 
 COUPLING_TIME_CONSTANT: Final = 5e-3
-"""Time constant of joint couplings in MuJoCo (``solref``) that are added or made stiff [s]. Chosen,
-not tuned: with MuJoCo's default, 20 ms, fingers with a mass of grams open far."""
+"""Time constant of joint couplings in MuJoCo (``solref``) that are added or made stiff [s]; larger
+if the time step requires it (`SpecTree.add_coupling`). Chosen, not tuned: with MuJoCo's default, 20
+ms, fingers with a mass of grams open far."""
 
 IMU_SENSORS: Final = ("gyro", "accelerometer")
 """Sensors of an IMU: elements in an MJCF, also used as names."""

@@ -2,9 +2,9 @@
 
 Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges.
 Therefore ``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. By default,
-MuJoCo's URDF importer welds the base to the world and drops the mass of the base. Therefore static
-bodies are kept, and a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be
-changed in place.
+MuJoCo's URDF importer welds the base to the world and drops the mass of the base. Therefore
+``UrdfImport`` keeps static bodies. ``MujocoTree`` is a MuJoCo model whose parameters can be changed
+in place.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     """Compile a MuJoCo model with the structure of a multibody tree and placeholder parameters.
 
-    Masses, inertial frames, joint axes and positions of frames are nonzero placeholders, which the
-    caller overwrites.
+    Masses, inertial frames, joint axes and positions of frames are placeholders, which the caller
+    overwrites.
 
     Args:
         parameters: Tree with the joints, their types, and the frames (sites of the model).

@@ -2,7 +2,7 @@
 
 Includes are expanded, and attached models are read. Meshes and textures with missing files are
 removed, with the geoms that use these meshes. MuJoCo rejects flat meshes as solids; the reader
-turns flat meshes into shells.
+turns flat meshes that determine no mass into shells.
 """
 
 from __future__ import annotations
@@ -642,7 +642,8 @@ _ACTUATOR_TAGS = frozenset(
         *("damper", "cylinder", "muscle", "adhesion", "dcmotor"),
     )
 )
-"""Tags of actuators in an MJCF. All tags of a default class set the same defaults."""
+"""Tags of actuators in an MJCF. In a default class, elements with different tags of this set change
+the same defaults."""
 
 _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
     ("forcerange", "forcelimited", "ctrlrange", "ctrllimited", "gear", "lengthrange", "cranklength")

@@ -517,7 +517,7 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
 
     Returns:
         Diagnostic of the replacement; None if there is no such base. A joint with an actuator or a
-            stiffness, for example, excludes a base (`_find_free_base`).
+        stiffness, for example, excludes a base (`_find_free_base`).
     """
     base = _find_free_base(spec, stated)
     if base is None:

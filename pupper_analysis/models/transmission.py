@@ -292,7 +292,7 @@ class Drive(StrEnum):
 
     @property
     def has_invalid_stiffness(self) -> bool:
-        """Whether gain and stiffness of the actuator are zero, or a gain has a wrong sign."""
+        """Whether gain and stiffness are zero, or the sign of one of them is wrong."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
     @property

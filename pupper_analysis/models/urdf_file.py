@@ -1,9 +1,9 @@
 """Reading of URDF files: validation with line numbers, mesh paths, joints without limits.
 
 Input is a path or an XML tree. Output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
-and velocities of limits are completed. Unused xacro declarations and a second ``<origin>`` of an
-element are removed. A mimic of an unknown joint is noted. Other errors raise a `ModelError` with
-file and, if known, line.
+and velocities of limits are completed. Unused xacro declarations and repeated ``<origin>`` elements
+are removed. A mimic of an unknown joint is noted. Other errors raise a `ModelError` with file and,
+if known, line.
 """
 
 from __future__ import annotations
@@ -525,10 +525,10 @@ def check_tree(
 # Joints without limits: normalisation for the readers of the engines.
 
 MAX_SLIDE_POSITION = 1e3
-"""Absolute limit that is written to a URDF for a slide without limits [m]. A comparison with an
-MJCF treats limits from this value up as missing. Reason: a URDF requires two limits, whose defaults
-are 0. Chosen: no robot moves as far, and with 12 digits smaller positions have a resolution of a
-nanometre."""
+"""Absolute limit that is written to a URDF for a slide without limits [m]. If an MJCF states no
+limit, a comparison accepts a URDF's limit of a slide from this value up. Reason: a URDF requires
+two limits, whose defaults are 0. Chosen: no robot moves as far, and with 12 digits smaller
+positions have a resolution of a nanometre."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
@@ -550,9 +550,9 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
 
 
 def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
-    """Remove repeated ``<origin>`` elements in place; the first in each parent element remains.
+    """Remove repeated ``<origin>`` elements of links, joints and their children, in place.
 
-    Reason: urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo
+    The first ``<origin>`` in each parent element remains. Reason: urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo
     refuses the file.
 
     Returns:

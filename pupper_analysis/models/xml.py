@@ -26,8 +26,8 @@ MAX_BYTES: Final = MAX_TEXT_BYTES
 """Maximum size of an XML file [bytes]; a larger file is refused."""
 
 MAX_DEPTH: Final = 250
-"""Largest nesting depth of XML elements, and largest number of joints in a chain of a URDF; a
-deeper file is refused. Chosen, not tuned."""
+"""Largest nesting depth of XML elements or of a USD text, and largest number of joints in a chain
+of a URDF; a deeper file is refused. Chosen, not tuned."""
 
 MAX_ELEMENTS: Final = 30_000
 """Largest number of XML elements of a file, or of an MJCF with all included files; a larger file is
@@ -51,7 +51,7 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
 """Pattern of an XML declaration that parsers reject: it follows white space (for example a blank
-first line), or its version does not begin with ``1.`` (for example ``<?xml version="0.0"?>``).
+first line), or does not begin with a version 1.N (for example ``<?xml version="0.0"?>``).
 Eight of 902 public URDFs have a rejected version, but MuJoCo and Pinocchio read these files."""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
@@ -310,7 +310,7 @@ def new_file_text(root: etree._Element, header: str) -> str:
     Args:
         root: Root element; its elements are indented in place.
         header: Text of the comment at the top. Characters that would end the comment, or that XML
-            does not permit, are escaped.
+            does not permit, are changed.
     """
     etree.indent(root, space="  ")
     text = etree.tostring(root, encoding="unicode")

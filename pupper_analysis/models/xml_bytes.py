@@ -1,8 +1,8 @@
 """XML file as bytes, in which single attributes are changed and all other bytes are kept.
 
 `read_xml_bytes` returns the elements with the byte offsets of their start tags. Attributes are set
-and children added in memory. ``XmlDocument.render`` replaces only the changed bytes: comments,
-white space and the order of attributes of the user's file stay the same.
+and children added in memory. ``XmlDocument.render`` replaces only the changed parts: comments, the
+order of attributes, and white space between elements of the user's file stay the same.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.models.xml import blank_faulty_declaration
 
 _ATTRIBUTE_PATTERN: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
-"""Attribute with the value in double or single quotes."""
+"""Pattern of an attribute with the value in double or single quotes."""
 
 _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
 """Pattern of the start tag of an XML element, with its attributes."""
@@ -126,7 +126,8 @@ class XmlDocument:
     def render(self) -> bytes:
         """Return the bytes of the file with all changes of the elements applied.
 
-        New elements without attributes, also in all descendants, are omitted.
+        A new child of an existing element is omitted if neither it nor a descendant has an
+        attribute.
         """
         data = self.data
         splices = self.list_splices()

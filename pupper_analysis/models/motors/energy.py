@@ -9,9 +9,9 @@ the start and the end of the step:
 
 K is the torque at the output per current, Ke the back-EMF constant at the output, and R the
 resistance of the cold winding. The gear transmits the fraction K / Ke of the power in both
-directions; the remainder is friction. With the mean speed, a semi-implicit step of MuJoCo changes
-the kinetic energy by exactly the work of all forces (at a constant mass matrix), so that the
-electrical energy equals work + copper loss + friction to rounding.
+directions; the remainder is friction. Therefore the electrical energy equals work + copper loss +
+friction, to rounding. With the mean speed, a semi-implicit step of MuJoCo changes the kinetic
+energy by exactly the work of all forces, at a constant mass matrix.
 """
 
 from __future__ import annotations
