@@ -105,7 +105,8 @@ class JointOff:
         joint: Name of the joint.
         off: Final minus initial position (rad, m).
         drive: Actuator type in the file.
-        commanded: Commanded minus initial position (rad, m); None without a servo.
+        commanded: Commanded minus initial position (rad, m). None unless a single actuator with
+            positive stiffness drives the joint.
         unit: Unit of ``off`` and ``commanded``: rad for a hinge, m for a slide.
     """
 
@@ -138,8 +139,8 @@ class Cause:
         code: Code of the cause; ``present.verdict.describe_cause`` has a text for each code.
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
-        remaining: Torque error (`PublishedRun.torque_error`) that remains with all causes disabled;
-            0 if the cause is of a simulation from a keyframe. None if the cause cannot be disabled.
+        remaining: Torque error (`PublishedRun.torque_error`) that remains with all causes disabled.
+            0 or None for a simulation from a keyframe; None if no cause was disabled.
         difference: First difference between the two files, if that is the cause.
     """
 
@@ -195,15 +196,17 @@ class OwnRun(BodyMotion):
             the simulation starts at the start pose (`Robot.home`), or, for a fixed base, at a given
             posture.
         commands: Commands of the actuators.
-        limp: Whether more than half of the joints have no servo: a torque motor, or no actuator.
+        limp: Whether more than half of the joints have no actuator that can hold a position: for
+            example a torque motor, or no actuator. Unless the simulation starts at a given posture,
             False if the keyframe's ctrl contains joint angles instead of torques.
         worst: Joint with the largest displacement; None if the simulation diverged.
-        unheld: Joint with the largest displacement among the joints that neither a servo nor a
-            coupling holds. None if no such displacement exceeds 0.05 rad or m
-            (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have a servo, or if the
-            simulation diverged.
+        unheld: Joint with the largest displacement among the joints that a servo should hold, but
+            does not; coupled and passive joints are not considered. None if no such displacement
+            exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have
+            a servo, or if the simulation diverged.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
-            positions. None otherwise, or if most joints have no servo.
+            positions. None otherwise, if most joints have no servo, or if an actuator has a
+            built-in controller such as ``pid``.
         standing: Whether the robot stands on the ground. If False, the base is fixed.
         causes: Causes of a failure, if found.
         missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
@@ -287,7 +290,7 @@ class OwnRun(BodyMotion):
     def fails(self) -> bool:
         """True if the published file does not stand in this simulation.
 
-        - If most joints have no servo (``limp``): False.
+        - If most joints cannot hold a position (``limp``): False.
         - With a keyframe: True if the robot ``falls``, ``is_tilted`` or ``has_left_stance``. The
           commands are the ctrl of the keyframe, or zeros if the keyframe has no ctrl.
         - Without a keyframe: True if a joint is not held (``unheld``).

@@ -160,7 +160,7 @@ class BodyMotion:
     def has_left_place(self) -> bool:
         """True if the robot collapses only because its CoM moved too far horizontally.
 
-        The limit is the initial CoM height (times ``MAX_TRAVEL_RATIO``, which is 1).
+        `has_collapsed` defines the limit.
         """
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 

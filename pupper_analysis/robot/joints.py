@@ -29,7 +29,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
-"""Motion types of a hinge, and of a slide, whose axis is more than 1 degree from each world axis
+"""Motion types of a hinge, and of a slide, whose axis is at least 1 degree from each world axis
 (`joint_motions`)."""
 
 
@@ -64,7 +64,7 @@ def is_slide(robot: Robot, joint: str) -> bool:
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
     """Name the motion about or along an axis (3,), such as ``pitch`` or ``along x``.
 
-    The motion is ``oblique`` if the axis is more than 1 degree from each world axis.
+    The motion is ``oblique`` if the axis is at least 1 degree from each world axis.
     """
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
@@ -256,9 +256,8 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 _KEYFRAME_ROUNDING = 1e-3
 """Excess of a keyframe's joint position over the joint limit [rad, m] below which the excess is
-attributed to rounded numbers in files. If the excess is smaller, the limit replaces the position. A
-keyframe with a larger excess is the default posture only if the caller names the keyframe. Chosen,
-not tuned."""
+attributed to rounded numbers in files. If the excess is smaller, the limit replaces the position.
+Otherwise, the keyframe is the default posture only if the caller names it. Chosen, not tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:

@@ -636,7 +636,7 @@ class Robot(EngineModels):
         return {}
 
     def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:
-        """Return ``make(robot, *given)``, computed once and cached for the lifetime of the robot.
+        """Return ``make(robot, *given)``, cached for the lifetime of the robot.
 
         The result must not reference the robot, because a reference cycle would delay the release
         of memory.

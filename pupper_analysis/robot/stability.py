@@ -157,16 +157,16 @@ _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint position from a joint limit [rad, m]. If a joint is nearer to its limit, the
-spectrum is computed twice: with the limit moved to this distance on either side of the joint
+"""Distance of a joint position from a joint limit [rad, m]. If a joint is at most so far from its
+limit, the spectrum is computed twice: with the limit moved to this distance on either side
 (`_evaluate_at_limits`). Reason: centred differences across a limit mix two regimes. ANYmal at a
 knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
-[1/s]. Such a mode needs 1.9 hours or more to double. (|eigenvalue| - 1) / (time step) of a growing
-mode also exceeds this value. The bound is at least the numerical error of the eigenvalue. Chosen,
-not tuned."""
+[1/s]. A mode with this growth rate doubles in 1.9 hours. (|eigenvalue| - 1) / (time step) of a
+growing mode also exceeds this value. If the numerical error of the eigenvalue is larger, it
+replaces the bound. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
