@@ -552,8 +552,8 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
 def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
     """Remove repeated ``<origin>`` elements of links, joints and their children, in place.
 
-    The first ``<origin>`` in each parent element remains. Reason: urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo
-    refuses the file.
+    The first ``<origin>`` in each parent element remains. Reason: urdfdom, the reader of ROS and
+    Pinocchio, evaluates the first ``<origin>``; MuJoCo refuses the file.
 
     Returns:
         Warning for each element with more than one ``<origin>``.
