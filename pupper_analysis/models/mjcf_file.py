@@ -832,7 +832,7 @@ class MjcfFile:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Compiled model of the file, without meshes, their geoms and textures of missing files.
+        """Compiled model of the file, without meshes, their geoms, and textures without a file.
 
         The model is shared and must not be modified; copying takes time if meshes are large.
 

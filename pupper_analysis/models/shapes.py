@@ -162,8 +162,7 @@ class Shape:
         size: One to three numbers [m]: (radius,), (radius, half length), or three half sizes. Empty
             for a mesh and for other kinds.
         collides: Whether the shape can collide. Explicit contact pairs of an MJCF are not counted.
-        read: Function that returns the mesh in the frame of the shape (for a shape that collides,
-            the convex hull), or None if unknown.
+        read: Function that returns the mesh in the frame of the shape, or None if unknown.
         read_volume: Function that returns the volume [m^3] of a mesh; the function returns None if
             the volume is unknown, or the surface is not closed.
         read_solid: Function that returns the spatial inertia of the solid of a mesh with a density
@@ -181,7 +180,7 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """Mesh of the shape, read once; None if unknown.
+        """Mesh of the shape; None if unknown.
 
         As in MuJoCo, only the convex hull matters.
         """

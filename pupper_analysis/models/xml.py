@@ -262,7 +262,7 @@ def is_zero(text: str) -> bool:
 
 
 def write_halves(text: str) -> str:
-    """Divide the numbers in a text by 2: full lengths of a URDF become half lengths of an MJCF."""
+    """Return a text with half of each number of a text: lengths of a URDF for an MJCF."""
     return join_numbers([float(word) / 2 for word in text.split()])
 
 
