@@ -333,8 +333,8 @@ def _hash_properties(
 ) -> str:
     """Return a hash (16 hex digits) of the kinematic and inertial properties of a robot.
 
-    The properties are kinematics and feet (rounded to 1 nm), inertias and position limits of the
-    URDF, names of joints and contact frames, and contact radii.
+    The properties are the frames of joints and foot links (rounded to 1 nm), inertias and position
+    limits of the URDF, names of joints, contact points and their links, and contact radii.
     """
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
