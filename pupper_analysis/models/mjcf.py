@@ -100,7 +100,7 @@ TIMESTEP_RANGE = 1e-5, 0.1
 """Lower and upper bound of the time step of a simulated model [s]; other time steps are refused.
 The lower bound of a time step that a user requests is larger (`robot.servos.MIN_TIMESTEP`). Chosen,
 not tuned. At the lower bound, a simulation of 12 s takes 1.2 million steps. At the upper bound, a
-base falls 5 cm in one step, although contacts oscillate within 10 ms."""
+base falls 10 cm in its first step, although contacts oscillate within 10 ms."""
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:

@@ -33,7 +33,8 @@ BALL_JOINT = "ball"
 """Kind of a joint with three rotations."""
 
 FREE_JOINT = "free"
-"""Kind of a joint with six degrees of freedom; also of a planar joint of a URDF."""
+"""Kind of a joint with six degrees of freedom; also of other joints, such as a planar joint of a
+URDF."""
 
 FIXED_JOINT = "fixed"
 """Kind of a joint without motion."""

@@ -213,7 +213,8 @@ def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
 def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
     """Return the spatial inertia of a ``<mesh>`` with its scale and a density of 1 kg/m^3.
 
-    None if `read_mesh_integrals` returns None, for example for an open surface.
+    None if the file is missing, or `read_mesh_integrals` returns None, for example for an open
+    surface.
     """
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
