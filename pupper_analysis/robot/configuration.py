@@ -695,7 +695,7 @@ class Configuration(Pictured):
                 motors, contacts, springs, damping and constraints.
 
         Raises:
-            ConfigurationError: If the vector has a wrong length, or a value is not finite.
+            ConfigurationError: If the vector has a wrong length, or a value is not a finite number.
         """
         model_force = self._structure.to_model_order(check_vector("force", force, self.robot.nv))
         acceleration = pin.aba(
@@ -717,7 +717,7 @@ class Configuration(Pictured):
             joint in actuator order.
 
         Raises:
-            ConfigurationError: If the vector has a wrong length, or a value is not finite.
+            ConfigurationError: If the vector has a wrong length, or a value is not a finite number.
         """
         acceleration = self._structure.to_model_order(check_vector("qacc", qacc, self.robot.nv))
         workspace = self._structure.acquire_workspace()
@@ -763,7 +763,7 @@ class Configuration(Pictured):
             (6,)}.
 
         Raises:
-            ConfigurationError: If the vector has a wrong length, or a value is not finite.
+            ConfigurationError: If the vector has a wrong length, or a value is not a finite number.
         """
         workspace, accelerations = self._compute_accelerations(qacc), {}
         for foot, frame in self._structure.feet.items():
@@ -781,7 +781,7 @@ class Configuration(Pictured):
                 axes, angular acceleration in base axes, then the joints in actuator order.
 
         Raises:
-            ConfigurationError: If the vector has a wrong length, or a value is not finite.
+            ConfigurationError: If the vector has a wrong length, or a value is not a finite number.
         """
         workspace = self._compute_accelerations(qacc)
         if self._structure.fixed == 1:  # the moving links have no mass
@@ -859,8 +859,8 @@ Chosen, not tuned."""
 class AtRest:
     """Passive forces of the MJCF at zero velocity, such as springs (MuJoCo's ``qfrc_passive``).
 
-    Obtain an instance by ``borrow``, which reuses instances: creating MuJoCo's data takes 12 times
-    as long as an evaluation (measured on Pupper v3).
+    Obtain an instance by ``borrow``, which reuses instances: creating MuJoCo's data takes longer
+    than many evaluations.
 
     Args:
         robot: The robot.

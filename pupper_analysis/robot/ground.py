@@ -191,6 +191,9 @@ class Ground:
         Returns:
             {foot: box or cylinder}. Feet without a contact point in ``places`` are omitted, and so
             are feet on a step of height 0 without a separate plane.
+
+        Raises:
+            ConfigurationError: If ``places`` is no mapping with names as keys.
         """
         steps = {}
         for foot in dict.fromkeys((*self.heights, *self._planes)):

@@ -106,9 +106,9 @@ def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float
 class EqualityCompliance:
     """Compliance of a model's equality constraints at a configuration, for any violation.
 
-    At rest, a constraint with the violation x exerts the force k d^2 x / ((1 - d) A). d is the
-    impedance at ``abs(x)``. A (MuJoCo's ``diagApprox``) and k (stiffness from ``solref``) do not
-    depend on x.
+    At rest, an equation with the violation x exerts the force k d^2 x / ((1 - d) A). The impedance
+    d depends on abs(x), or for the equations of a ``connect`` or ``weld`` on the norm of all their
+    violations. A (MuJoCo's ``diagApprox``) and k (stiffness from ``solref``) do not depend on x.
 
     Args:
         model: MuJoCo model.

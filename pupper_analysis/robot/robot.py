@@ -678,10 +678,11 @@ class Robot(EngineModels):
 
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
-        """Effort limit of each joint, with the file and element that states it, in actuator order.
+        """Effort limit of each joint, with its sources, in actuator order.
 
-        In each direction, the tightest bound of both files counts. If one file was generated from
-        the other, only the limit in the user's file is cited, as long as the value is the same.
+        In each direction, the tightest bound of both files counts, unless a limit was requested
+        (`with_efforts`). If one file was generated from the other, only the limit in the user's
+        file is cited, as long as the value is the same.
         """
         robot = self.before_servos
         limits = efforts_of(

@@ -139,6 +139,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
             attached.
 
     Raises:
+        ConfigurationError: If an argument has another type.
         UnknownNameError: If there is no such frame; the message lists links and sites.
     """
     return _find_frame(robot, _find_end_link(robot) if name is None else name)[0]

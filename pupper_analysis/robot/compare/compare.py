@@ -174,9 +174,9 @@ def _collect_limb_shapes(
         data: MuJoCo data with kinematics. The shapes are placed in its world frame.
 
     Returns:
-        Shapes of the URDF, and shapes of the MJCF, each with its place in the file. None if the
-        shapes cannot be compared: a link or the extent of a shape is unknown, or a shape of
-        the URDF has no extent.
+        Shapes of the URDF, and shapes of the MJCF that can touch the world, each with its place in
+        the file. None if the shapes cannot be compared: a link or the extent of a shape is unknown,
+        or a shape of the URDF has no extent.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
