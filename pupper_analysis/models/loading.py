@@ -255,6 +255,9 @@ def kind_of(path: Path) -> str | None:
       uses no xacro except for declarations and harmless includes.
     - An MJCF must have a body directly in a ``<worldbody>`` of the file itself. A scene, which only
       includes the robot, does not count.
+
+    Raises:
+        OutputError: If this run of the command line also writes the file.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

@@ -396,6 +396,10 @@ def embed_meshes(spec: mujoco.MjSpec) -> None:
 
     Reason: if a spec with assets is attached to another spec, MuJoCo adds a prefix to the names of
     all its mesh files, and does not find files that are not among the assets.
+
+    Raises:
+        InputError: If a mesh file cannot be read.
+        OutputError: If this run of the command line also writes a mesh file.
     """
     if not spec.assets:
         return

@@ -160,6 +160,7 @@ def read_objects(
         ConfigurationError: If there are several geometry models, or the geometry model does not
             belong to exactly one ``pin.Model`` among the objects.
         ModelError: If no robot can be made of an object; the message names the reason.
+        OutputError: If this run of the command line also writes a file that a model uses.
     """
     parts = [part for model in models for part in _unwrap(model)]
     shapes = [model for model in parts if isinstance(model, pin.GeometryModel)]
@@ -212,6 +213,7 @@ def _read_object(
 
     Raises:
         ModelError: If the robot cannot be written as a model, or the model cannot be read.
+        OutputError: If this run of the command line also writes a file that the model uses.
     """
     if isinstance(model, UrdfFile | MjcfFile):
         return model
@@ -295,6 +297,7 @@ def _make_text_file(
 
     Raises:
         ModelError: If the text is no valid URDF or MJCF.
+        OutputError: If this run of the command line also writes a file that the model uses.
     """
     path = Path(f"<{name}>")
     text = text.lstrip("\ufeff \t\r\n")
@@ -320,6 +323,7 @@ def _read_urdf(
 
     Raises:
         ModelError: If the text is no valid URDF.
+        OutputError: If this run of the command line also writes a mesh or texture.
     """
     root = parse_file_text(path, text)
     forget_lines(root)

@@ -55,6 +55,7 @@ def find_motor(name: str) -> Motor:
         UnknownNameError: If ``name`` has no suffix, and is neither a known name nor a file; or if a
             key of a TOML file is unknown.
         ModelError: If the file cannot be read, or is not valid.
+        OutputError: If this run of the command line also writes the file.
     """
     if name in list_motors():
         return read_motor(Path(str(_DATA / f"{name}.toml")))
@@ -73,6 +74,7 @@ def read_motor(path: Path) -> Motor:
     Raises:
         ModelError: If the file cannot be read, states no source, contains a value that is not
             valid, or contains numbers that contradict each other.
+        OutputError: If this run of the command line also writes the file.
         UnknownNameError: If a key is unknown.
     """
     try:
@@ -105,6 +107,7 @@ def read_bam_parameters(path: Path) -> Motor:
 
     Raises:
         ModelError: If the file cannot be read, or is not valid.
+        OutputError: If this run of the command line also writes the file.
     """
     try:
         stated = json.loads(read_input(path, MAX_TEXT_BYTES))

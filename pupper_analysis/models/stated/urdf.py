@@ -338,7 +338,8 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
     Raises:
         UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
         InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
-            Errors of trimesh, for other broken files, are not converted.
+        OutputError: If this run of the command line also writes the COLLADA file.
+        Exception: Any error of trimesh for another broken file.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 
@@ -361,6 +362,7 @@ def _read_collada(path: Path, _changed: int) -> Mesh:
     Raises:
         UnreadableError: As `_load_mesh`.
         InputError: As `_load_mesh`.
+        OutputError: If this run of the command line also writes the file.
     """
     mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
     points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
