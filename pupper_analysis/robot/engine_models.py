@@ -72,6 +72,9 @@ class EngineModels:
         fixed. The spec contains the paths of mesh files. Exceptions: if meshes are in memory
         (assets of a given spec, or meshes converted from files such as COLLADA), the spec contains
         all meshes; an ``MjModel`` has them as vertices.
+
+        Raises:
+            InputError: If the spec must contain all meshes, and a mesh file cannot be read.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)

@@ -202,6 +202,9 @@ class Bar:
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
         perpendicular to the axis. The displacement is 1 m times the cosine of the bar's
         inclination: zero for a vertical bar.
+
+        Raises:
+            ConfigurationError: If a coordinate exceeds `MAX_LENGTH`, as for a steep bar.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]

@@ -218,6 +218,7 @@ def _make_base_free(robot: Robot) -> Robot:
     Raises:
         ConfigurationError: If the file has no base body to make free, the bodies above the base
             have geoms, or the base has no mass or moment of inertia.
+        ModelError: If the model with a free base cannot be built.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
@@ -267,6 +268,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     Raises:
         UnknownNameError: If the robot has no frame of a name.
         ConfigurationError: If a hand moves with a foot, or with the base.
+        ModelError: If the model with the contact points cannot be built.
     """
     (urdf, mjcf), description = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()

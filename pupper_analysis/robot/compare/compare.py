@@ -540,6 +540,7 @@ def compare_files(
         MissingPackageError: If the reader of a format is not installed.
         UnknownNameError: If a name is not in the file.
         ConfigurationError: If an argument is out of range.
+        OutputError: If this run of the command line also writes a file that is read.
     """
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = read_as_urdf(urdf, packages, xacro), read_as_mjcf(mjcf, packages)
