@@ -467,9 +467,10 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
 
 @contextmanager
 def _blank_faulty_declarations(xacro: Any) -> Iterator[None]:
-    """Let xacro read files with blank lines in front of the XML declaration, in a ``with`` block.
+    """Let xacro read files with a faulty XML declaration, in a ``with`` block.
 
-    ``xacro`` is the package; its function that parses each file is replaced during the block.
+    ``xacro`` is the package; its function that parses each file is replaced during the block. A
+    faulty declaration, for example behind a blank line, is ignored (`blank_faulty_declaration`).
     """
     parse = getattr(xacro, "parse", None)
     if parse is None:  # another package with the name xacro

@@ -127,7 +127,10 @@ class UrdfLink(UrdfElement):
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
-        """Shapes of this link, visual before collision: (tag, element, child of ``<geometry>``)."""
+        """Shapes of this link, visual before collision: (tag, element, child of ``<geometry>``).
+
+        The child is None if it is missing.
+        """
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
                 geometry = shape.find("geometry")

@@ -306,8 +306,8 @@ ParameterValues = tuple[float, ...]
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
-    If the attribute is not set, the result is the location of the geom, or of its body if the geom
-    is not found.
+    If the attribute is not set, the result is the location of the geom. If the geom is not found,
+    the result is the location of its body (geom without name), or the file.
 
     Args:
         file: The file.
