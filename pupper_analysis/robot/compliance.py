@@ -75,7 +75,9 @@ class GroundLaw:
 
     @staticmethod
     def of_contact(robot: Robot, foot: str) -> GroundLaw:
-        """Return the force law between a contact point and the ground in MuJoCo's model.
+        """Return MuJoCo's force law between a contact point and the ground.
+
+        The contact parameters are those in ``robot.contacts``.
 
         The result contains two inverse masses [1/kg], ``normal`` and ``tangential``. A [1/kg] is
         the inverse mass of the body that carries the contact point, as MuJoCo approximates it

@@ -100,7 +100,7 @@ _RESET_WARNINGS = slice(
     mujoco.mjtWarning.mjWARN_BADQPOS.value, mujoco.mjtWarning.mjWARN_BADQACC.value + 1
 )
 """MuJoCo's warnings BADQPOS, BADQVEL and BADQACC: numbers of the state are not finite or too large.
-MuJoCo resets the state after such a warning."""
+MuJoCo resets the state after such a warning, unless the MJCF disables ``autoreset``."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
@@ -134,8 +134,8 @@ class BodyMotion:
         lean: Tilt of the base at the end relative to reset (rad); a yaw about the world's z axis
             has no effect (`tilt_between`).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
-        diverged: Whether MuJoCo reset the state because of numbers that were not finite or too
-            large, or stopped with an error.
+        diverged: Whether numbers of the state were not finite or too large (MuJoCo then resets the
+            state), or MuJoCo stopped with an error.
         clearance: Vertical distance by which the robot could move downward to the ground at reset
             (m); negative if the robot penetrates the ground; 0 if no ground was found.
         lies: Whether the robot ends on its base or hips. Also True if bodies touch the ground, but
@@ -284,19 +284,19 @@ def simulate_held_keyframe(
 
 
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
-    """Return True if MuJoCo has reset a state because its numbers were not finite, or too large.
+    """Return True if MuJoCo has found numbers of a state that were not finite, or too large.
 
-    MuJoCo's warning counters are evaluated: the simulation time does not show a reset in the first
-    step.
+    MuJoCo then resets the state, unless the MJCF disables ``autoreset``. The warning counters are
+    evaluated, because the simulation time does not show a reset in the first step.
     """
     return bool(count_resets(data).any())
 
 
 def count_resets(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return MuJoCo's counters of state resets by bad qpos, qvel and qacc, shape (3,).
+    """Return MuJoCo's counters of warnings about bad qpos, qvel and qacc, shape (3,).
 
-    The result is a view into ``data``: the values change while MuJoCo simulates. MuJoCo resets the
-    state if it increases one of these counters (`was_reset_by_mujoco`).
+    The result is a view into ``data``: the values change while MuJoCo simulates. MuJoCo usually
+    resets the state if it increases one of these counters (`was_reset_by_mujoco`).
     """
     counters: NDArray[np.int32] = data.warning.number[_RESET_WARNINGS]
     return counters

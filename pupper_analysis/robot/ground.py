@@ -100,7 +100,7 @@ class Ground:
 
     @property
     def is_level(self) -> bool:
-        """Whether the ground is the plane z = 0 everywhere."""
+        """Whether the ground is the plane z = 0, without steps and separate planes."""
         return self.slope == 0 and not any((*self.heights.values(), *self._planes))
 
     @property

@@ -300,9 +300,9 @@ class Robot(EngineModels):
         foot_geoms: {geom id of ``mj_model``: foot or hand}.
         contact_radius: {contact point: radius [m] of the contact sphere}; 0 for the corner of a
             sole.
-        contacts: {contact point: effective parameters of the contact with the ground}. If
-            ``touching`` contains a friction coefficient, it replaces the friction of the ground.
-            Empty if the MJCF has no ground plane.
+        contacts: {contact point: parameters of the contact with the ground}, as MuJoCo combines
+            them from the two geoms. If ``touching`` contains a friction coefficient, it replaces
+            the friction of the ground. Empty if the MJCF has no ground plane.
         home: Start configuration, shape (nq,): the keyframe ``home``; else the first keyframe; else
             MuJoCo's qpos0. The preparation may replace it by another keyframe or by a searched
             stand.

@@ -407,7 +407,7 @@ def judge_settled(
     cases:
 
     - ``settle`` is at most half a time step.
-    - The simulation diverges.
+    - The simulation diverges, and MuJoCo resets the state.
     - The robot still moves after settling, the initial state is at rest, and a growing mode
       explains the motion: it doubles more than six times (``_MIN_THROWING_DOUBLINGS``) during
       settling.

@@ -77,7 +77,8 @@ def explain_differences(
        the listed elements. The deviation is the residual.
 
     Equalities of the MJCF that are equivalent to a mimic joint of the URDF are not listed, and are
-    disabled in all evaluations.
+    disabled in all evaluations. Other mimic joints, and suspicious armatures
+    (`armature_differences`), are differences as well.
 
     Args:
         robot: The robot.
