@@ -229,10 +229,11 @@ def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
 
 @dataclass(frozen=True)
 class ActuatorLaw:
-    """Force law of an actuator at a hinge or slide: F = gain ctrl - stiffness l - damping dl/dt.
+    """Force law of an actuator: F = gain ctrl - stiffness l - damping dl/dt.
 
-    The length l is the joint position times the gear. The joint torque is F times the gear. A
-    constant bias is left out.
+    The length l is the gear times the position of the joint, or times the length of the tendon, at
+    which the actuator acts. The joint torque, or tendon force, is F times the gear. A constant bias
+    is left out.
 
     Attributes:
         gain: Force per unit of ctrl, before the gear: kp (N m/rad or N/m) of a position servo,
@@ -249,7 +250,7 @@ class ActuatorLaw:
 
     @property
     def joint_gains(self) -> tuple[float, float]:
-        """Stiffness and damping of the actuator at its joint: both times gear^2.
+        """Stiffness and damping of the actuator at its joint or tendon: both times gear^2.
 
         Units: N m/rad and N m s/rad for a hinge, N/m and N s/m for a slide.
         """
