@@ -26,8 +26,8 @@ MAX_BYTES: Final = MAX_TEXT_BYTES
 """Maximum size of an XML file [bytes]; a larger file is refused."""
 
 MAX_DEPTH: Final = 250
-"""Largest nesting depth of XML elements or of a USD text, and largest number of joints in a chain
-of a URDF; a deeper file is refused. Chosen, not tuned."""
+"""Largest nesting depth of XML elements or of another model text, and largest number of joints in a
+chain of a URDF; a deeper file is refused. Chosen, not tuned."""
 
 MAX_ELEMENTS: Final = 30_000
 """Largest number of XML elements of a file, or of an MJCF with all included files; a larger file is
