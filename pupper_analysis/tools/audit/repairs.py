@@ -41,6 +41,7 @@ from pupper_analysis.tools.audit.rules.mirror import (
     POSITION_TOLERANCE,
     MirrorPlane,
     find_mirror_plane,
+    get_com_tolerance,
     list_joint_pairs,
     select_deviating_pairs,
 )
@@ -658,7 +659,8 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
     reports that both CoMs differ, `select_deviating_pairs` selects the link to be repaired. The
     selection compares the magnitudes of the CoM coordinates, in the link frame, with
     other limbs. If there are too few other limbs, or the other limbs differ, both links are
-    candidates. If both links or neither deviate, there is no repair.
+    candidates. If both links or neither deviate, there is no repair. Coordinates that agree with
+    the mirror image are not changed (`_replace_deviating_coordinates`).
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
@@ -684,13 +686,32 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
         com = _mirror_com(robot, own, other)
         if stated or com is not None:
             reason = diagnose("repair-mirrored-com", other=other.name)
-            new = {"xyz": _format_vector(com)} if com is not None else {}
+            new = {"xyz": _replace_deviating_coordinates(own, com)} if com is not None else {}
             if stated:
                 reason = diagnose("repair-of-limb", other=other.name)
                 new = {"xyz": stated["xyz"]}
             yield from _join_changes(
                 [_make_change(robot, own.name, "inertial/origin", new, reason)]
             )
+
+
+def _replace_deviating_coordinates(link: Link, image: Array) -> str:
+    """Format the CoM of a link with its deviating coordinates replaced by those of ``image``.
+
+    The fewest coordinates are replaced that put the CoM within `get_com_tolerance` of ``image``.
+
+    Args:
+        link: Link whose CoM deviates.
+        image: Mirror image of the partner's CoM in the frame of the link, shape (3,) [m].
+    """
+    if link.inertial is None:
+        return _format_vector(image)
+    repaired = np.array(link.inertial.com)
+    tolerance = get_com_tolerance(link.pose.point(image))
+    for coordinate in np.argsort(-np.abs(repaired - image)):
+        if np.linalg.norm(repaired - image) > tolerance:
+            repaired[coordinate] = image[coordinate]
+    return _format_vector(repaired)
 
 
 def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[ValueRepair]:

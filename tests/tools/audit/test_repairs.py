@@ -320,6 +320,22 @@ def test_number_that_the_other_legs_share_is_copied_and_not_mirrored(tmp_path: P
     assert [part["value"] for part in numbers if "value" in part] == ["0.05"]
 
 
+def test_com_repair_keeps_the_coordinates_that_agree_with_the_other_side(tmp_path: Path) -> None:
+    """The CoMs of both front calves are 0.7 mm to the left, within the tolerance of a mirror image.
+
+    Only the height of one CoM is wrong. Reference: the original numbers. The arms of TALOS are
+    published with such CoMs.
+    """
+    text = URDF.read_text()
+    for leg, height in (("FL", "-0.055"), ("FR", "0.4")):
+        start = text.index(f'<link name="{leg}_calf">')
+        com = f'"0 0.0007 {height}"'
+        text = text[:start] + text[start:].replace('"0 0 -0.055"', com, 1)
+    path = tmp_path / URDF.name
+    path.write_text(text)
+    assert repairs_of(audit_model(path), "com-outside-shapes") == [{"xyz": "0 0.0007 -0.055"}]
+
+
 @pytest.mark.slow
 def test_displaced_or_lost_collision_shape_is_that_of_another_limb(tmp_path: Path) -> None:
     """Reference: the numbers of the original collision shape."""

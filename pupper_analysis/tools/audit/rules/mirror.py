@@ -368,7 +368,7 @@ def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, sec
         for link, inertial in ((first, first.inertial), (second, second.inertial))
     )
     # A CoM that moves with the frame is a displacement, also below the tolerance of the CoM.
-    most = min(_get_com_tolerance(second_com), float(np.linalg.norm(gap)) / 2)
+    most = min(get_com_tolerance(second_com), float(np.linalg.norm(gap)) / 2)
     if _measure_asymmetry(mirror, first_com, second_com) > most:
         return False
     names = [{child.name for child in robot.children(link.name)} for link in (first, second)]
@@ -379,7 +379,7 @@ def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, sec
     )
 
 
-def _get_com_tolerance(com: Array) -> float:
+def get_com_tolerance(com: Array) -> float:
     """Return the largest accepted distance [m] between a CoM and the partner's mirror image.
 
     1 mm plus 1 % of the distance between the CoM and the origin of the base.
@@ -521,13 +521,13 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
     Pairs at displaced positions and copied limbs, for example, are left out
-    (`_list_inertial_pairs`). The tolerance is that of `_get_com_tolerance`.
+    (`_list_inertial_pairs`). The tolerance is that of `get_com_tolerance`.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
         com = second.pose.point(second_inertial.com)
         gap = float(np.linalg.norm(image - com))
-        if gap > _get_com_tolerance(com):
+        if gap > get_com_tolerance(com):
             message = diagnose(
                 "mirror-com",
                 com=Vector(tuple(com), "m"),
