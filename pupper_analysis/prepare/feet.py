@@ -40,6 +40,11 @@ less than max(a h, b r) above that of the lowest limb [m]. The height of the bas
 point is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
 higher; feet in a start pose rarely differ by more than a few percent."""
 
+MAX_SHORT_LEG_HEIGHT_FRACTION = 0.33
+"""Factor a [1] of the bound that `_MAX_LEG_HEIGHT_FRACTION` describes, for robots with legs of
+different lengths. Chosen, not tuned: SABO's forelegs end 21 % above its hind legs, and hands hang
+at about half the height of the base."""
+
 _MAX_LEG_RISE_FRACTION = 0.05
 """Factor b [1] of the bound max(a h, b r) [m] that `_MAX_LEG_HEIGHT_FRACTION` describes. r is the
 largest distance of a limb's last body from the base [m]. The term b r is needed for spread legs,
@@ -162,7 +167,9 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
     ]
 
 
-def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
+def find_feet(
+    robot: Robot, poses: Iterable[Array], height_fraction: float = _MAX_LEG_HEIGHT_FRACTION
+) -> tuple[Foot, ...]:
     """Detect the feet of a robot: the collision geoms at the ends of the lowest limbs.
 
     The feet are searched in each pose, and the result of the pose with the most feet is returned.
@@ -171,19 +178,21 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
     Args:
         robot: Robot without feet; the MJCF has a floor.
         poses: Joint positions of each pose, at least one, shape (nu,) [rad, m].
+        height_fraction: Factor a [1] of the height bound, see `_MAX_LEG_HEIGHT_FRACTION`.
 
     Raises:
         ModelError: If any of the poses has no limb with collision geoms that ends below the base.
     """
-    return max((_find_lowest_limbs(robot, pose) for pose in poses), key=len)
+    return max((_find_lowest_limbs(robot, pose, height_fraction) for pose in poses), key=len)
 
 
-def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
+def _find_lowest_limbs(robot: Robot, joints: Array, height_fraction: float) -> tuple[Foot, ...]:
     """Find the feet in a pose: the ends of the limbs that reach about as low as the lowest limb.
 
     Args:
         robot: Robot without feet.
         joints: Joint positions of the pose, shape (nu,) [rad, m]; the base is level.
+        height_fraction: Factor a [1] of the height bound, see `_MAX_LEG_HEIGHT_FRACTION`.
 
     Raises:
         ModelError: If no limb ends below the base.
@@ -202,7 +211,7 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     bottom = min(heights.values())
     offsets = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
     reach = float(np.linalg.norm(offsets, axis=1).max())
-    tolerance = max(_MAX_LEG_HEIGHT_FRACTION * (base - bottom), _MAX_LEG_RISE_FRACTION * reach)
+    tolerance = max(height_fraction * (base - bottom), _MAX_LEG_RISE_FRACTION * reach)
     legs = [body for body, height in heights.items() if height < bottom + tolerance]
     found = [
         (

@@ -47,6 +47,7 @@ from pupper_analysis.prepare.base import (
     states_free_base,
 )
 from pupper_analysis.prepare.feet import (
+    MAX_SHORT_LEG_HEIGHT_FRACTION,
     Foot,
     add_contact_frames,
     find_feet,
@@ -500,6 +501,8 @@ def _find_feet(draft: Draft) -> PassOutput:
     poses = [start.clip_to_limits(footless, pose) for pose in (*draft.keyframes.values(), None)]
     try:
         feet = _find_requested_feet(footless, names, poses)
+        if names is None and feet:
+            feet = _add_short_legs(draft, feet, poses)
     except ModelError as error:
         losses = [
             note
@@ -529,6 +532,33 @@ def _find_feet(draft: Draft) -> PassOutput:
             break
         feet, robot = new_feet, build_robot(add_contact_frames(footless, new_feet, balls))
     return replace(draft, built=robot, footless=footless, feet=tuple(feet)), messages
+
+
+def _add_short_legs(
+    draft: Draft, feet: tuple[Foot, ...], poses: Sequence[Array]
+) -> tuple[Foot, ...]:
+    """Add the feet of shorter legs if the found feet have no support polygon.
+
+    Shorter legs are those within `MAX_SHORT_LEG_HEIGHT_FRACTION`, for example the forelegs of a
+    robot with longer hind legs. The feet are added only if the robot then has a nominal stand.
+    """
+    if sum(len(foot.points) for foot in feet) >= _MIN_POLYGON_POINTS:
+        return feet
+    more = find_feet(draft.robot, poses, MAX_SHORT_LEG_HEIGHT_FRACTION)
+    return more if len(more) > len(feet) and _stands_on(draft, more) else feet
+
+
+_MIN_POLYGON_POINTS = 3
+"""Number of contact points from which feet have a support polygon."""
+
+
+def _stands_on(draft: Draft, feet: tuple[Foot, ...]) -> bool:
+    """Return True if a robot without feet has a nominal stand on some feet."""
+    try:
+        robot = build_robot(add_contact_frames(draft.robot, feet))
+        return _solve_nominal_joints(draft, robot) is not None
+    except PupperAnalysisError:
+        return False
 
 
 _MAX_ELLIPSOID_FITS = 6

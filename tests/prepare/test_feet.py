@@ -12,6 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.prepare.contact_points import ContactPoint
 from pupper_analysis.prepare.feet import Foot, have_contact_points_moved
+from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped, rewrite_file
 
 
@@ -48,3 +49,20 @@ def test_floor_without_contacts_is_no_ground_for_feet(tmp_path: Path) -> None:
     assert data.subtree_com[1][2] < -5.0
     with pytest.raises(ModelError, match="no feet"):
         pa.load_robot(mjcf=path, visuals=False)
+
+
+def test_legs_of_different_lengths_all_have_feet(tmp_path: Path) -> None:
+    """At zero angles the forelegs end 21 % of the height above the hind legs, as those of SABO.
+
+    The two hind feet alone have no support polygon. Reference: the weight, which four feet share.
+    """
+    path = quadruped(tmp_path, floor=True, actuators="position", keyframe="").mjcf
+    foot, longer = 'size="0.02" pos="0 0 -0.2"', 'size="0.02" pos="0 0 -0.32"'
+    fore, hind = path.read_text().split('<body name="RL_hip"')
+    path.write_text(f'{fore}<body name="RL_hip"{hind.replace(foot, longer)}')
+    robot = pa.load_robot(mjcf=path, visuals=False)
+    assert sorted(robot.feet) == ["FL_calf", "FR_calf", "RL_calf", "RR_calf"]
+    forces = stand_statics(robot, pa.solve_stand(robot)).contact_forces
+    lifts = [force[2] for force in forces.values()]
+    assert min(lifts) > 0.1 * sum(lifts)
+    assert sum(lifts) == pytest.approx(robot.total_mass * 9.81, rel=1e-6)
