@@ -262,14 +262,16 @@ def _find_pose_of_joints(
 
     Only positions and axes of the joints are compared, because masses and inertias of the bodies
     may differ with any base frame. The pose is fitted by least squares to the joint positions and
-    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922).
+    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922). If all joint positions and axes are
+    on one line, as those of two hip pitch joints, the rotation about the line is that of the joint
+    frames, which must then agree as well.
 
     Returns:
         Pose. None in each of these cases:
 
         - The base frames are equal.
         - Fewer than two joints are on the base, or all have the same position.
-        - All joint positions and axes are on one line.
+        - All joint positions and axes are on one line, and on the same line without a pose.
         - A joint deviates by more than the tolerances.
     """
     names = first.children(first.base)
@@ -282,15 +284,22 @@ def _find_pose_of_joints(
     other_points = np.vstack([other_anchors, other_anchors + spread * other_axes])
     middle, other_middle = points.mean(axis=0), other_points.mean(axis=0)
     left, sizes, right = np.linalg.svd((other_points - other_middle).T @ (points - middle))
-    width = math.sqrt(sizes[1] / len(points))
-    if width <= _MIN_SPREAD:
-        return None  # all points are on a line, and any rotation about it fits
-    handedness = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
-    rotation = left @ handedness @ right
+    joints = [(first.joints[name], second.joints[name]) for name in names]
+    if math.sqrt(sizes[1] / len(points)) > _MIN_SPREAD:
+        handedness = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
+        rotation = left @ handedness @ right
+        turns = [np.eye(3)]
+    elif np.linalg.norm(points - other_points, axis=1).max() <= _MIN_SPREAD:
+        return None  # a rotation about the line may also be a displaced zero of all joints
+    else:  # all points are on a line, and any rotation about it fits
+        rotation = joints[0][1].rotation @ joints[0][0].rotation.T
+        turns = [other.rotation.T @ rotation @ joint.rotation for joint, other in joints]
     pose = pin.SE3(rotation, other_middle - rotation @ middle)
     gaps = np.linalg.norm(anchors @ rotation.T + pose.translation - other_anchors, axis=1)
     angles = np.linalg.norm(axes @ rotation.T - other_axes, axis=1)
     if gaps.max() > tolerances.position or angles.max() > tolerances.axis:
+        return None
+    if max(float(np.linalg.norm(pin.log3(turn))) for turn in turns) > tolerances.rotation:
         return None
     angle = float(np.linalg.norm(pin.log3(rotation)))
     distance = float(np.linalg.norm(pose.translation))
@@ -315,8 +324,8 @@ _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
 """Requirements of `_find_pose_of_joints`. `_MIN_JOINTS_OF_POSE` is the minimum number of joints on
 the base: two joints with axes determine ten numbers, a pose has six. `_MIN_SPREAD` is a lower bound
 of the spread of the joint positions [m], the largest range of their coordinates along an axis of
-the base. It also bounds the spread (RMS) of the fitted points along their second principal axis
-[m]. Otherwise no pose is determined. Chosen, not tuned."""
+the base. Otherwise no pose is determined. It also bounds the spread (RMS) of the fitted points
+along their second principal axis [m], below which these points are on a line. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:

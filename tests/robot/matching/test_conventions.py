@@ -292,6 +292,24 @@ def test_pose_of_the_base_needs_joints_whose_distance_from_a_line_exceeds_a_mill
         np.testing.assert_allclose(base.rotation, turn.as_matrix().T, atol=1e-9)
 
 
+def test_base_moved_across_the_line_of_two_hips_is_found_by_the_joint_frames() -> None:
+    """Both hips are on their common axis, and mass, CoM and inertia of the base differ.
+
+    Reference: the base frame is rotated by a quarter turn about z and displaced by 20 mm, as in a
+    public biped. Once, other zero angles were reported.
+    """
+    turn = Rotation.from_rotvec([0, 0, math.pi / 2])
+    first = tree_of_two_hips(0.0, Rotation.identity(), 1.0)
+    second = tree_of_two_hips(0.0, turn, 7.0)
+    displacement = np.array([0.02, 0.0, -0.02])
+    joints = {n: replace(j, position=j.position + displacement) for n, j in second.joints.items()}
+    second = replace(second, joints=joints)
+    base = find_conventions(first, second, Tolerances(), fixed=False).base
+    assert base is not None
+    np.testing.assert_allclose(base.rotation, turn.as_matrix().T, atol=1e-9)
+    np.testing.assert_allclose(base.translation, displacement, atol=1e-9)
+
+
 @pytest.mark.parametrize("pose", POSES)
 def test_moved_base_frame_of_a_fixed_base_is_a_note(tmp_path: Path, pose: str) -> None:
     mjcf, _ = change_frame(arm(), [], "base", *POSES[pose])
