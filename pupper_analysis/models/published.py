@@ -402,7 +402,7 @@ def expand_xacro(
     Raises:
         ModelError: If xacro is not installed or cannot be imported, the file does not exist, a
             package is not found, or the expansion fails.
-        UnknownNameError: If neither the file nor an included file declares an argument.
+        UnknownNameError: If neither the file nor an included file declares or uses an argument.
         OutputError: If this run of the command line also writes an included file.
     """
     xacro = import_source("xacro", "xacro")
@@ -422,7 +422,12 @@ def expand_xacro(
     except Exception as error:  # Python code in a macro may raise any exception
         if isinstance(error.__context__, ModelError):  # xacro encloses the error of `find`
             raise error.__context__ from None
-        problem = diagnose("xacro-not-expanded", message=one_line(error))
+        missing = _UNDEFINED_ARGUMENT.search(str(error))
+        problem = (
+            diagnose("xacro-not-expanded", message=one_line(error))
+            if missing is None
+            else diagnose("xacro-argument-missing", name=missing[1])
+        )
         raise make_file_error(Place(path), problem) from error
     files = [path, *map(Path, getattr(xacro, "all_includes", ())[before:])]
     for name in files[1:]:
@@ -493,17 +498,27 @@ def _blank_faulty_declarations(xacro: Any) -> Iterator[None]:
         xacro.parse = parse
 
 
-_XACRO_ARGUMENT: Final = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
-"""Pattern of the declaration of a xacro argument, with its name."""
+_UNDEFINED_ARGUMENT: Final = re.compile(r"Undefined substitution argument (\w+)")
+"""Pattern of xacro's error about an argument without value, with the name of the argument."""
+
+_XACRO_ARGUMENT: Final = re.compile(
+    r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)|\$\(arg\s+([^\s)]+)\s*\)"
+)
+"""Pattern of the declaration of a xacro argument, or of its use ``$(arg NAME)``, with its name."""
 
 
 def _check_xacro_arguments(path: Path, files: Iterable[Path], given: Mapping[str, str]) -> None:
-    """Raise UnknownNameError if no file declares an argument: xacro ignores such arguments."""
-    declared = {
-        name
+    """Raise UnknownNameError if no file declares or uses an argument: xacro ignores such arguments.
+
+    Files may use an argument that no file declares, as AR4 does with ``ar_model``.
+    """
+    known = {
+        declared or used
         for file in files
-        for name in _XACRO_ARGUMENT.findall(file.read_text(encoding="utf-8", errors="replace"))
+        for declared, used in _XACRO_ARGUMENT.findall(
+            file.read_text(encoding="utf-8", errors="replace")
+        )
     }
     for name in given:
-        if name not in declared:
-            raise UnknownNameError(str(path), "xacro argument", name, sorted(declared))
+        if name not in known:
+            raise UnknownNameError(str(path), "xacro argument", name, sorted(known))

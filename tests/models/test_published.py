@@ -331,6 +331,29 @@ def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path
             load_robot(model, xacro=True, xacro_args={"arm": "true"})
 
 
+def test_undeclared_argument_of_xacro_is_named_and_accepted(tmp_path: Path) -> None:
+    """As in the drivers of AR4: the file uses an argument that it does not declare.
+
+    Reference: xacro itself, which expands the file with this argument.
+    """
+    xacro = pytest.importorskip("xacro")
+    file = tmp_path / "rex.urdf.xacro"
+    file.write_text(
+        '<robot name="rex" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="base">'
+        '<inertial><mass value="$(arg load)"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial></link></robot>'
+    )
+    with pytest.raises(ModelError, match="--xacro-arg load=VALUE"):
+        read_model(file, None, {})
+    with pytest.raises(UnknownNameError, match=r"xacro argument 'lod'.*load"):
+        read_model(file, None, {"lod": "3", "load": "3"})
+    expanded = read_model(file, None, {"load": "3"})
+    assert isinstance(expanded, UrdfFile)
+    mass = expanded.tree.links["base"].element.find("inertial/mass")
+    reference = xacro.process_file(str(file), mappings={"load": "3"})
+    assert mass.get("value") == reference.getElementsByTagName("mass")[0].getAttribute("value")
+
+
 def test_missing_package_of_xacro_names_the_option(tmp_path: Path) -> None:
     pytest.importorskip("xacro")
     file = tmp_path / "rex.urdf.xacro"
