@@ -388,19 +388,10 @@ def _find_loading_causes(
     ):
         return ()
     # Imports forty modules, which few verdicts need.
-    from pupper_analysis.robot.compare.compare import compare_files
+    from pupper_analysis.robot.compare.compare import find_first_difference
 
-    with contextlib.suppress(PupperAnalysisError):
-        comparison = compare_files(robot.description.urdf_source, file.path).result
-        affecting = [
-            similar.diagnostic
-            for similar in comparison.differences
-            if similar.relative_effects[0] > 0
-        ]
-        affecting += comparison.parts
-        if affecting:
-            return (Cause("pair", (), difference=affecting[0]),)
-    return ()
+    difference = find_first_difference(robot)
+    return () if difference is None else (Cause("pair", (), difference=difference),)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
@@ -122,9 +122,23 @@ def explain_refusal(
             }
             for name, relaxation in named.items()
         },
-        describe_mechanism_limit(robot, targets),
+        describe_mechanism_limit(robot, targets)
+        or (_describe_different_files(robot) if explain and not named else None),
         {name: joint_unit(robot, name) for name in at_limit},
     )
+
+
+def _describe_different_files(robot: Robot) -> Diagnostic | None:
+    """Describe the first difference of a robot's two files; None if both describe one robot.
+
+    The robot is described by both: a foot that the URDF places on the ground may be in the ground
+    by the MJCF.
+    """
+    # Imports forty modules, which few refusals need.
+    from pupper_analysis.robot.compare.compare import find_first_difference
+
+    difference = find_first_difference(robot)
+    return None if difference is None else diagnose("correct-the-files", difference=difference)
 
 
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:

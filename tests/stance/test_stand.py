@@ -325,3 +325,24 @@ def test_stand_is_accepted_by_the_same_robot_loaded_again() -> None:
     assert torques.shape == (12,)
     expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
     np.testing.assert_array_equal(torques, expected)
+
+
+def test_refusal_names_the_difference_of_two_files(tmp_path: Path) -> None:
+    """The MJCF has a thigh 50 mm behind that of the URDF, so that the calf is in the ground.
+
+    Reference: the pair without this displacement, which stands.
+    """
+    shapes = '<geom size="0.02" pos="0 0 -0.2"/><geom type="box" size=".01 .01 .1" pos="0 0 -.1"/>'
+    pair = quadruped(tmp_path, foot=shapes, floor=True, actuators="position")
+    text = pair.mjcf.read_text()
+    start = text.index('name="FL_thigh"')
+    moved = text[start:].replace('pos="0 0.05 0"', 'pos="-0.05 0.05 0"', 1)
+    pair.mjcf.write_text(text[:start] + moved)
+    robot = pa.load_robot(*pair, visuals=False)
+    with pytest.raises(
+        pa.StanceUnreachableError, match=r"FL_calf is.*The files describe.*FL_pitch: 50 mm apart"
+    ) as refused:
+        pa.solve_stand(robot)
+    assert "another height" not in str(refused.value)
+    pair.mjcf.write_text(text)
+    pa.solve_stand(pa.load_robot(*pair, visuals=False))

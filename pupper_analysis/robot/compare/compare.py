@@ -12,6 +12,7 @@ stand.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +31,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
@@ -68,6 +69,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
 
@@ -802,3 +804,27 @@ _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "dam
 """Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances also
 bounds the relative deviation of each dynamic quantity. If all differences are within the
 tolerances, but a deviation exceeds this bound, the files do not agree (`_find_objections`)."""
+
+
+def find_first_difference(robot: Robot) -> Diagnostic | None:
+    """Find the first difference of a robot's two files that affects dynamics or positions.
+
+    The difference affects mass matrix, gravity, or positions of joints and feet. Without such a
+    difference, the result is the first part of the robot that differs.
+
+    Returns:
+        Difference. None if the files are equal, if they cannot be compared, or if one of both was
+        converted from the other.
+    """
+    file = None if robot.published is None else robot.published.file
+    if file is None or robot.description.converted:
+        return None
+    with contextlib.suppress(PupperAnalysisError):
+        comparison = compare_files(robot.description.urdf_source, file.path).result
+        affecting = [
+            similar.diagnostic
+            for similar in comparison.differences
+            if similar.relative_effects[0] > 0
+        ]
+        return next(iter([*affecting, *comparison.parts]), None)
+    return None
