@@ -295,6 +295,11 @@ class StandRows:
         covariance: Array = self._sources**2 * self.by_noise @ self.by_noise.T
         return covariance + np.diag(self.deviation**2)
 
+    def compute_cost(self, residual: Array) -> float:
+        """Compute the sum of squares of a residual, shape (m,), whitened by this stand's noise."""
+        whitened = np.linalg.solve(np.linalg.cholesky(self._compute_covariance()), residual)
+        return float(whitened @ whitened)
+
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
         """Eliminate base tilt, base height and contact forces from the equations of a stand.
 
@@ -778,6 +783,19 @@ which the unknowns are solved. The value is a twentieth of the predicted decreas
 which a fit has converged (2e-3)."""
 
 
+_MAX_HALVINGS = 10
+"""Upper bound of the number of halvings of a Gauss-Newton step for the own unknowns of a stand.
+Chosen, not tuned."""
+
+_MIN_DECREASE_RATIO = 0.1
+"""Required ratio of actual to predicted decrease of the cost, with which a step for the own
+unknowns of a stand is accepted. Chosen, not tuned."""
+
+_COST_RTOL = 1e-6
+"""Increase of the cost, relative to the cost, up to which a step for the own unknowns of a stand is
+accepted. At a cost of 1e6, rounding exceeds predicted decreases of 0.01. Chosen, not tuned."""
+
+
 class StandEquations:
     """Equations of balance and contact of all stands, for the estimation of the parameters.
 
@@ -878,8 +896,16 @@ class StandEquations:
     def linearise_stand(self, stand: int, values: StandValues) -> LinearisedResiduals:
         """Linearise the whitened residuals of a stand with respect to the parameters.
 
-        Base tilt, base height and contact forces of the stand are computed by Newton steps, stored,
-        and eliminated. The steps end if chi2 changes by at most `_UNKNOWN_CHI2_TOLERANCE`, or after
+        Base tilt, base height and contact forces of the stand are computed by Gauss-Newton steps,
+        stored, and eliminated. A step is halved, at most `_MAX_HALVINGS` times, until
+
+            cost(u) - cost(u + t step) >= 0.1 t (2 - t) (cost(u) - chi2) - tolerance
+
+        with the unknowns u, the fraction t of the step, the sum of squares of all whitened
+        residuals (cost), and the sum of squares of the projected residuals (chi2). The tolerance is
+        `_UNKNOWN_CHI2_TOLERANCE` + `_COST_RTOL` cost(u). Without halving the steps may alternate:
+        the stiffness of soft ground changes much near a force of zero. The steps end if chi2
+        changes by at most `_UNKNOWN_CHI2_TOLERANCE` after a full step, or after
         `_MAX_UNKNOWN_STEPS`. With fewer steps, chi2 would depend on the previous unknowns, and a
         fit would compare costs that are not comparable. The returned sums are evaluated at the
         start of the last step.
@@ -888,13 +914,25 @@ class StandEquations:
             stand: Index of the stand.
             values: Values of the robot for a parameter vector.
         """
-        previous_chi2 = math.inf
+        rows, previous_chi2, fraction = self._evaluate_stand(stand, values), math.inf, 1.0
         for _ in range(_MAX_UNKNOWN_STEPS):
-            linearised, step = self._evaluate_stand(stand, values).eliminate_own_unknowns()
-            self._apply_step(stand, step)
-            if abs(linearised.chi2 - previous_chi2) <= _UNKNOWN_CHI2_TOLERANCE:
+            linearised, step = rows.eliminate_own_unknowns()
+            change = abs(linearised.chi2 - previous_chi2)
+            previous_chi2, start = linearised.chi2, self._unknowns[stand]
+            if fraction == 1.0 and change <= _UNKNOWN_CHI2_TOLERANCE:
+                self._apply_step(stand, step)
                 break
-            previous_chi2 = linearised.chi2
+            cost = rows.compute_cost(rows.residual)
+            for halvings in range(_MAX_HALVINGS + 1):
+                fraction = 0.5**halvings
+                self._unknowns[stand] = start
+                self._apply_step(stand, fraction * step)
+                trial = self._evaluate_stand(stand, values)
+                required = _MIN_DECREASE_RATIO * fraction * (2 - fraction) * (cost - previous_chi2)
+                decrease = cost - rows.compute_cost(trial.residual)
+                if decrease >= required - _UNKNOWN_CHI2_TOLERANCE - _COST_RTOL * cost:
+                    break
+            rows = trial
         return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
