@@ -26,6 +26,10 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
+CLASS_KEY: Final = "class_type"
+"""Key of the class of a table in files of Isaac Lab, as ``module:Class``. Also added to a table
+with a tag ``!!python/object:module.Class``, as mjlab writes it."""
+
 ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
 """Group of Python entry points with which other packages register reader modules (`SourceReader`),
 as ``name = "its.module"``."""
@@ -490,8 +494,10 @@ _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
     """Parse the documents of a YAML or JSON file to nodes with line numbers.
 
-    Tags are ignored: a tagged list is a list. Aliases are replaced by values. The values of keys
-    ``weights`` are replaced by an empty list.
+    Tags are ignored: a tagged list is a list. Two tags of Python are exceptions, and nothing is
+    imported for them: the class of an object is added under `CLASS_KEY`, and the name of a function
+    is its value. Aliases are replaced by values. The values of keys ``weights`` are replaced by an
+    empty list.
 
     Raises:
         ModelError: If the text is not valid YAML, repeats a key in a table, or has more than
@@ -546,11 +552,21 @@ def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> LocatedV
                 raise make_file_error(place, diagnose("contract-twice", key=name))
             else:
                 table[name] = child_node
+        if name := _get_python_name(node, "object"):
+            table.setdefault(CLASS_KEY, LocatedValue(name, place))
         return LocatedValue(merged | table, place)
     if isinstance(node, yaml.SequenceNode):
         return LocatedValue([_convert_yaml_node(path, child, left) for child in node.value], place)
+    if name := _get_python_name(node, "name"):
+        return LocatedValue(name, place)
     quoted = node.style in ("'", '"', "|", ">")
     return LocatedValue(str(node.value), place) if quoted else parse_scalar(str(node.value), place)
+
+
+def _get_python_name(node: yaml.Node, kind: str) -> str:
+    """Return the dotted name in a tag ``!!python/KIND:NAME`` of a node; empty without this tag."""
+    head, _, name = str(node.tag).partition(f":python/{kind}:")
+    return name if head == "tag:yaml.org,2002" else ""
 
 
 def parse_scalar(text: str, place: Place) -> LocatedValue:

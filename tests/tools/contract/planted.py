@@ -1,4 +1,4 @@
-"""Sources of any robot in six formats, with one number per line, and mistakes that a seed plants
+"""Sources of any robot in eight formats, with one number per line, and mistakes that a seed plants
 into them.
 """
 
@@ -113,6 +113,90 @@ def _mjlab(robot: Robot, path: Path) -> Lines:
     return text.write(path)
 
 
+def _isaac_table(robot: Robot, path: Path) -> Lines:
+    """Write ``params/env.yaml`` as Isaac Lab writes it: classes are texts under ``class_type``."""
+    text = _Text()
+    for row in (
+        "sim:", "  dt: 0.005", "decimation: 4", "scene:", "  num_envs: 4096", "  robot:",
+        "    class_type: isaaclab.assets.articulation.articulation:Articulation",
+        "    init_state:", "      pos: !!python/tuple", "      - 0.0", "      joint_pos:",
+    ):  # fmt: skip
+        text.add(row)
+    text.table(robot, "default angle", "        {joint}: {number}")
+    text.add("      joint_vel:")
+    text.add("        .*: 0.0")
+    text.add("    actuators:")
+    for joint in robot.order:
+        text.add(f"      drive_{joint}:")
+        text.add("        class_type: isaaclab.actuators.actuator_pd:DCMotor")
+        text.add("        joint_names_expr:")
+        text.add(f"        - {joint}")
+        for quantity, word in (("kp", "stiffness"), ("kd", "damping"), ("effort", "effort_limit")):
+            text.add(f"        {word}: {robot.numbers[quantity][joint]}", quantity, joint)
+        text.add("        effort_limit_sim: null")
+    for row in (
+        "observations:", "  policy:", "    history_length: null", "    base_ang_vel:",
+        "      func: isaaclab.envs.mdp.observations:base_ang_vel", "      scale: 0.25",
+        "actions:", "  joint_pos:",
+        "    class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction",
+        "    joint_names:", "    - .*", "    offset: 0.0", "    use_default_offset: true",
+        "    scale:",
+    ):  # fmt: skip
+        text.add(row)
+    text.table(robot, "action scale", "      {joint}: {number}")
+    for row in (
+        "events:", "  reset_robot_joints:", "    params:", "      asset_cfg:",
+        "        name: robot", "        joint_names: &id001", f"        - {robot.order[-1]}",
+        f"        - {robot.order[0]}",
+    ):  # fmt: skip
+        text.add(row)
+    return text.write(path)
+
+
+def _mjlab_table(robot: Robot, path: Path) -> Lines:
+    """Write ``params/env.yaml`` as mjlab writes it: classes and functions are tags of YAML."""
+    text, tag = _Text(), "!!python/object:mjlab"
+    text.add(f"{tag}.envs.manager_based_rl_env.ManagerBasedRlEnvCfg")
+    for row in (
+        "decimation: 4", f"scene: {tag}.scene.scene.SceneCfg", "  entities:",
+        f"    robot: {tag}.entity.entity.EntityCfg",
+        f"      init_state: {tag}.entity.entity.InitialStateCfg", "        joint_pos:",
+    ):  # fmt: skip
+        text.add(row)
+    text.table(robot, "default angle", "          {joint}: {number}")
+    text.add("      spec_fn: !!python/name:our_robot.constants.get_spec ''")
+    text.add(f"      articulation: {tag}.entity.entity.EntityArticulationInfoCfg")
+    text.add("        actuators: !!python/tuple")
+    for joint in robot.order:
+        text.add(f"        - {tag}.actuator.builtin_actuator.BuiltinPositionActuatorCfg")
+        text.add("          target_names_expr: !!python/tuple")
+        text.add(f"          - {joint}")
+        for quantity, word in (("kp", "stiffness"), ("kd", "damping"), ("effort", "effort_limit")):
+            text.add(f"          {word}: {robot.numbers[quantity][joint]}", quantity, joint)
+        text.add("          frictionloss: null")
+    for row in (
+        "observations:", f"  actor: {tag}.managers.observation_manager.ObservationGroupCfg",
+        "    terms:",
+        f"      base_ang_vel: {tag}.managers.observation_manager.ObservationTermCfg",
+        "        func: !!python/name:mjlab.envs.mdp.observations.builtin_sensor ''",
+        "        scale: 0.25", "    history_length: null", "actions:",
+        f"  joint_pos: {tag}.envs.mdp.actions.actions.JointPositionActionCfg",
+        "    actuator_names: !!python/tuple", "    - .*", "    offset: 0.0",
+        "    use_default_offset: true", "    scale:",
+    ):  # fmt: skip
+        text.add(row)
+    text.table(robot, "action scale", "      {joint}: {number}")
+    for row in (
+        "events:", f"  reset: {tag}.managers.event_manager.EventTermCfg", "    params:",
+        f"      asset_cfg: {tag}.managers.scene_entity_config.SceneEntityCfg",
+        "        joint_names: !!python/tuple", f"        - {robot.order[-1]}",
+        f"        - {robot.order[0]}", f"sim: {tag}.sim.sim.SimulationCfg",
+        f"  mujoco: {tag}.sim.sim.MujocoCfg", "    timestep: 0.005",
+    ):  # fmt: skip
+        text.add(row)
+    return text.write(path)
+
+
 def _gym(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add("class RobotCfg:")
@@ -187,15 +271,22 @@ KINDS: dict[str, tuple[str, Callable[[Robot, Path], Lines]]] = {
     "ros2": ("controllers.yaml", _ros),
     "RTNeural": ("policy.json", _rtneural),
     "ONNX": ("policy.onnx", _onnx),
+    "Isaac Lab's env.yaml": ("env.yaml", _isaac_table),
+    "mjlab's env.yaml": ("env.yaml", _mjlab_table),
 }
 """{kind of source: (file name, function that writes it)}."""
 
 BESIDE = {"mjlab": "deploy", "legged_gym": "ros2", "deploy": "legged_gym", "ros2": "ONNX",
-          "RTNeural": "mjlab", "ONNX": "ros2"}  # fmt: skip
+          "RTNeural": "mjlab", "ONNX": "ros2", "Isaac Lab's env.yaml": "deploy",
+          "mjlab's env.yaml": "deploy"}  # fmt: skip
 """{kind of source: kind of the source that it is compared with}."""
 
 SLIPS = ("order", "sign", "scale", "default", "kp", "limit", "unit")
-LIMITS = {"mjlab": "effort", "deploy": "effort", "ros2": "lower limit", "RTNeural": "upper limit"}
+LIMITS = {"mjlab": "effort", "deploy": "effort", "ros2": "lower limit", "RTNeural": "upper limit",
+          "Isaac Lab's env.yaml": "effort", "mjlab's env.yaml": "effort"}  # fmt: skip
+LIMITED_TWICE = [kind for kind, beside in BESIDE.items()
+                 if beside == "deploy" and LIMITS.get(kind) == "effort"]  # fmt: skip
+"""Kinds whose torque limits are compared with the deployment's and with the URDF's."""
 CASES = [(robot, kind, slip) for robot in ("v3", "quadruped") for kind in KINDS for slip in SLIPS
          if slip != "limit" or kind in LIMITS]  # fmt: skip
 

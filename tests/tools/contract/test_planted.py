@@ -1,4 +1,4 @@
-"""Mistakes that a seed plants into six kinds of sources of two robots are found; harmless edits
+"""Mistakes that a seed plants into eight kinds of sources of two robots are found; harmless edits
 give no finding.
 """
 
@@ -15,6 +15,7 @@ from tests.tools.contract.planted import (
     BESIDE,
     CASES,
     KINDS,
+    LIMITED_TWICE,
     limit_line,
     place_of,
     plant,
@@ -49,14 +50,14 @@ def test_planted_mistake_is_found_with_both_lines(
         and finding.probable_mistake != "mirror"
         and (joint in finding.joints or not joint)
     ]
-    if slip == "limit" and kind == "mjlab":  # the deployment's is the URDF's
+    if slip == "limit" and kind in LIMITED_TWICE:  # the deployment's is the URDF's
         assert {one.sources[1] for one in hits} == {robot.urdf.name, other.name}
         hits = [one for one in hits if one.sources[1] == other.name]
     assert len(hits) == 1, messages
     assert hits[0].probable_mistake == LOOKS.get(slip, "")
     first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding
     places = {place_of(path, lines, quantity, first)}
-    if slip == "limit" and (kind, quantity) != ("mjlab", "effort"):
+    if slip == "limit" and kind not in LIMITED_TWICE:
         places.add(f"{robot.urdf}:{limit_line(robot.urdf, first)}")
     else:
         places.add(place_of(other, its_lines, quantity, first))

@@ -11,27 +11,19 @@ import ast
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 from pupper_analysis.tools.contract import python_values as py
+from pupper_analysis.tools.contract import training
 from pupper_analysis.tools.contract.facts import (
-    KEY_ALIASES,
     JointSource,
     LocatedValue,
-    Origin,
     Request,
     Role,
-    Statement,
 )
-from pupper_analysis.tools.contract.keys import load_key_rules
 from pupper_analysis.tools.contract.readers import tables
 
 FILE_SUFFIXES = (".py",)
 """Suffixes of the files that this reader of training configurations reads."""
-
-_MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
-"""Names of frameworks, with the versions from which the assumed default values were read."""
 
 
 def read(request: Request) -> Iterator[JointSource]:
@@ -93,13 +85,14 @@ def _read_names(
 
     Returns:
         (configuration, source) for each object with a robot, actions or settings of a trainer
-        (`_read_root`), and the sources of tables ``{key: value}``, alone or in a list.
+        (`read_configuration`), and the sources of tables ``{key: value}``, alone or in a list.
     """
     roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():
         root, shown = _resolve_value(evaluator, node), f"{request.path.name}:{name}"
         if isinstance(root.value, py.InstanceValue):
-            roots += [(root, source) for source in _read_root(shown, request.path, root)]
+            found = training.read_configuration(shown, request.path, root)
+            roots += [(root, source) for source in found]
         elif isinstance(root.value, dict):
             flat_sources += tables.read_table(request, shown, root, Role.TRAINER)
         elif isinstance(root.value, list):
@@ -123,10 +116,10 @@ def _select_whole_configurations(
         roots: (configuration, source) for each source in the file.
     """
     parts = {
-        instance.value.kind
+        training.get_class_name(instance)
         for root, _ in roots
-        for instance in _iterate_instances(root, set())
-        if instance.value.kind != root.value.kind
+        for instance in training.iterate_instances(root, set())
+        if training.get_class_name(instance) != root.value.kind
     }
     return [
         source
@@ -219,134 +212,3 @@ def _find_annotated_class(
         if node is not None and isinstance(node.value, py.ClassValue):
             return node
     raise py.NotConstantError
-
-
-# mjlab and Isaac Lab: nested dataclasses.
-
-
-def _iterate_instances(node: LocatedValue, seen: set[int]) -> Iterator[LocatedValue]:
-    """Yield all class instances in a configuration value, also nested instances, each once.
-
-    ``seen`` contains the Python ids of the values that were visited before, and is extended.
-    """
-    value = node.value
-    if id(value) in seen or not isinstance(value, py.InstanceValue | dict | list):
-        return
-    seen.add(id(value))
-    if isinstance(value, py.InstanceValue):
-        yield node
-    held: Any = getattr(value, "fields", value)
-    for part in held.values() if isinstance(held, dict) else held:
-        yield from _iterate_instances(part, seen)
-
-
-def _read_root(name: str, path: Path, root: LocatedValue) -> Iterator[JointSource]:
-    """Yield the source of a top-level configuration ``root``, with the role of a trainer.
-
-    The source has the numbers of a robot's actuators and default angles, of the policy's actions,
-    and settings. Nothing is yielded for a configuration with neither robot nor actions, unless it
-    is a trainer's configuration (`tables.is_trainer_config`).
-    """
-    settings = tuple(tables.read_settings(root))
-    if tables.is_trainer_config(root):
-        yield JointSource(name, path, Role.TRAINER, settings)
-        return
-    instances = list(_iterate_instances(root, set()))
-    robots = [instance for instance in instances if _list_actuators(instance)]
-    if len(robots) > 1:
-        named = root.find_first("robot")
-        robots = [named] if _list_actuators(named) else robots[:1]
-    statements = [statement for robot in robots for statement in _list_robot_statements(robot)]
-    angles = [statement for statement in statements if statement.quantity == "default angle"]
-    actions = [
-        instance
-        for instance in instances
-        if instance.value.kind.removesuffix("Cfg") in KEY_ALIASES["actions"]
-    ]
-    statements += [
-        statement for action in actions for statement in _list_action_statements(action, angles)
-    ]
-    motors = robots[0].get("joint_sdk_names").texts if robots else ()
-    # Isaac Lab sorts joints by depth, MuJoCo keeps the order of the file.
-    mjlab = any(
-        instance.value.kind == "EntityCfg" or "target_names_expr" in instance.value.fields
-        for instance in instances
-    )
-    observations = tuple(tables.list_observation_terms(root.find_first("observations")))
-    if robots or actions:
-        yield JointSource(
-            name,
-            path,
-            Role.TRAINER,
-            (*statements, *settings),
-            motor_names=motors,
-            breadth_first=not mjlab,
-            observations=observations,
-        )
-
-
-def _list_actuators(node: LocatedValue) -> list[LocatedValue]:
-    """Return the actuators in a robot's configuration (Isaac Lab or mjlab); otherwise empty."""
-    actuators = node.find_first("actuators")
-    parts = list(actuators.value.values()) if isinstance(actuators.value, dict) else actuators.items
-    return [
-        part
-        for part in parts
-        if node.get("init_state").is_present
-        and (part.find_first("patterns").is_present or part.get("base_cfg").is_present)
-    ]
-
-
-def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
-    """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
-
-    The statements select joints by regular expressions. If the configuration has a table of default
-    angles, a joint that is missing in the table has the angle 0, the default of the framework.
-    """
-    angles = robot.get("init_state", "joint_pos")
-    first_wins = robot.value.kind == "EntityCfg"
-    if isinstance(angles.value, dict):
-        basis = _MJLAB if first_wins else _ISAAC_LAB
-        yield Statement(
-            "default angle", 0.0, angles.place, ".*", origin=Origin.DEFAULT, basis=basis
-        )
-        entries = list(angles.value.items())
-        for pattern, node in reversed(entries) if first_wins else entries:
-            # mjlab uses the first pattern that matches the start of a name, Isaac Lab full matches.
-            whole = f"{pattern}.*" if first_wins and not pattern.endswith((".*", "$")) else pattern
-            yield node.make_statement("default angle", whole)
-    for actuator in _list_actuators(robot):
-        base = actuator.get("base_cfg")
-        inner = base if base.is_present else actuator
-        for rule in load_key_rules("actuator", robot.place.file):
-            node, quantity = inner.get(*rule.path), rule.quantity
-            if quantity == "friction" and not first_wins and node.number:
-                quantity = "friction coefficient"
-            if isinstance(node.value, list):  # the joint of each element is not known
-                node = replace(node, value=py.UnknownValue("[...]"))
-            yield from node.make_statements(quantity, inner.find_first("patterns").texts)
-
-
-def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
-    """Yield the scales and offsets of a policy's action.
-
-    A scale that is not stated is 1, the default of the framework. The offsets are the default joint
-    angles ``angles`` if ``use_default_offset`` is True or not stated. Otherwise the offsets are the
-    stated ``offset``.
-    """
-    patterns = action.find_first("patterns").texts
-    scale = action.get("scale")
-    yield from scale.make_statements("action scale", patterns)
-    if not scale.is_present:
-        is_mjlab = action.get("actuator_names").is_present
-        basis = _MJLAB if is_mjlab else _ISAAC_LAB
-        for pattern in patterns:
-            yield Statement(
-                "action scale", 1.0, action.place, pattern, origin=Origin.DEFAULT, basis=basis
-            )
-    if action.get("use_default_offset").value in (None, True):
-        for angle in angles:
-            origin = Origin.DERIVED if angle.origin is Origin.STATED else angle.origin
-            yield replace(angle, quantity="action offset", origin=origin)
-    else:
-        yield from action.get("offset").make_statements("action offset", patterns)

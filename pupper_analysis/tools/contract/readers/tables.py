@@ -15,6 +15,7 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.places import Place, quote_short
+from pupper_analysis.tools.contract import training
 from pupper_analysis.tools.contract.facts import (
     FIELD_TABLE,
     KEY_ALIASES,
@@ -170,6 +171,9 @@ def read(request: Request) -> Iterator[JointSource]:
                 if size.number
             ]
             yield from read_table(request, request.path.name, document, Role.POLICY, sizes)
+        elif training.is_environment(document):
+            if not request.name:  # the file contains one configuration
+                yield from training.read_configuration(request.path.name, request.path, document)
         else:
             yield from read_nested_tables(request, document)
 
@@ -204,7 +208,7 @@ def read_nested_tables(
     others = {key: node for key, node in document.table.items() if not nodes[key].is_present}
     lowered = _lower_keys(replace(document, value=others))
     # Tables inside a trainer's settings are not sources.
-    is_trainer = is_trainer_config(document)
+    is_trainer = training.is_trainer_config(document)
     whole = _View("", (lowered,), load_key_rules("table", request.path))
     for view in [whole] if is_trainer else _split_document(whole, 0):
         if request.name in ("", view.key, view.key.rpartition("/")[2]):
@@ -232,7 +236,7 @@ def _split_document(own: _View, depth: int) -> list[_View]:
         if not isinstance(child.value, dict) or name in KEY_ALIASES["unsearched"]:
             continue
         part = _View(f"{own.key}/{name}" if own.key else str(name), (child,), own.rules)
-        if is_trainer_config(child):
+        if training.is_trainer_config(child):
             separate.append(part)
             continue
         children = _split_document(part, depth + 1)
@@ -309,7 +313,7 @@ def _read_view(
     for rule in (KeyRule("action scale", ("scale",)), KeyRule("action offset", ("offset",))):
         for action in action_tables:
             statements += rule.list_statements(action.get(*rule.path))
-    statements += read_settings(root) if is_trainer_config(root) else ()
+    statements += training.read_settings(root) if training.is_trainer_config(root) else ()
     if not (
         sizes
         or joint_names.texts
@@ -322,7 +326,7 @@ def _read_view(
         ObservedTerm(term.strip(), None, observation_names.place)
         for term in observation_names.texts
     )
-    role = Role.TRAINER if is_trainer_config(root) else role
+    role = Role.TRAINER if training.is_trainer_config(root) else role
     yield JointSource(
         name,
         request.path,
@@ -536,7 +540,7 @@ def _list_view_observations(view: _View) -> Iterator[ObservedTerm]:
     """
     terms, stack = view.get("observations", "terms"), view.get("observations", "stack")
     if not terms.table or terms.get("func").is_present:
-        yield from list_observation_terms(view.get("observations"))
+        yield from training.list_observation_terms(view.get("observations"))
         return
     frames, order = stack.get("length").number, str(stack.get("order").value)
     for name, term in terms.table.items():
@@ -631,40 +635,6 @@ def _list_reference_angles(terms: LocatedValue) -> Iterator[Statement]:
                     yield replace(statement, value=value, origin=Origin.DERIVED)
 
 
-def list_observation_terms(terms: LocatedValue) -> Iterator[ObservedTerm]:
-    """Yield each observation term that is a table or has a function: name, scales, history, clip.
-
-    The name is the name of the term's function if `OBSERVATION_ALIASES` contains it, otherwise the
-    key. The scale is 1 for a function without a stated scale, and None if the scale is unknown. The
-    number of time steps (history) is that of the group of terms or, without such a number, that of
-    the term.
-    """
-    group_history = terms.get("history_length").number
-    for name, term in terms.table.items():
-        func, scale = term.get("func"), term.get("scale")
-        function_name = str(func.value).rpartition(".")[2]
-        if func.is_present or isinstance(term.value, dict):
-            numbers = tuple(item.number for item in scale.items)
-            known = tuple(number for number in numbers if number is not None)
-            scales = known if numbers and len(known) == len(numbers) else None
-            if not numbers and func.is_present:
-                scales = (1.0,)
-            bounds = [item.number for item in term.get("clip").items]
-            clip = (
-                (bounds[0], bounds[1])
-                if len(bounds) == 2 and bounds[0] is not None and bounds[1] is not None
-                else None
-            )
-            history = group_history or term.get("history_length").number or 0.0
-            yield ObservedTerm(
-                function_name if function_name in OBSERVATION_ALIASES else str(name),
-                scales,
-                term.place,
-                int(history),
-                clip,
-            )
-
-
 def _read_limits(request: Request, limits: LocatedValue) -> Iterator[JointSource]:
     """Yield a source with MoveIt's joint limits; no source if there are none.
 
@@ -681,37 +651,3 @@ def _read_limits(request: Request, limits: LocatedValue) -> Iterator[JointSource
     ]
     if statements:
         yield JointSource(request.path.name, request.path, Role.DRIVER, tuple(statements))
-
-
-def is_trainer_config(root: LocatedValue) -> bool:
-    """Return True if a table is the training configuration of a policy, as of legged_gym.
-
-    Such a table contains the default joint angles as ``init_state/default_joint_angles``.
-    """
-    return bool(root.get("init_state", "default_joint_angles").table)
-
-
-def read_settings(root: LocatedValue) -> Iterator[Statement]:
-    """Yield the joint values, global settings and observation scales in a legged_gym configuration.
-
-    ``root`` is the top of the configuration. An armature of 0 is left out. Each default angle is
-    also an action offset.
-
-    Raises:
-        ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
-    """
-    for rule in load_key_rules("trainer", root.place.file):
-        node = root.get(*rule.path)
-        for statement in rule.list_statements(node) if rule.accepts(node) else ():
-            # legged_gym leaves the armature of the URDF if the configuration has 0.
-            if statement.value or rule.quantity != "armature":
-                yield statement
-            if rule.quantity == "default angle":
-                yield replace(statement, quantity="action offset", origin=Origin.DERIVED)
-    scale, hips = (root.get("control", word) for word in ("action_scale", "hip_scale_reduction"))
-    if hips.number is not None and scale.number:
-        # Source: walk-these-ways, LeggedRobot._compute_torques: first joint of each leg.
-        product = scale.number * hips.number
-        yield Statement("action scale", product, hips.place, r".*hip.*", origin=Origin.DERIVED)
-    for word, node in root.get("normalization", "obs_scales").table.items():
-        yield from node.make_statements(f"observation {word}")

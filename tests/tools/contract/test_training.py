@@ -1,0 +1,90 @@
+"""Configurations of Isaac Lab and mjlab: objects of Python files, and the tables ``env.yaml``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.tools.contract import read_contract
+from pupper_analysis.tools.contract.deployment import read_deployment
+from pupper_analysis.tools.contract.facts import Request, Role
+from pupper_analysis.tools.contract.readers import python, tables
+from tests.support.variants import load
+from tests.tools.contract.planted import KINDS, robot_of, write
+
+TABLES = ["Isaac Lab's env.yaml", "mjlab's env.yaml"]
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_table_states_the_numbers_of_the_robot(tmp_path: Path, kind: str) -> None:
+    """Reference: the numbers from which the table was written.
+
+    The offsets of actions are the default angles, not the ``offset`` of 0 beside
+    ``use_default_offset``. The joint names of an event are no joint order.
+    """
+    robot = robot_of("v3", tmp_path)
+    path, lines = write(robot, kind, tmp_path)
+    found = read_contract(robot.urdf, path, stand=False)
+    facts = {
+        (fact.quantity, fact.joint): (fact.value, fact.place)
+        for fact in found.facts
+        if fact.source == "env.yaml"
+    }
+    for quantity in ("default angle", "action scale", "kp", "kd", "effort"):
+        for joint in robot.order:
+            place = f"{path}:{lines[quantity, joint]}"
+            assert facts[quantity, joint] == (robot.numbers[quantity][joint], place)
+    for joint in robot.order:
+        assert facts["action offset", joint][0] == robot.numbers["default angle"][joint]
+    assert facts["policy step", ""][0] == pytest.approx(0.02)
+    assert facts["observation base_ang_vel", ""][0] == 0.25
+    (source,) = tables.read(Request(path))
+    assert (source.role, source.order) == (Role.TRAINER, ())
+    assert source.breadth_first == (kind == TABLES[0])
+    assert [term.name for term in source.observations] == ["base_ang_vel"]
+
+
+def test_table_and_python_file_of_mjlab_give_equal_statements(tmp_path: Path) -> None:
+    """Reference: the same configuration as a Python file."""
+    robot = robot_of("v3", tmp_path)
+    contents = []
+    for kind, read in (("mjlab's env.yaml", tables.read), ("mjlab", python.read)):
+        path = tmp_path / KINDS[kind][0]
+        write(robot, kind, tmp_path)
+        (source,) = [
+            one for one in read(Request(path)) if "walking" in one.name or path.suffix == ".yaml"
+        ]
+        shared = ("default angle", "action scale", "action offset", "kp", "kd", "effort")
+        contents.append(
+            sorted(
+                (one.quantity, one.joint, str(one.value), one.origin)
+                for one in source.statements
+                if one.quantity in shared
+            )
+        )
+    assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize("names", ["stated", "pattern"])
+def test_action_that_keeps_its_order_states_the_joint_order(
+    tmp_path: Path, kind: str, names: str
+) -> None:
+    """Isaac Lab sorts actions by depth in the tree, unless ``preserve_order`` is true."""
+    robot = robot_of("v3", tmp_path)
+    path, _ = write(robot, kind, tmp_path)
+    reverse = robot.order[::-1] if names == "stated" else [".*"]
+    listed = "".join(f"    - {joint}\n" for joint in reverse)
+    text = path.read_text().replace("    - .*\n", listed)
+    path.write_text(
+        text.replace("    offset: 0.0\n", "    offset: 0.0\n    preserve_order: true\n")
+    )
+    model = load("v3")
+    found = read_deployment(model, [path])
+    if names == "stated":
+        assert found.joints == robot.order[::-1]
+        assert not found.is_order_assumed
+    else:
+        assert found.is_order_assumed
+        assert set(found.joints) == set(robot.order)
