@@ -26,8 +26,11 @@ from pupper_analysis.tools.contract.facts import (
 )
 from pupper_analysis.tools.contract.keys import load_key_rules
 
-_MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
+_LEGGED_GYM, _MJLAB, _ISAAC_LAB = "legged_gym 1.0", "mjlab 1.6", "Isaac Lab 2.0"
 """Names of frameworks, with the versions from which the assumed default values were read."""
+
+COMMAND_PARTS = ("x", "y", "turn")
+"""Elements of a command, whose scales are a list ``cmd_scale`` in files of unitree_rl_gym."""
 
 _PLAIN_NAME = re.compile(r"\w+")
 """Pattern of a joint name that is no regular expression."""
@@ -129,8 +132,14 @@ def read_settings(root: LocatedValue) -> Iterator[Statement]:
         # Source: walk-these-ways, LeggedRobot._compute_torques: first joint of each leg.
         product = scale.number * hips.number
         yield Statement("action scale", product, hips.place, r".*hip.*", origin=Origin.DERIVED)
-    for word, node in root.get("normalization", "obs_scales").table.items():
+    scales = root.get("normalization", "obs_scales")
+    for word, node in scales.table.items():
         yield from node.make_statements(f"observation {word}")
+    # Source: legged_gym, LeggedRobot._init_buffers: commands_scale.
+    for part, word in zip(COMMAND_PARTS, ("lin_vel", "lin_vel", "ang_vel"), strict=True):
+        if (node := scales.get(word)).number is not None:
+            quantity = f"observation commands {part}"
+            yield node.make_statement(quantity, origin=Origin.DEFAULT, basis=_LEGGED_GYM)
 
 
 def is_environment(root: LocatedValue) -> bool:

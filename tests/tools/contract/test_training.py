@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.tools.contract import read_contract
+from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.deployment import read_deployment
 from pupper_analysis.tools.contract.facts import Request, Role
 from pupper_analysis.tools.contract.readers import python, tables
@@ -88,3 +88,41 @@ def test_action_that_keeps_its_order_states_the_joint_order(
     else:
         assert found.is_order_assumed
         assert set(found.joints) == set(robot.order)
+
+
+def _compare_gym(
+    folder: Path, *, changes: dict[str, str], scales: str = "[2.0, 2.0, 0.25]"
+) -> Contract:
+    """Compare a trainer of legged_gym, with changed lines, with a YAML of unitree_rl_gym."""
+    robot = robot_of("quadruped", folder)
+    trainer, _ = write(robot, "legged_gym", folder)
+    text = trainer.read_text()
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    text += "    class normalization:\n        class obs_scales:\n"
+    trainer.write_text(text + "            lin_vel = 2.0\n            ang_vel = 0.25\n")
+    deployment = folder / "quadruped.yaml"
+    rows = {"default_angles": "default angle", "kps": "kp", "kds": "kd"}
+    body = "".join(
+        f"{word}: {[robot.numbers[quantity][joint] for joint in robot.order]}\n"
+        for word, quantity in rows.items()
+    )
+    body += f"action_scale: {robot.numbers['action scale'][robot.order[0]]}\n"
+    deployment.write_text(f"{body}cmd_scale: {scales}\n")
+    return read_contract(robot.urdf, trainer, deployment, stand=False)
+
+
+def test_scales_of_commands_follow_from_the_observation_scales_of_legged_gym(
+    tmp_path: Path,
+) -> None:
+    """Reference: ``commands_scale`` of legged_gym is (lin_vel, lin_vel, ang_vel)."""
+    assert _compare_gym(tmp_path, changes={}).passed
+    found = _compare_gym(tmp_path, changes={}, scales="[1.0, 2.0, 1.0]")
+    assert [(one.kind, one.values, str(one.severity)) for one in found.findings] == [
+        ("observation commands x", (2.0, 1.0), "error"),
+        ("observation commands turn", (0.25, 1.0), "error"),
+    ]
+    for place, text in zip(found.findings[0].places, ("lin_vel", "cmd_scale"), strict=True):
+        file, _, line = place.rpartition(":")
+        assert Path(file).read_text().splitlines()[int(line) - 1].strip().startswith(text)

@@ -40,10 +40,6 @@ _MAX_TABLE_DEPTH = 4
 """Largest depth at which nested tables are searched for numbers. Chosen, not tuned."""
 
 
-_COMMAND_PARTS = ("x", "y", "turn")
-"""Elements of a command, whose scales are a list ``cmd_scale`` in files of unitree_rl_gym."""
-
-
 @dataclass(frozen=True)
 class _View:
     """Tables of a document that together state one source, such as a controller.
@@ -371,8 +367,8 @@ def _read_motors(
 def _list_command_scales(view: _View) -> Iterator[Statement]:
     """Yield the scales of the observed command, and the period of the policy [s] from its rate."""
     commands = view.get("cmd_scale")
-    if len(commands.items) == len(_COMMAND_PARTS):
-        for part, item in zip(_COMMAND_PARTS, commands.items, strict=True):
+    if len(commands.items) == len(training.COMMAND_PARTS):
+        for part, item in zip(training.COMMAND_PARTS, commands.items, strict=True):
             if item.number is not None:
                 yield item.make_statement(f"observation commands {part}")
     rate, repeat = view.get("update_rate"), view.get("repeat_action")
