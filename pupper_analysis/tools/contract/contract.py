@@ -186,7 +186,7 @@ def _compare_sources(
     if errors and all(source.source.role is Role.MODEL for source in placed):
         raise errors[0]
     unread = [diagnose("contract-unread", file=error.source, why=error.cause) for error in errors]
-    unread += find_lost_quantities(placed)
+    unread += find_lost_quantities(placed, joints)
     notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses: tuple[DefaultPoseStand, ...] = ()

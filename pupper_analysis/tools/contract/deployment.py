@@ -128,7 +128,7 @@ def read_deployment(
         if placed_source.source.role is not Role.POLICY:
             robot_source = replace(placed_source.source, name=robot.name, order=joints.order)
             notes += check_source(placed_source, robot_source)
-    notes += [note for note in find_lost_quantities(placed) if note not in notes]
+    notes += [note for note in find_lost_quantities(placed, joints) if note not in notes]
     placed.sort(key=lambda one: _PRECEDENCE.index(one.source.role))
     findings = find_disagreements(placed, joints)
     differing = [one for one in findings if one.severity is Severity.ERROR]

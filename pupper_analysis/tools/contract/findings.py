@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -215,14 +215,19 @@ LENGTH_CODES = ("contract-list-length", "contract-motors-length")
 """Codes of lists that have another length than the joint order of their own file."""
 
 
-def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
+def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> list[Diagnostic]:
     """List quantities in sources that are lost for the comparison with other sources.
 
-    The reason is a value that is no number, a list that cannot be assigned to joints, or keys that
-    match no joint of the robot; keys of models are not reported. Only quantities whose differences
-    have a severity are reported. A list that has another length than the joint order of its own
-    file is always reported; all other cases only if another source states the quantity (for keys:
-    for a joint without a number in this source).
+    The reason is a value that is no number, a list that cannot be assigned to joints, keys that
+    match no joint of the robot, or a joint without a number whose opposite joint has a number
+    (`_find_missing_sides`); keys and joints of models are not reported. Only quantities whose
+    differences have a severity are reported. A list that has another length than the joint order of
+    its own file is always reported; all other cases only if another source states the quantity (for
+    keys: for a joint without a number in this source).
+
+    Args:
+        placed: Sources.
+        model: Joints of the robot.
 
     Returns:
         Messages, each about a quantity in a source.
@@ -258,7 +263,43 @@ def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
                     sources=source.source.path,
                 )
                 lost.append(message)
+        if source.source.role is not Role.MODEL:
+            lost += _find_missing_sides(source, set(stated), model)
     return lost
+
+
+def _find_missing_sides(
+    source: PlacedSource, stated: Set[tuple[str, str]], model: RobotJoints
+) -> Iterator[Diagnostic]:
+    """Yield a message for each quantity that a source states on one side of the robot only.
+
+    A message requires fewer such left-right pairs than pairs with both numbers: a source may
+    belong to a single arm.
+
+    Args:
+        source: Source.
+        stated: (quantity, joint) of the numbers of all other sources.
+        model: Joints of the robot.
+    """
+    pairs = find_mirror_pairs(model.order)
+    for quantity in dict.fromkeys(what for what, joint in source.facts if joint):
+        missing, complete = list[tuple[str, str]](), 0
+        for pair in pairs:
+            one_sided = [joint for joint in pair if (quantity, joint) not in source.facts]
+            complete += not one_sided
+            if len(one_sided) == 1 and (quantity, one_sided[0]) in stated:
+                (joint,) = one_sided
+                missing.append((joint, pair[1 - pair.index(joint)]))
+        reported = quantity in source.unplaced or quantity in source.unread
+        if missing and len(missing) < complete and not reported:
+            yield diagnose(
+                "contract-side-missing",
+                file=source.source.name,
+                what=Term(quantity) if quantity in QUANTITIES else quantity,
+                joints=tuple(joint for joint, _ in missing),
+                mirrors=tuple(mirror for _, mirror in missing),
+                sources=source.source.path,
+            )
 
 
 def make_unread_finding(message: Diagnostic) -> Disagreement:

@@ -126,3 +126,27 @@ def test_scales_of_commands_follow_from_the_observation_scales_of_legged_gym(
     for place, text in zip(found.findings[0].places, ("lin_vel", "cmd_scale"), strict=True):
         file, _, line = place.rpartition(":")
         assert Path(file).read_text().splitlines()[int(line) - 1].strip().startswith(text)
+
+
+def test_joint_without_a_number_is_a_warning_if_the_opposite_joint_has_one(
+    tmp_path: Path,
+) -> None:
+    """Without the warning, the remaining eleven joints agree."""
+    row = "            'RR_pitch': 0.6,\n"
+    found = _compare_gym(tmp_path, changes={row: ""})
+    assert found.findings == ()
+    assert not found.passed
+    (warning,) = found.unread
+    assert warning.code == "contract-side-missing"
+    assert warning.values["joints"] == ("RR_pitch",)
+    assert warning.values["mirrors"] == ("RL_pitch",)
+
+
+def test_numbers_of_a_single_side_are_no_missing_numbers(tmp_path: Path) -> None:
+    """A source may belong to the legs of one side."""
+    rows = {
+        f"            '{leg}_{part}': {angle},\n": ""
+        for leg in ("FR", "RR")
+        for part, angle in (("roll", -0.1), ("pitch", 0.6), ("knee", -1.2))
+    }
+    assert _compare_gym(tmp_path, changes=rows).passed
