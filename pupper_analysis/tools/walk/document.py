@@ -762,7 +762,7 @@ def trace_document(result: TraceCheck, robot: Robot | None = None) -> doc.Docume
     `build_document` calls this function for a `TraceCheck`.
     """
     wrong = [check for check in result.checks if check.mistake not in ("", "unchecked")]
-    terms = result.checks[1:]
+    terms = result.signal_checks
     agreeing = [check for check in terms if check.mistake == ""]
     word = "walk-trace-differs" if wrong else "walk-trace-matches"
     if not wrong and not agreeing:

@@ -51,6 +51,11 @@ constant. Chosen, not tuned: above the noise of encoders and float32 logs, below
 wrong sign, scale, order or delay.
 """
 
+MAX_RATE_DEVIATION = 0.1
+"""Largest accepted difference of the rate of a trace from the rate of the contract, relative to the
+rate of the contract. Chosen: rates are rounded to whole time steps of a controller, and wrong rates
+are usually off by a quarter or more."""
+
 _DAMAGE_ERRORS = (
     ValueError,
     OSError,
@@ -307,8 +312,9 @@ class TermCheck(Result):
     """Comparison of a term of the observations, or of the targets, with recorded signals.
 
     Attributes:
-        term: Term, ``network`` or ``targets``.
-        first: Index of the first element in a frame of the observation; -1 for network and targets.
+        term: Term, ``network``, ``rate`` or ``targets``.
+        first: Index of the first element in a frame of the observation; -1 for network, rate and
+            targets.
         size: Number of elements.
         error: Root mean square of the difference, relative to the signal; None if not checked.
         mistake: ``order``, ``sign``, ``scale``, ``offset``, ``delay``, ``place`` (the term is
@@ -335,7 +341,7 @@ class TraceCheck(Result):
         trace: File name of the trace.
         samples: Number of samples.
         period: Median time between samples.
-        checks: Network, terms of the observation, and targets.
+        checks: Network, rate, terms of the observation, and targets.
     """
 
     name: str
@@ -347,10 +353,15 @@ class TraceCheck(Result):
     _reported: ClassVar[tuple[str, ...]] = ("passed",)
 
     @property
+    def signal_checks(self) -> tuple[TermCheck, ...]:
+        """Checks of the terms of the observation, and of the targets."""
+        return tuple(check for check in self.checks if check.term not in ("network", "rate"))
+
+    @property
     def passed(self) -> bool:
-        """Whether the network agrees, a term or the targets agree, and nothing disagrees."""
+        """Whether network and rate agree, a term or the targets agree, and nothing disagrees."""
         mistakes = [check.mistake for check in self.checks]
-        checked = [check for check in self.checks[1:] if check.mistake == ""]
+        checked = [check for check in self.signal_checks if check.mistake == ""]
         return bool(checked) and all(mistake in ("", "unchecked") for mistake in mistakes)
 
 
@@ -358,7 +369,8 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
     """Compare a policy's contract with a recorded trace, to find wrong orders, signs or scales.
 
     The actions of the network, and each term of the observation and the joint targets for which the
-    trace contains a signal, are compared with the recorded signals.
+    trace contains a signal, are compared with the recorded signals. The rate of the contract is
+    compared with the median time between samples.
 
     Args:
         robot: Robot.
@@ -378,7 +390,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         raise ModelError(trace.path, diagnose("trace-sizes", found=found, wanted=str(sizes)))
     signals = _make_signals(robot, policy, trace)
     labels = contract.joints or tuple(robot.joint_names)
-    checks = [_check_network(policy, trace)]
+    checks = [_check_network(policy, trace), _check_rate(contract, trace)]
     firsts = np.cumsum([0, *(contract.term_size(term) for term in contract.terms)])
     for number, term in enumerate(contract.terms):
         size, first = contract.term_size(term), int(firsts[number])
@@ -430,6 +442,14 @@ def _check_network(policy: Policy, trace: Trace) -> TermCheck:
     error, mistake, detail = _explain_difference(trace.arrays["actions"], np.array(actions), names)
     detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
     return TermCheck("network", -1, network.outputs, error, mistake, detail)
+
+
+def _check_rate(contract: PolicyContract, trace: Trace) -> TermCheck:
+    """Compare the rate of the contract with the rate of the samples; ``detail`` is the ratio."""
+    ratio = 1 / (trace.period * contract.rate)
+    is_wrong = abs(ratio - 1) > MAX_RATE_DEVIATION
+    mistake, detail = ("scale", f"x {ratio:.4g}") if is_wrong else ("", "")
+    return TermCheck("rate", -1, 1, abs(ratio - 1), mistake, detail)
 
 
 def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array]:

@@ -76,7 +76,7 @@ def test_trace_of_the_stated_contract_agrees(
     found = check(*recorded, tmp_path)
     assert find_mistakes(found) == {}
     assert found.passed
-    assert [check.term for check in found.checks] == ["network", *NAMES, "targets"]
+    assert [check.term for check in found.checks] == ["network", "rate", *NAMES, "targets"]
     assert found.period == pytest.approx(0.02)
 
 
@@ -174,6 +174,18 @@ def test_planted_delay_is_named(
     mistakes = find_mistakes(check(policy, arrays | {"observations": observations}, tmp_path))
     assert mistakes.pop(name) == ("delay", f"{delay} samples ({20 * delay} ms)")
     assert set(mistakes) <= {"network"}  # its actions belong to the other observations
+
+
+@pytest.mark.parametrize("stated", [100.0, 62.5, 40.0])
+def test_planted_rate_is_named(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, stated: float
+) -> None:
+    """The trace has a sample per 20 ms. Clocks that differ by 4 % are no mistake."""
+    policy, arrays = recorded
+    found = check(policy.with_contract(rate=stated), arrays, tmp_path)
+    assert find_mistakes(found) == {"rate": ("scale", f"x {50 / stated:.4g}")}
+    assert not found.passed
+    assert check(policy.with_contract(rate=48.0), arrays, tmp_path).passed
 
 
 def test_terms_in_another_order_are_found_at_their_place(
