@@ -529,9 +529,8 @@ def put_defaults(root: etree._Element) -> None:
     top = root.find("default")
     assert top is not None
     for tag, attributes in _DEFAULT_ATTRIBUTES.items():
-        elements = [
-            found for found in root.iter(tag) if found.getparent().tag not in ("default", "equality")
-        ]
+        others = ("default", "equality")  # couplings are elements <joint> as well
+        elements = [found for found in root.iter(tag) if found.getparent().tag not in others]
         common = _find_common_values(elements, attributes) if len(elements) > 1 else {}
         if common:
             top.insert(len(top.findall("joint")), etree.Element(tag, common))

@@ -114,6 +114,8 @@ def strip_folders(text: str) -> str:
     return _FOLDER_PATTERN.sub("", text)
 
 
-_FOLDER_PATTERN = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:|~)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
+_FOLDER_PATTERN = re.compile(
+    r"(?<![\w.:/])(?:[A-Za-z]:|~)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])"
+)
 """Pattern of the folders of an absolute path. `strip_folders` deletes the matches, so that only the
 file name remains."""

@@ -197,7 +197,8 @@ class StancePath(Tabular):
         loads: Shape (n, feet); vertical component of ``forces``.
         friction_utilisation: Shape (n, feet); tangential force / (friction coefficient x normal
             force). Zero for an unloaded foot.
-        zero_moment_point: Shape (n, 3), in the world frame. NaN if balance requires the ground to pull.
+        zero_moment_point: Shape (n, 3), in the world frame. NaN if balance requires the ground to
+            pull.
         zmp_margin: Shape (n,); distance from the projected zero-moment point to the edge of the
             support polygon, positive inside.
         clearance: Shape (n, feet); height of each foot above the ground. Zero if the foot touches
