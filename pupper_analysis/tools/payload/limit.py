@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import (
+    ConfigurationError,
     NotSettlingError,
     StanceUnreachableError,
     StaticsInfeasibleError,
@@ -350,7 +351,8 @@ def payload_limit(
         StanceUnreachableError: If the stance is out of reach without payload.
         StaticsInfeasibleError: If the stance slides or tips without payload.
         NotSettlingError: If the penetration depths of the feet do not converge without payload.
-        ConfigurationError: If an argument is out of range, or invalid for the robot.
+        ConfigurationError: If an argument is out of range, or invalid for the robot, or the task
+            welds the base and the payload is on the base.
         ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
             both given, the mass or inertia of a body is invalid, or the loaded model or the ground
             cannot be built.
@@ -364,6 +366,8 @@ def payload_limit(
     else:
         task = stance or StandTask()
         robot = with_contacts(robot, task.contacts)
+    if robot.is_base_fixed and not place.chain:
+        raise ConfigurationError("point", diagnose("payload-on-fixed-base", robot=robot.name))
     # Raise, with an explanation, if the stance has no stand without payload.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _PayloadSearch(robot, task, place, kp, kd)

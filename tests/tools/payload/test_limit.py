@@ -527,3 +527,10 @@ def test_motors_too_weak_for_the_robot_carry_no_payload(fraction: float) -> None
     assert limit.trial is None
     assert not limit.passed
     np.testing.assert_allclose(limit.joint_torques, held.joint_torques, atol=1e-9)
+
+
+def test_payload_on_a_base_that_is_welded_to_the_world_is_refused() -> None:
+    """Every mass would be carried, by the weld."""
+    task = pa.StandTask(contacts={"base": pa.Weld()})
+    with pytest.raises(pa.ConfigurationError, match="loads no motor"):
+        pa.payload_limit(load("v3"), task)
