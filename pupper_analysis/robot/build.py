@@ -231,7 +231,7 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy notes, stand height and published file from the original to a rebuilt robot.
 
     A description does not contain these data. If the original has contacts of a task
-    (``touching``), the contacts and the fingerprint are copied as well.
+    (``touching``), the contacts, the home position and the fingerprint are copied as well.
 
     Args:
         built: Rebuilt robot; not changed.
@@ -246,7 +246,11 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
         notes=robot.notes,
         published=None if robot.published is None else robot.published.for_modified_copy(robot),
     )
-    return result if not robot.touching else with_touching(result, robot, robot.touching)
+    if not robot.touching:
+        return result
+    # The posture of an arm on a weld is in no file.
+    result = replace(result, home=robot.home) if result.nq == robot.nq else result
+    return with_touching(result, robot, robot.touching)
 
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:

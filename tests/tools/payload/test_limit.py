@@ -34,6 +34,7 @@ from pupper_analysis.tools.payload.limit import (
     simulate_payload,
 )
 from pupper_analysis.tools.study.design import DesignBuilder
+from tests.stance.test_welds import ARM, inertial
 from tests.support.engines import with_efforts
 from tests.support.random_legged import draw_robot, irregular_biped, ring, write_robot
 from tests.support.variants import load, stand_of
@@ -534,3 +535,28 @@ def test_payload_on_a_base_that_is_welded_to_the_world_is_refused() -> None:
     task = pa.StandTask(contacts={"base": pa.Weld()})
     with pytest.raises(pa.ConfigurationError, match="loads no motor"):
         pa.payload_limit(load("v3"), task)
+
+
+@pytest.mark.slow
+def test_payload_of_an_arm_on_a_weld_is_that_of_the_arm_with_a_fixed_base(tmp_path: Path) -> None:
+    """Reference: `hold_posture`, whose posture is the middle of the joint ranges, which no file
+    states. The payload was zero, since the loaded arm was at its zero angles.
+    """
+    rod = inertial(1.0, "0 0 0.15", '<cylinder radius="0.03" length="0.2"/>')
+    file = tmp_path / "arm.urdf"
+    file.write_text(
+        ARM.format(
+            box=inertial(2.0, "0 0 0.05", '<box size="0.2 0.2 0.1"/>'),
+            rod=rod,
+            ball=inertial(0.5, "0 0 0.05", '<sphere radius="0.04"/>'),
+            limit='<limit lower="-0.4" upper="2.0" effort="20" velocity="5"/>',
+        )
+    )
+    arm = pa.load_robot(file)
+    limit = pa.payload_limit(
+        arm, pa.StandTask(contacts={"base": pa.Weld()}), point=("wrist", 0.0, 0.0, 0.0)
+    )
+    held = pa.hold_posture(arm, tool="wrist")
+    assert held.payload is not None
+    assert limit.failure is Failure.MOTOR
+    assert limit.mass == pytest.approx(held.payload.mass, rel=1e-5)
