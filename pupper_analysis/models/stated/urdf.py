@@ -249,6 +249,9 @@ def find_turn(file: UrdfFile, tag: etree._Element) -> NDArray[np.float64] | None
 
     Returns:
         The rotation; None if z is up, and for a file that is no COLLADA file or is not readable.
+
+    Raises:
+        OutputError: If this run of the command line also writes the file.
     """
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() != ".dae" or not path.is_file():
