@@ -27,10 +27,10 @@ class Tolerances:
         position: Position of a joint or frame (m).
         rotation: Angle between the placements of a joint (rad).
         axis: Angle between the axes of a joint (rad).
-        limit: Joint limit (rad or m).
+        limit: Joint limit (rad or m); also offset and multiplier of a joint coupling.
         effort: Effort limit, relative.
         velocity: Velocity limit, relative.
-        damping: Damping, relative.
+        damping: Damping, and stiffness and damping of servos, relative.
         friction: Friction loss, relative.
         gravity: Norm of the difference between gravity in the MJCF and 9.81 m/s^2 downwards
             (m/s^2). Pinocchio uses 9.81 for a URDF. The default accepts 9.8 and 9.80665.
