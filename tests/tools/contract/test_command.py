@@ -16,7 +16,7 @@ BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
 )
 BAD = {
-    "cut.py": ("def f(:", "cut.py:1: it is no Python"),
+    "cut.py": ("def f(:", "cut.py:1: invalid Python"),
     "alias.yaml": (BOMB, "the file contains more than 200000 values"),
     "self.yaml": ("a: &a [*a]\n", "the file is nested too deeply"),
     "deep.json": ("[" * 100_000, "nest"),

@@ -50,4 +50,4 @@ def test_written_gains_are_those_for_the_payload(tmp_path: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "new" / "mjcf" / "v3.xml"))
     assert model.actuator_gainprm[0, 0] == pytest.approx(2 * 3.25, rel=0.01)
     assert model.body_mass.sum() == pytest.approx(load("v3").total_mass)
-    assert "a payload of 1 kg; the files contain the robot without it" in done.stdout
+    assert "a payload of 1 kg; the files contain the robot without this payload" in done.stdout
