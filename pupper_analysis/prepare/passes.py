@@ -553,12 +553,18 @@ _MIN_POLYGON_POINTS = 3
 
 
 def _stands_on(draft: Draft, feet: tuple[Foot, ...]) -> bool:
-    """Return True if a robot without feet has a nominal stand on some feet."""
+    """Return True if a robot without feet has a nominal stand on some feet.
+
+    As later, contacts of shapes beside the feet are disabled: a tilted foot would touch with them.
+    """
+    sunk = start.compute_resting_depths(draft.mjcf.model)
     try:
         robot = build_robot(add_contact_frames(draft.robot, feet))
-        return _solve_nominal_joints(draft, robot) is not None
+        robot, _ = find_start_pose(robot, draft.keyframes, sunk)
+        robot, _ = touching.disable_shapes_beside_feet(robot)
     except PupperAnalysisError:
         return False
+    return start.solve_nominal_stand(robot) is not None
 
 
 _MAX_ELLIPSOID_FITS = 6
