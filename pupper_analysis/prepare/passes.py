@@ -26,6 +26,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.additions import (
     STIFF_FRICTION_OPTIONS,
     Addition,
+    Ball,
     DisabledContacts,
     Floor,
     Options,
@@ -627,9 +628,15 @@ def _use_hulls_as_feet(draft: Draft) -> PassOutput:
         return draft, ()
     feet, message = hulls
     balls = notes.report_balls(draft.footless, feet)
-    own = draft.robot.description.foot_geoms
+    own = draft.robot.description
     kept = {foot.name for foot in draft.feet if foot in feet}
-    soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
+    # A new ball may have the name of an earlier ball; this ball is not in the footless model.
+    shapes = {added.name: added.like for added in own.added if isinstance(added, Ball)}
+    soft = tuple(
+        str(shapes.get(geom, geom))
+        for name, (geom, _) in own.foot_geoms.items()
+        if name not in kept
+    )
     described = add_contact_frames(draft.footless, feet, balls).with_additions(
         DisabledContacts(message, soft)
     )

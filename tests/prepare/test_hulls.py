@@ -74,6 +74,22 @@ def test_a_stiff_shank_beside_a_soft_foot_is_the_contact_point(
 
 
 @pytest.mark.slow
+def test_shanks_and_soft_feet_may_both_be_ellipsoids(tmp_path: Path) -> None:
+    """Spheres replace both, with the same name. Loading ended in a KeyError: the contacts of the
+    new sphere were disabled. Reference: the lower end of the shank, 3 mm above that of the foot.
+    """
+    foot = '<geom type="ellipsoid" size=".02 .02 .02" pos="0 0 -0.2" solimp="0.015 1 0.036"/>'
+    shank = '<geom type="ellipsoid" size=".01 .01 .117" pos="0 0 -0.1" solref="0.004 1"/>'
+    pair = quadruped(tmp_path, foot=foot + shank, floor=True)
+    robot = pa.load_robot(pair.mjcf)
+    assert "hulls-carry-instead-of-feet" in {note.code for note in robot.notes}
+    model = robot.mj_model
+    for geom, radius in robot.description.foot_geoms.values():
+        assert model.geom(geom).contype[0] or model.geom(geom).conaffinity[0]
+        assert model.geom(geom).pos[2] - radius == pytest.approx(-0.217, abs=2e-3)
+
+
+@pytest.mark.slow
 def test_a_soft_foot_stays_the_contact_point_if_it_carries_more_than_its_shank(
     tmp_path: Path,
 ) -> None:
