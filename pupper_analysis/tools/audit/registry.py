@@ -289,6 +289,16 @@ def list_link_points(robot: RobotModel, body: Link) -> Array:
     return np.array(points)
 
 
+def compute_hull_volume(points: Array) -> float:
+    """Compute the volume of the convex hull of points, shape (n, 3) [m], in m^3; 0 if flat."""
+    from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
+
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
 def compute_hull_distance(points: Array, point: Array) -> float:
     """Compute a lower bound of the distance between a point and the convex hull of points.
 

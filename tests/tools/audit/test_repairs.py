@@ -555,6 +555,27 @@ def test_moments_of_a_link_whose_only_shape_is_its_tip_are_no_finding(tmp_path: 
     assert "inertia-implausible" not in rules
 
 
+@pytest.mark.parametrize(("mass", "found"), [(0.03, True), (0.14, False)])
+def test_moments_of_a_cross_with_one_drawn_pin_are_no_finding(
+    mass: float, found: bool, tmp_path: Path
+) -> None:
+    """The cross of a universal joint has two pins; one pin of 2.5 cm^3 is drawn, as for H2's waist.
+
+    At 0.14 kg, the drawn pin has 56,000 kg/m^3, three times tungsten: it is not the whole link. At
+    0.03 kg (12,000 kg/m^3) it may be, and no mass inside has more than m r^2 about its axis.
+    """
+    inertial = (
+        f'<mass value="{mass}"/><inertia ixx="{1.2e-4 * mass}" iyy="{1.1e-4 * mass}" '
+        f'izz="{1.66e-4 * mass}" ixy="0" ixz="0" iyz="0"/>'
+    )
+    shape = (
+        '<origin rpy="0 1.5707963267948966 0"/>'
+        '<geometry><cylinder length="0.05" radius="0.004"/></geometry>'
+    )
+    rules = {each.rule for each in audit_model(write_arm(tmp_path, inertial, shape)).findings}
+    assert ("inertia-implausible" in rules) is found
+
+
 @pytest.mark.parametrize("leader", ["turnn", "elsewhere"])
 def test_mimic_of_a_missing_joint_is_repaired_if_a_name_is_similar(
     leader: str, tmp_path: Path

@@ -29,11 +29,13 @@ from pupper_analysis.models.stated.mjcf import find_element_place, joint_name
 from pupper_analysis.models.stated.model import HINGE_JOINT, Inertial, Link, MjcfModel, RobotModel
 from pupper_analysis.tools.audit.registry import (
     compute_hull_distance,
+    compute_hull_volume,
     list_extent_points,
     list_known_points,
     list_link_points,
     rule,
 )
+from pupper_analysis.tools.audit.rules.shapes import MAX_DENSITY
 
 MAX_COM_OFFSET = 0.002
 """Fixed part of the tolerance [m] for a CoM outside the convex hull of a link's shapes, joints and
@@ -481,8 +483,10 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
     """Find the axis about which the mass would have to be outside of the shapes.
 
     The moment about an axis through the CoM is at most m d^2, with the largest distance d between
-    the shapes and the axis. A CoM outside of the box around the shapes means that the shapes do not
-    cover the link, for example a calf with the sphere of its foot only.
+    the shapes and the axis. The shapes do not cover the link in two cases: the CoM is outside of
+    the box around the shapes, for example of a calf with the sphere of its foot only; or the mass
+    exceeds `MAX_DENSITY` times the volume of the convex hull, for example of a universal joint with
+    one of its two pins.
 
     Args:
         inertial: Inertial of a link, in the frame of the link.
@@ -490,11 +494,11 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
 
     Returns:
         Axis (3,), moment [kg m^2] and largest possible moment of the axis with the largest ratio of
-        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None. None also if the CoM is outside of
-        the box around the shapes.
+        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None. None also if the shapes
+        do not cover the link.
     """
     is_covered = (points.min(axis=0) <= inertial.com) & (inertial.com <= points.max(axis=0))
-    if not is_covered.all():
+    if not is_covered.all() or inertial.mass > MAX_DENSITY * compute_hull_volume(points):
         return None
     arms = points - inertial.com
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

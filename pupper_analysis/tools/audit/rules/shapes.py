@@ -20,7 +20,6 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.qhull import ConvexHull, QhullError
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Mesh, Shape
 from pupper_analysis.models.sides import strip_sides
@@ -28,6 +27,7 @@ from pupper_analysis.models.stated.model import HINGE_JOINT, Link, RobotModel, U
 from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.tools.audit.registry import (
     compute_hull_distance,
+    compute_hull_volume,
     list_extent_points,
     list_known_points,
     list_link_points,
@@ -373,7 +373,7 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
         own, way = _compute_extent(points), _compute_extent(links)
         if own < max(MIN_EXTENT, MIN_SHAPE_FRACTION * way):
             continue
-        volume = _compute_hull_volume(np.concatenate([points, links]))
+        volume = compute_hull_volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
         # Only a dense link is compared with the others: their convex hulls take most of the time.
         typical = (
@@ -434,7 +434,7 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
         light = mass < MIN_MASS_FRACTION * (robot.total_mass - robot.links[name].mass)
         if body.name == name or light or not whole or points is None:
             continue
-        volume = _compute_hull_volume(np.concatenate([points, list_link_points(robot, body)]))
+        volume = compute_hull_volume(np.concatenate([points, list_link_points(robot, body)]))
         if volume > 0 and mass > 0:
             densities.append(mass / volume)
     return float(np.median(densities)) if len(densities) >= MIN_OTHER_LINKS else None
@@ -794,11 +794,3 @@ def _list_moving_links(robot: RobotModel) -> Iterator[Link]:
 def _compute_extent(points: Array) -> float:
     """Return the longest side of the axis-aligned bounding box of points, shape (n, 3) [m]."""
     return float(np.ptp(points, axis=0).max())
-
-
-def _compute_hull_volume(points: Array) -> float:
-    """Compute the volume of the convex hull of points, shape (n, 3) [m], in m^3; 0 if flat."""
-    try:
-        return float(ConvexHull(points).volume)
-    except (QhullError, ValueError):
-        return 0.0
