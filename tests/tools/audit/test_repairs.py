@@ -107,6 +107,31 @@ def test_repair_is_written_over_numbers_with_several_spaces(tmp_path: Path) -> N
     assert path.read_bytes() == read_original()
 
 
+@pytest.mark.parametrize("wrong", ["FL", "FR", "RL", "RR"])
+def test_reversed_axis_of_mirrored_hips_is_named_by_their_ranges(
+    wrong: str, tmp_path: Path
+) -> None:
+    """As in HyQ: hips of the left legs turn about -x, those of the right legs about +x.
+
+    With one axis reversed, one pair contradicts mirrored axes, and the other pair parallel axes.
+    Ranges from -70 to 25 degrees fit mirrored axes only. Reference: the original axis.
+    """
+    text = URDF.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        start = text.index(f'<joint name="{leg}_HAA"')
+        end = text.index("</joint>", start)
+        is_left = (leg[1] == "L") is not (leg == wrong)
+        joint = text[start:end].replace('"1 0 0"', '"-1 0 0"' if is_left else '"1 0 0"')
+        joint = re.sub('lower="[^"]*" upper="[^"]*"', 'lower="-1.2" upper="0.4"', joint)
+        text = text[:start] + joint + text[end:]
+    path = tmp_path / URDF.name
+    path.write_text(text)
+    audit = audit_model(path)
+    (found,) = (each for each in audit.findings if each.rule == "mirror-axis")
+    assert found.element == f"joint '{wrong}_HAA'"
+    assert repairs_of(audit, "mirror-axis") == [{"xyz": "-1 0 0" if wrong[1] == "L" else "1 0 0"}]
+
+
 @pytest.mark.parametrize("angles", ["0.3 0 0", "0 0.3 0"])
 def test_turned_joint_is_repaired_if_its_child_is_displaced(angles: str, tmp_path: Path) -> None:
     """A turn of the knee by 0.3 rad displaces the foot, whose own origin is right."""

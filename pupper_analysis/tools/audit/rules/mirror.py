@@ -661,10 +661,11 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Yield a finding if the axes of exactly one left-right pair have an unusual relative sense.
 
     In most published robots, the axes of all pairs are parallel, or the axes of all pairs are
-    mirror images. The finding names the joint of the pair whose axis is probably reversed: the
-    joint whose axis points against most axes of the equal joints of other limbs. If this does not
-    decide, the axes of all other parallel hinges are used. If neither decides, the first joint of
-    the pair is named.
+    mirror images. If a single pair contradicts either convention, the pair is taken whose ranges
+    are no mirror images. The finding names the joint of the pair whose axis is probably reversed:
+    the joint whose axis points against most axes of the equal joints of other limbs
+    (`_compare_senses`). If this does not decide, the axes of all other parallel hinges are used. If
+    neither decides, the first joint of the pair is named.
     """
     pairs, parallel = [], []
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
@@ -675,30 +676,65 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
             parallel.append((cosine > 0, sense > 0))
     if len(pairs) <= MIN_EQUAL_SENSES:
         return
-    of_axes, of_mirror = np.array(parallel).T
-    if of_axes.all() or of_mirror.all():
+    conventions = np.array(parallel).T
+    if conventions.all(axis=1).any():
         return
-    odd = np.flatnonzero(~of_axes if (~of_axes).sum() == 1 else ~of_mirror)
-    if len(odd) != 1:
+    exceptions = [
+        (pairs[int(odd[0])], is_mirrored)
+        for is_mirrored, agrees in enumerate(conventions)
+        if len(odd := np.flatnonzero(~agrees)) == 1
+    ]
+    if len(exceptions) > 1:
+        unlike = [each for each in exceptions if not _ranges_agree(mirror, *each[0])]
+        exceptions = unlike if len(unlike) == 1 else exceptions
+    if not exceptions:
         return
-    first, second = pairs[int(odd[0])]
+    (first, second), is_mirrored = exceptions[0]
     kind = strip_sides(first.name)
     hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT]
     others = [joint for joint in hinges if joint not in (first, second)]
     equal = [joint for joint in others if strip_sides(joint.name) == kind]
+    plane = mirror if is_mirrored else None
     for group in (equal, others):
-        votes = sum(np.sign(j.axis @ second.axis) for j in group if abs(j.axis @ second.axis) > 0.9)
+        votes = sum(_compare_senses(joint, second, plane) for joint in group)
         if votes:
             break
     joint, other = (second, first) if votes < 0 else (first, second)
+    against = [each for each in equal or others if _compare_senses(each, joint, plane) < 0]
     message = diagnose(
         "mirror-axis-reversed",
         other=other.name,
         pairs=len(pairs) - 1,
         certain=bool(votes),
-        like=(equal or others)[0].name,
+        like=(against or equal or others)[0].name,
     )
     yield CheckFinding("joint", joint.name, message, "axis")
+
+
+def _compare_senses(first: Joint, second: Joint, mirror: MirrorPlane | None) -> float:
+    """Return 1 if the axes of two joints have the same sense, -1 if not, 0 if not parallel.
+
+    Args:
+        first: Joint.
+        second: Joint.
+        mirror: Plane between left and right, if the axes of the sides are mirror images: then the
+            axis of a joint on the other side is mirrored. None if all axes are parallel.
+    """
+    cosine = float(first.axis @ second.axis)
+    if mirror is not None:
+        sides = [joint.position[mirror.axis] - mirror.offset for joint in (first, second)]
+        if sides[0] * sides[1] < 0:
+            cosine = _compute_axis_sense(mirror, first, second)
+    return float(np.sign(cosine)) if abs(cosine) > 0.9 else 0.0
+
+
+def _ranges_agree(mirror: MirrorPlane, first: Joint, second: Joint) -> bool:
+    """Return True if the ranges of two joints are mirror images within `LIMIT_TOLERANCE`."""
+    is_same = _compute_axis_sense(mirror, first, second) > 0
+    image = (first.lower, first.upper) if is_same else (0.0 - first.upper, 0.0 - first.lower)
+    stated = (second.lower, second.upper)
+    gaps = (abs(a - b) if a != b else 0.0 for a, b in zip(image, stated, strict=True))
+    return max(gaps) <= LIMIT_TOLERANCE
 
 
 @rule
@@ -713,10 +749,11 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
         sense = _compute_axis_sense(mirror, first, second)
         if abs(sense) < 0.9:
             continue
-        image = (first.lower, first.upper) if sense > 0 else (0.0 - first.upper, 0.0 - first.lower)
-        stated = (second.lower, second.upper)
-        gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, stated, strict=True))
-        if gap > LIMIT_TOLERANCE:
+        if not _ranges_agree(mirror, first, second):
+            image = (first.lower, first.upper)
+            if sense < 0:
+                image = 0.0 - first.upper, 0.0 - first.lower
+            stated = (second.lower, second.upper)
             lower, upper, its_lower, its_upper = (
                 Quantity(limit, second.unit) for limit in (*stated, *image)
             )
