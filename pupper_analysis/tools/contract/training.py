@@ -174,7 +174,9 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
     statements += [
         statement for action in actions for statement in _list_action_statements(action, angles)
     ]
-    motors = robots[0].get("joint_sdk_names").texts if robots else ()
+    # An empty text is a motor that the robot lacks, as in unitree_rl_lab's G1 with 23 joints.
+    sdk_names = [item.value for item in robots[0].get("joint_sdk_names").items] if robots else []
+    motors = tuple(sdk_names) if all(isinstance(name, str) for name in sdk_names) else ()
     order = actions[0].find_first("patterns") if len(actions) == 1 else None
     is_kept = order is not None and actions[0].get("preserve_order").value is True
     names = order.texts if order is not None and is_kept else ()

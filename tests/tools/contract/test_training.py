@@ -150,3 +150,36 @@ def test_numbers_of_a_single_side_are_no_missing_numbers(tmp_path: Path) -> None
         for part, angle in (("roll", -0.1), ("pitch", 0.6), ("knee", -1.2))
     }
     assert _compare_gym(tmp_path, changes=rows).passed
+
+
+@pytest.mark.parametrize("slip", [False, True])
+def test_gains_per_motor_are_read_if_the_robot_lacks_a_motor(tmp_path: Path, slip: bool) -> None:
+    """unitree_rl_lab's G1 with 23 joints: an absent motor has an empty name, and gains of 0.
+
+    Gains are in the order of the motors, default angles in the order of the policy.
+    """
+    robot = robot_of("v3", tmp_path)
+    trainer, _ = write(robot, TABLES[0], tmp_path)
+    motors = [*robot.order[::-1][:5], "", *robot.order[::-1][5:]]
+    listed = "".join(f"    - {name or repr(name)}\n" for name in motors)
+    text = trainer.read_text().replace(
+        "    actuators:\n", f"    joint_sdk_names:\n{listed}    actuators:\n"
+    )
+    stiffness = [20.0 + number for number in range(12)]
+    for joint, number in zip(robot.order, stiffness, strict=True):
+        head, _, tail = text.partition(f"drive_{joint}:")
+        text = f"{head}drive_{joint}:{tail.replace('stiffness: 5.0', f'stiffness: {number}', 1)}"
+    trainer.write_text(text)
+    by_motor = [stiffness[robot.order.index(name)] if name else 0.0 for name in motors]
+    by_motor[7] += slip
+    angles = [robot.numbers["default angle"][joint] for joint in robot.order]
+    deployment = tmp_path / "deploy.yaml"
+    deployment.write_text(
+        f"joint_ids_map: {[motors.index(joint) for joint in robot.order]}\n"
+        f"stiffness: {by_motor}\ndefault_joint_pos: {angles}\n"
+    )
+    found = read_contract(robot.urdf, trainer, deployment, stand=False)
+    assert found.unread == ()
+    assert sum(one.quantity == "kp" and one.source == "deploy.yaml" for one in found.facts) == 12
+    wrong = [(one.kind, one.joints) for one in found.findings if one.probable_mistake != "mirror"]
+    assert wrong == ([("kp", (motors[7],))] if slip else [])

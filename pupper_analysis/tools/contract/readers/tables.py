@@ -488,9 +488,8 @@ def _list_table_statements(
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
     # legged_rl_deploy, whose terms are in a table ``terms``, lists gains in the policy's order.
-    in_motor_order = (
-        sorted(motors) == list(range(len(motors))) and not view.get("observations", "terms").table
-    )
+    in_motor_order = bool(motors) and not view.get("observations", "terms").table
+    is_permutation = sorted(motors) == list(range(len(motors)))
     # Source: rl_sar, ReadYaml: the robot's table is for standing up; the policy's table overrides.
     is_for_standing = is_standing_table or (
         view.get("fixed_kp").is_present and not view.get("rl_kp").is_present
@@ -500,12 +499,20 @@ def _list_table_statements(
             continue
         node = view.get(*rule.path)
         for statement in rule.list_statements(node) if rule.accepts(node) else ():
+            # If motors are left out, a list may have a number for each of all motors.
+            is_per_motor = not is_permutation and max(motors, default=0) < statement.count
             if (
                 rule.path[-1] in ("stiffness", "damping")
                 and in_motor_order
-                and statement.index in motors
+                and statement.index is not None
+                and (is_permutation or is_per_motor)
             ):
-                statement = replace(statement, index=motors.index(statement.index or 0))
+                if statement.index in motors:
+                    index = motors.index(statement.index)
+                    count = len(motors) if is_per_motor else statement.count
+                    statement = replace(statement, index=index, count=count)
+                elif is_per_motor:
+                    continue
             # A text is the name of a parameter, not a number of a joint.
             is_selection = statement.is_part or bool(rule.joints)
             if statement.value is not None and (
