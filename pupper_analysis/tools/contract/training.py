@@ -29,6 +29,9 @@ from pupper_analysis.tools.contract.keys import load_key_rules
 _LEGGED_GYM, _MJLAB, _ISAAC_LAB = "legged_gym 1.0", "mjlab 1.6", "Isaac Lab 2.0"
 """Names of frameworks, with the versions from which the assumed default values were read."""
 
+TARGET_BOUNDS = ("lowest target", "highest target")
+"""Quantities of the bounds of commanded joint positions."""
+
 COMMAND_PARTS = ("x", "y", "turn")
 """Elements of a command, whose scales are a list ``cmd_scale`` in files of unitree_rl_gym."""
 
@@ -267,3 +270,23 @@ def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> It
             yield replace(angle, quantity="action offset", origin=origin)
     else:
         yield from action.get("offset").make_statements("action offset", patterns)
+    # The bounds of relative actions, and of actions relative to limits, are no positions.
+    if get_class_name(action).removesuffix("Cfg") == "JointPositionAction":
+        yield from list_target_bounds(action.get("clip"))
+
+
+def list_target_bounds(clip: LocatedValue) -> Iterator[Statement]:
+    """Yield the bounds of the commanded joint positions [rad] of a policy's action.
+
+    ``clip`` is {joint pattern: [lower, upper]}, or a list of such pairs in the order of the policy.
+    The bounds apply to the action after scale and offset (Isaac Lab, ``JointAction``).
+    """
+    if isinstance(clip.value, dict):
+        pairs = [(pair, {"joint": pattern}) for pattern, pair in clip.table.items()]
+    else:
+        count = len(clip.items)
+        pairs = [(pair, {"index": k, "count": count}) for k, pair in enumerate(clip.items)]
+    for pair, where in pairs:
+        if isinstance(pair.value, list) and len(pair.items) == 2:
+            for quantity, bound in zip(TARGET_BOUNDS, pair.items, strict=True):
+                yield bound.make_statement(quantity, **where)

@@ -712,6 +712,15 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
             others = (fact.origin for fact in facts if fact.origin != Origin.STATED)
             origin = Origin(next(others, Origin.STATED))
             put(key, [fact.number for fact in facts], facts[0].place, origin)
+    for quantity, key, unbounded in _BOUNDS_OF_DEPLOYMENT:
+        bounds = {joint: deployment.facts.get((quantity, joint)) for joint in joints}
+        known = [fact for fact in bounds.values() if fact is not None and fact.value is not None]
+        if known:
+            values_by_joint = [
+                unbounded if fact is None or fact.value is None else fact.number
+                for fact in bounds.values()
+            ]
+            put(key, values_by_joint, known[0].place, known[0].origin)
     for quantity, key in _SETTINGS_OF_DEPLOYMENT.items():
         fact = deployment.facts.get((quantity, ""))
         if fact is not None and fact.value is not None and fact.value > 0:
@@ -747,6 +756,12 @@ _KEYS_OF_DEPLOYMENT = {
 """{quantity of joints in a deployment: contract key}. Position limits and signs are not listed,
 since they belong to the motors and not to the policy.
 """
+
+_BOUNDS_OF_DEPLOYMENT = (
+    ("lowest target", "lower", -math.inf),
+    ("highest target", "upper", math.inf),
+)
+"""(quantity of joints in a deployment, contract key, value of a joint without a bound)."""
 
 _SETTINGS_OF_DEPLOYMENT = {
     "policy step": "rate",

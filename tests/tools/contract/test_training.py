@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.deployment import read_deployment
 from pupper_analysis.tools.contract.facts import Request, Role
 from pupper_analysis.tools.contract.readers import python, tables
+from pupper_analysis.tools.walk.contract import convert_deployment
 from tests.support.variants import load
 from tests.tools.contract.planted import KINDS, robot_of, write
 
@@ -183,3 +185,34 @@ def test_gains_per_motor_are_read_if_the_robot_lacks_a_motor(tmp_path: Path, sli
     assert sum(one.quantity == "kp" and one.source == "deploy.yaml" for one in found.facts) == 12
     wrong = [(one.kind, one.joints) for one in found.findings if one.probable_mistake != "mirror"]
     assert wrong == ([("kp", (motors[7],))] if slip else [])
+
+
+@pytest.mark.parametrize("bound", [1.0, 0.9])
+def test_bounds_of_commanded_positions_are_compared_and_limit_the_walk(
+    tmp_path: Path, bound: float
+) -> None:
+    """Isaac Lab and unitree_rl_lab clip an action after scale and offset: positions in rad."""
+    robot = robot_of("v3", tmp_path)
+    trainer, _ = write(robot, TABLES[0], tmp_path)
+    pattern = "    clip:\n      .*_1: !!python/tuple\n      - -0.5\n      - 1.0\n"
+    text = trainer.read_text().replace("    offset: 0.0\n", f"    offset: 0.0\n{pattern}")
+    trainer.write_text(text)
+    pairs = [[-0.5, bound] if joint.endswith("_1") else None for joint in robot.order]
+    rows = "".join(f"    - {pair or 'null'}\n" for pair in pairs)
+    deployment = tmp_path / "deploy.yaml"
+    deployment.write_text(
+        f"joint_names: [{', '.join(robot.order)}]\n"
+        f"actions:\n  JointPositionAction:\n    scale: 0.75\n    clip:\n{rows}"
+    )
+    found = read_contract(robot.urdf, trainer, deployment, stand=False)
+    hips = tuple(joint for joint in robot.order if joint.endswith("_1"))
+    assert [(one.kind, one.joints, one.values) for one in found.findings] == (
+        [] if bound == 1.0 else [("highest target", hips, (1.0, bound))]
+    )
+    read = read_deployment(load("v3"), [trainer, deployment])
+    values = convert_deployment(read, 36, 12).values
+    upper = dict(zip(read.joints, values["upper"], strict=True))
+    lower = dict(zip(read.joints, values["lower"], strict=True))
+    for joint in robot.order:
+        expected = (-0.5, bound) if joint in hips else (-math.inf, math.inf)
+        assert (lower[joint], upper[joint]) == expected

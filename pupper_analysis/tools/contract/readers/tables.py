@@ -309,6 +309,9 @@ def _read_view(
     for rule in (KeyRule("action scale", ("scale",)), KeyRule("action offset", ("offset",))):
         for action in action_tables:
             statements += rule.list_statements(action.get(*rule.path))
+    # The bounds of relative actions, and of actions relative to limits, are no positions.
+    if (clip := view.get("actions", "JointPositionAction", "clip")).is_present:
+        statements += training.list_target_bounds(clip)
     statements += training.read_settings(root) if training.is_trainer_config(root) else ()
     if not (
         sizes
