@@ -78,7 +78,7 @@ def test_modules_named_in_pages_exist() -> None:
 
 
 def test_sections_named_by_documents_exist() -> None:
-    """A report gives them as sources: ``cite_page("explanation/statics.md", "Which of them")``."""
+    """A report gives them as sources: ``cite_page("explanation/statics.md", "Choice of")``."""
     named = [
         pair
         for path in PACKAGE.rglob("*.py")

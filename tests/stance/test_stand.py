@@ -340,7 +340,8 @@ def test_refusal_names_the_difference_of_two_files(tmp_path: Path) -> None:
     pair.mjcf.write_text(text[:start] + moved)
     robot = pa.load_robot(*pair, visuals=False)
     with pytest.raises(
-        pa.StanceUnreachableError, match=r"FL_calf is.*The files describe.*FL_pitch: 50 mm apart"
+        pa.StanceUnreachableError,
+        match=r"FL_calf penetrates.*The files describe.*FL_pitch: 50 mm apart",
     ) as refused:
         pa.solve_stand(robot)
     assert "another height" not in str(refused.value)

@@ -133,7 +133,7 @@ def load_blocks(
     """
     source = (
         text("source-torques"),
-        cite_page("explanation/statics.md", "Standing is not hanging"),
+        cite_page("explanation/statics.md", "Static balance of a standing robot"),
         proof_text(verification),
     )
     peak = _format_fraction(peak_utilisation(min_max_torque.motor_utilisation))
@@ -325,7 +325,7 @@ def _make_contact_table(statics: GravityCompensation, verification: StandVerific
         else text("grip-bears", name=doc.Name(name), force=f"{math.hypot(*wrench[:3]):.4g}")
         for name, wrench in statics.weld_wrenches.items()
     ]
-    source = cite_page("explanation/statics.md", "Which of them last")
+    source = cite_page("explanation/statics.md", "Contact forces that persist in MuJoCo")
     table = contact_table(statics)
     return replace(table, notes=tuple(notes), source=(source, proof_text(verification)))
 

@@ -404,7 +404,7 @@ def _make_check_table(analysis: Analysis) -> doc.Block:
         tuple(map(doc.diagnostic_text, check.notes)),
         (
             text("source-cross-check"),
-            cite_page("explanation/models.md", "The square"),
+            cite_page("explanation/models.md", "Four evaluations"),
         ),
     )
 

@@ -373,8 +373,8 @@ def test_invalid_arguments_and_existing_files_are_refused(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("-o", "-"), "cannot write -: quad.urdf becomes an MJCF: end its name in .xml"),
-        (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
+        (("-o", "-"), "cannot write -: quad.urdf becomes an MJCF: use a name that ends in .xml"),
+        (("-o", "a.urdf"), "a.urdf: quad.urdf becomes an MJCF: use a name that ends in .xml"),
         (("-o", "a.xml", "--armature", "x*=1"), "no joint matches 'x*'; available: FL_roll"),
         (("-o", "a.xml", "--armature", "-1"), "negative or not a number"),
         (("-o", "a.xml", "--armature", "*=much"), "armature: 'much' is not a number"),
