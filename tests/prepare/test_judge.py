@@ -68,7 +68,7 @@ SLIPS: dict[str, tuple[Slip, str | None]] = {
         lambda text: text.replace('lower="-0.8" upper="0.8"', 'lower="0.8" upper="-0.8"', 1),
         None,
     ),
-    "geometry-empty": (_shape(""), "the <collision> of link 'trunk' has no shape"),
+    "geometry-empty": (_shape(""), "the <collision> of link 'trunk' has no geometry"),
     "mesh-unreadable": (_shape('<mesh filename="bad.stl"/>'), "mesh file left out"),
     "value-impossible": (
         lambda text: text.replace("<limit", '<dynamics damping="-1"/><limit', 1),

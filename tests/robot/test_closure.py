@@ -363,7 +363,7 @@ def test_configuration_that_violates_its_loops_is_refused(tmp_path: Path) -> Non
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
     for contacts in (None, ()):
-        with pytest.raises(pa.ConfigurationError, match="are coupled"):
+        with pytest.raises(pa.ConfigurationError, match="opens coupled joints"):
             pa.gravity_compensation(pa.Configuration(robot, qpos), contacts)
 
 
@@ -378,7 +378,7 @@ def test_unsupported_computation_for_coupled_joints_is_refused_by_name(tmp_path:
         "the best stance": lambda: pa.best_stance(robot),
     }
     for what, ask in asked.items():
-        with pytest.raises(pa.ConfigurationError, match=rf"coupled.*{what} is not computed"):
+        with pytest.raises(pa.ConfigurationError, match=rf"{what} is not computed .*coupled"):
             ask()
 
 

@@ -21,7 +21,7 @@ from tests.support.variants import load, stand_of
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        ('<option impratio="10"/>', 'impratio of 10 is meant for cone="elliptic"'),
+        ('<option impratio="10"/>', 'impratio 10 of the MJCF is meant for cone="elliptic"'),
         ('<option impratio="10" cone="elliptic"/>', "a longer solref"),
         ("", "a longer solref"),
     ],

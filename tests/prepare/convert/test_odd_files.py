@@ -281,7 +281,7 @@ def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
     assert any("massless links" in str(note) and "FL_toe" in str(note) for note in found.notes)
-    assert "collision spheres of radius 0 (points) have a radius of 1 mm" in map(
+    assert "collision spheres of radius 0 (points) were given a radius of 1 mm" in map(
         str, found.not_converted
     )
     model = compile_file(mjcf)

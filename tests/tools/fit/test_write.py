@@ -150,7 +150,7 @@ def test_fit_overwrites_its_own_models_unless_edited(v3: pa.Robot, tmp_path: Pat
     edited = second.replace(b"<robot", b"<!-- mine --><robot", 1)
     urdf.write_bytes(edited)
     before = (tmp_path / "fit.json").read_bytes()
-    with pytest.raises(pa.OutputError, match="no model of a fit"):
+    with pytest.raises(pa.OutputError, match="not a model of a fit"):
         write_fit(v3, make_posterior(), tmp_path)
     assert (urdf.read_bytes(), (tmp_path / "fit.json").read_bytes()) == (edited, before)
     write_fit(v3, make_posterior(), tmp_path, force=True)
