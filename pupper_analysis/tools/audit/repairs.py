@@ -385,7 +385,9 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     The shapes are the collision shapes, or without collision shapes the visual shapes. The convex
     hull replaces the solid of an open mesh. A CoM that is missing or far outside of the shapes
     (`_MAX_OUTSIDE`) is replaced, too. Nothing is proposed, for example, for a link with a shape of
-    unknown size, without mass or <inertial>, or with an impossible density.
+    unknown size, without mass or <inertial>, or with an impossible density; nor for a link whose
+    CoM would move to shapes that are farther from all its joints and frames than their extent: such
+    a mesh is in another frame.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if (
@@ -412,6 +414,9 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     hull = np.concatenate([each for each in points if each is not None])
     size = float(np.ptp(hull, axis=0).max())
     if com is None or compute_hull_distance(hull, com) > _MAX_OUTSIDE * size:
+        ends = list_link_points(robot, link)
+        if min(compute_hull_distance(hull, end) for end in ends) > size:
+            return
         turn = np.eye(3)
         new = {"xyz": _format_vector(np.round(solid.lever, 7)), "rpy": "0 0 0"}
         changes.append(_make_change(robot, name, "inertial/origin", new, reason))

@@ -569,6 +569,21 @@ def test_moments_of_a_rod_about_wrong_axes_are_reordered(tmp_path: Path) -> None
     assert repair.new == {"ixx": "1.5e-05", "iyy": str(moment), "izz": str(moment)}
 
 
+@pytest.mark.parametrize(("place", "is_repaired"), [("0.2 0 0", True), ("0.2 0 -0.7", False)])
+def test_com_is_not_moved_to_a_shape_in_another_frame(
+    place: str, is_repaired: bool, tmp_path: Path
+) -> None:
+    """As in Draco 3: the mesh of a knee is 0.5 m from its joints, and its CoM is at the joints.
+
+    Reference: the solid box of 0.4 m, whose centre is the CoM only if the box is at the joint.
+    """
+    inertial = f'<origin xyz="0.2 0 0.1"/><mass value="0.3"/>{TENSOR_OF_ZEROS}'
+    shape = f'<origin xyz="{place}"/><geometry><box size="0.4 0.02 0.02"/></geometry>'
+    audit = audit_model(write_arm(tmp_path, inertial, shape))
+    repairs = repairs_of(audit, "inertia-not-positive-definite")
+    assert repairs == ([{"xyz": place, "rpy": "0 0 0"}] if is_repaired else [])
+
+
 def test_moments_of_a_link_whose_only_shape_is_its_tip_are_no_finding(tmp_path: Path) -> None:
     """A tube of 20 mm radius has m r^2 about its axis, 9 times the limit of a foot of 7 mm."""
     inertial = (
