@@ -8,11 +8,13 @@ of an object or an entry of a table.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.models.places import quote_short
 from pupper_analysis.tools.contract.facts import (
     CLASS_KEY,
     KEY_ALIASES,
@@ -202,7 +204,24 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
             motor_names=motors,
             breadth_first=not mjlab,
             observations=observations,
+            # A text of a Python file may be an expression; a text of a table is no number.
+            unread=_describe_texts(statements) if isinstance(root.value, dict) else {},
         )
+
+
+def _describe_texts(statements: Iterable[Statement]) -> dict[str, Diagnostic]:
+    """Return {quantity: message} of the statements whose value is a text, such as ``15 deg``."""
+    return {
+        statement.quantity: diagnose(
+            "contract-value-unread",
+            file=str(statement.place),
+            what=Term(statement.quantity),
+            value=quote_short(statement.expression),
+            sources=statement.place.source,
+        )
+        for statement in statements
+        if statement.value is None
+    }
 
 
 def _list_actuators(node: LocatedValue) -> list[LocatedValue]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.deployment import read_deployment
 from pupper_analysis.tools.contract.facts import Request, Role
@@ -216,3 +217,31 @@ def test_bounds_of_commanded_positions_are_compared_and_limit_the_walk(
     for joint in robot.order:
         expected = (-0.5, bound) if joint in hips else (-math.inf, math.inf)
         assert (lower[joint], upper[joint]) == expected
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize(
+    ("old", "new", "quantity"),
+    [
+        ("stiffness: 5.0", "stiffness: '5.0'", "kp"),
+        (": -0.52\n", ": -0.52 rad\n", "default angle"),
+        (": 0.75\n", ": 0.75x\n", "action scale"),
+    ],
+)
+def test_text_in_place_of_a_number_is_a_warning_with_its_line(
+    tmp_path: Path, kind: str, old: str, new: str, quantity: str
+) -> None:
+    robot = robot_of("v3", tmp_path)
+    path, _ = write(robot, kind, tmp_path)
+    other, _ = write(robot, "deploy", tmp_path)
+    assert read_contract(robot.urdf, path, other, stand=False).passed
+    text = path.read_text()
+    path.write_text(text.replace(old, new, 1))
+    line = text[: text.index(old)].count("\n") + 1
+    found = read_contract(robot.urdf, path, other, stand=False)
+    (warning,) = found.unread
+    assert (warning.code, warning.values["what"]) == ("contract-value-unread", quantity)
+    assert warning.values["file"] == f"{path.name}:{line}"
+    assert not found.passed
+    with pytest.raises(ModelError, match=f":{line}: "):
+        read_deployment(load("v3"), [path])
