@@ -367,6 +367,7 @@ def make_path_result(**changes: Any) -> Any:
         peak_joint="knee",
         peak_time=1.23,
         peak_speed_utilisation=0.054,
+        has_motion=True,
         motors={},
         com_margin=np.array([0.0311, 0.0222, 0.0333]),
         zmp_margin=np.array([0.0177, 0.0288, 0.0399]),

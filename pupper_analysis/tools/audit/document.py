@@ -79,16 +79,18 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command that the report proposes to run next, or None.
 
-    - ``audit --fix``: the audit has errors, the file suffix is ``.urdf`` or ``.xml``, and a finding
-      has a single repair that is no estimate.
+    - ``audit --fix``: the audit has errors or warnings, the file suffix is ``.urdf`` or ``.xml``,
+      and a finding has a single repair that is no estimate.
     - ``stand`` (free base) or ``hold``: the audit has no errors, and the file has such a suffix or
       is a published robot.
     - None: all other cases.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
+    flawed = any(finding.severity is not Severity.NOTE for finding in audit.findings)
+    if flawed and simulated and list_unique_repairs([audit]):
+        return doc.NextStep("audit", ("--fix",))
     if not audit.passed:
-        repairable = simulated and bool(list_unique_repairs([audit]))
-        return doc.NextStep("audit", ("--fix",)) if repairable else None
+        return None
     if not simulated and not is_published_name(audit.file):
         return None
     return doc.NextStep("stand" if audit.floating else "hold")

@@ -157,4 +157,4 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
     place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
     click.echo("  edit the file so that each URDF is listed with its MJCF")
-    click.echo(f"  next: {GENERATOR_NAME} check {place}--update-baseline")
+    click.echo(f"  next: {GENERATOR_NAME} check {place}".rstrip())

@@ -40,6 +40,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         findings=len(contract.findings),
         facts=len(contract.facts),
         sources=len(contract.sources),
+        mirrored=sum(finding.probable_mistake == "mirror" for finding in contract.findings) or None,
     )
     evidence = text(f"contract-evidence-{contract.evidence}")
     has_findings = bool(contract.findings)

@@ -482,6 +482,7 @@ def _group_by_values(
             subject=("joint", head) if head else None,
             what=what,
             others=tuple(members[1:]),
+            more=len(members) - 1 or None,
             one=Quantity(first_fact.number, kind.unit),
             two=Quantity(second_fact.number, kind.unit),
             first=first_fact.source,

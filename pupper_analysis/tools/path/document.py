@@ -34,6 +34,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         text(
             "path-in-short",
             seconds=f"{path.time[-1]:.4g}",
+            still=not path.has_motion,
             share=f"{100 * used:.0f}" if math.isfinite(used) else "",
             zero="0" if math.isinf(used) else "",
             unknown="unknown" if math.isnan(used) else "",
@@ -71,7 +72,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             *describe_motor_energy(tracking.energy),
         ),
         notes=robot_notes(robot),
-        next_step=doc.NextStep("payload")
+        next_step=doc.NextStep("payload" if path.has_motion else "workspace")
         if there.passed
         else select_step_after_failure(there.verdict, doc.NextStep("stand")),
     )

@@ -172,6 +172,12 @@ MIN_SAMPLES_PER_SEGMENT = 16
 second time derivative of the path parameter is then at most 1.1 % below the true maximum."""
 
 
+_MIN_MOTION_SPEED = 1e-6
+"""Largest speed of base and joints [m/s, rad/s] of a path without motion. The speeds between equal
+stances are rounding errors. Chosen, not tuned.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class StancePath(Tabular):
     """Path through stances with n samples, and the dynamics at the path's speed.
@@ -256,6 +262,11 @@ class StancePath(Tabular):
             "zmp_margin": self.zmp_margin,
             "com_margin": self.com_margin,
         }
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether the largest speed of base and joints exceeds `_MIN_MOTION_SPEED`."""
+        return bool(np.abs(self.qvel).max() > _MIN_MOTION_SPEED)
 
     def joint_positions(self) -> Array:
         """Return the joint positions of all n samples of the path, shape (n, nu) [rad, m]."""
