@@ -93,7 +93,9 @@ def test_next_command_is_crosscheck_only_if_urdf_and_mjcf_differ(tmp_path: Path)
     """After a difference between policy and model, crosscheck of v3 has nothing to report."""
     sources = write_all(tmp_path)
     lines = run(tmp_path, URDF, MJCF, sources["policy.json"]).stdout.splitlines()
-    assert lines[1] == ("  most severe: kd of joint leg_front_r_1 and 11 more: 0.25 N m s/rad and 0.1 N m s/rad")
+    assert lines[1] == (
+        "  most severe: kd of joint leg_front_r_1 and 11 more: 0.25 N m s/rad and 0.1 N m s/rad"
+    )
     assert lines[2].startswith("  next: pupper-analysis stand ")
     other = tmp_path / "robot.urdf"
     other.write_text(URDF.read_text().replace('effort="3"', 'effort="4"', 1))
