@@ -1127,9 +1127,9 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Simulate the model with candidate causes switched off; return the remaining deviation.
+        """Run ``test_model`` with candidate causes switched off; return its deviation.
 
-        None if the model still fails the test (``test_model``).
+        None if the model still fails the test.
         """
         model = copy.copy(published.model)
         for candidate in removed:

@@ -237,7 +237,7 @@ def compute_polygon_corners(points: Array) -> Array:
 def describe_joint_axes(
     config: Configuration, positions: Array, statics: GravityCompensation | None
 ) -> list[JointAxis]:
-    """Evaluate the axis, position and motor load of each joint.
+    """List each joint's axis and anchor in the body and world frames, position and motor load.
 
     Args:
         config: Robot in the configuration.

@@ -132,7 +132,7 @@ decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of closed loops and couplings that a requested posture may determine.
+    """Return the joints of closed loops and couplings whose positions come from a posture.
 
     Joints that move a foot or hand are omitted: the stance determines their positions. The posture
     must contain all joints of loops and couplings, and violate no constraint by more than

@@ -324,10 +324,10 @@ class ControlledStand:
 
         Returns:
             Damping ratio [1], at most 1; 1 if no mode oscillates, negative if an oscillation grows.
-            An eigenvalue z of the control period T is exp(s T). The damping ratio of the mode is
-            -Re(s) / abs(s). A negative real z is an oscillation at half of the control rate. Modes
-            that decay within the delay plus a control period (`_TRANSIENT_RATIO`) are not
-            considered.
+            The eigenvalue of a mode is z = exp(s T), where T is the control period. The damping
+            ratio of the mode is -Re(s) / abs(s). A negative real z is an oscillation at half of the
+            control rate. Modes that decay within the delay plus a control period
+            (`_TRANSIENT_RATIO`) are not considered.
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd)).astype(complex)
         is_real = np.abs(values.imag) <= _DELAY_TOLERANCE

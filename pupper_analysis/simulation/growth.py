@@ -369,9 +369,9 @@ def _make_displacement(
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
     The displacement is the sum of the modes that were found with both finite-difference steps
-    (``repeated_at_second_step``). Before and after the summation, displacements are scaled to the
-    bounds ``angle`` and ``speed``. Otherwise a fast mode, with large velocities, would leave almost
-    no displacement along a slow mode. If no mode was found with both steps, all coordinates get a
+    (``repeated_at_second_step``). Each mode is scaled to the bounds ``angle`` and ``speed`` before
+    the summation, so that a fast mode, with large velocities, does not hide a slow mode. The sum is
+    scaled to the same bounds. If no mode was found with both steps, all coordinates get a
     velocity, and no position changes.
 
     Args:

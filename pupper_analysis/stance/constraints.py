@@ -247,9 +247,9 @@ class SupportMargin(Constraint):
         return inside - targets.task.com_margin
 
     def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
-        """Return the Jacobian (m, nv) by qvel of the CoM's distances from the support sides.
+        """Return the Jacobian of the CoM's distances from the sides of the support polygon.
 
-        The m sides are those of the support polygon, which is treated as constant.
+        Shape (m, nv), columns in the order of qvel. The polygon with m sides is constant.
         """
         jacobian: Array = self._polygon_sides(targets)[:, :2] @ at.com_jacobian()[:2]
         return jacobian

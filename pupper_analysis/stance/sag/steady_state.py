@@ -774,7 +774,7 @@ def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
     """Create the `SteadyState` of an equilibrium: heights, torques, contact forces, failures.
 
     Args:
-        path: Path of equilibria, at the equilibrium to describe.
+        path: Path of equilibria; its current solution is described.
         margin: `SteadyState.release_margin` [robot weights] to be stored in the result.
     """
     system, solution = path.system, path.solution

@@ -527,7 +527,7 @@ class _Descent:
         self.best: tuple[float, Array] = (np.inf, start)
 
     def run(self, iterations: int) -> tuple[float, Array]:
-        """Minimise with at most ``iterations`` SLSQP iterations, and return ``best``."""
+        """Run at most ``iterations`` SLSQP iterations, and return ``best``: objective and point."""
         from scipy import optimize  # slow to import
 
         start = self.best[1]

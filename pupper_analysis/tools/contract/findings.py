@@ -273,8 +273,8 @@ def _find_missing_sides(
 ) -> Iterator[Diagnostic]:
     """Yield a message for each quantity that a source states on one side of the robot only.
 
-    A message requires fewer such left-right pairs than pairs with both numbers: a source may
-    belong to a single arm.
+    Nothing is reported if at least as many left-right pairs are one-sided as complete, because the
+    source may belong to a single arm.
 
     Args:
         source: Source.

@@ -28,8 +28,8 @@ JOINT_ORDER: Final = "joint order"
 """Quantity of a key whose value is the list of joint names in the order of the source's lists."""
 
 _FORMS: Final = ("table", "trainer", "actuator")
-"""Valid values of ``of`` in an entry of ``keys.toml``: format of the files in which a key is
-searched."""
+"""Valid values of ``of`` in an entry of ``keys.toml``: kind of the source in which a key is
+searched, a table (YAML, JSON), a trainer's configuration, or an actuator of a trainer."""
 
 _SHAPES: Final = ("", "number", "list", "table")
 """Valid values of ``shape`` in an entry of ``keys.toml``: required shape of the value of a key;

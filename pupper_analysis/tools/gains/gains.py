@@ -252,9 +252,12 @@ class GainStudy(Result):
     def passed(self) -> bool:
         """Whether the robot stands stably with the present gains.
 
-        True if all modes of the linearised controlled stand with feed-forward are stable
-        (`WorstMode.stable`), the robot stands without feed-forward, no gain exceeds the bound of a
-        torque limit or encoder, and no servo of the file with an invalid stiffness was replaced.
+        True if four conditions hold:
+
+        - All modes of the linearised closed loop with feed-forward are stable (`WorstMode.stable`).
+        - The robot is predicted to stand without feed-forward.
+        - No gain exceeds the bound that follows from a torque limit or an encoder.
+        - No servo was replaced because its stiffness in the file is invalid.
         """
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
@@ -267,7 +270,7 @@ class GainStudy(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of gains common to all joints; mixed units for hinges and slides together."""
+        """Units of the gains of all joints; mixed units if there are hinges and slides."""
         return combine_joint_units(one.units for one in self.classes)
 
     @property

@@ -36,7 +36,7 @@ smaller violation may be rounding and is accepted. Chosen, not tuned.
 def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """List the changes of a single part of a rigid body that give the body a target inertia.
+    """List the ways to give a rigid body a target inertia by a change of one part only.
 
     Args:
         parts: Inertias of the parts with mass that form the body, in a common frame.

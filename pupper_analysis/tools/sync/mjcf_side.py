@@ -57,11 +57,11 @@ such an attribute is not changed.
 def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
-    The bodies of a group are fixed to each other. A single body is changed, with as few changed
+    The bodies of a group are fixed to each other. Only one of them is changed, with as few changed
     attributes as possible.
 
     Args:
-        side: MJCF with the target values.
+        side: MJCF with the target values; the plan is stored in its elements.
         mover: Joint that moves the group, or the base.
         keys: Differences (kind, element) of the group. If no change is possible, or MuJoCo copies
             the body from another element, the differences of mass, CoM and inertia are recorded in

@@ -545,9 +545,10 @@ def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield a text of the smallest speed and turning margins [%] of the unchanged robot.
+    """Yield a text of the smallest margins [%] of the unchanged robot for speed and turning.
 
-    The minimum is over the seeds that track the command. Without such a seed, nothing is yielded.
+    A margin is 1 - error / tolerance of the tracked velocity. The minimum is over the seeds that
+    track the command. Without such a seed, nothing is yielded.
     """
     if result.seeds:
         speed, turning = (

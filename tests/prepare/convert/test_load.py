@@ -240,7 +240,7 @@ def test_stand_of_an_arm_with_a_gripper_is_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand") as caught:
         pa.solve_stand(robot)
     assert "; pa.hold_posture computes" in str(caught.value)
-    assert "pass contacts={'base': pa.Weld()} to pa.StandTask" in str(caught.value)
+    assert "a pa.StandTask with contacts={'base': pa.Weld()}" in str(caught.value)
     assert "--contact" not in str(caught.value)
     pa.solve_stand(robot, pa.StandTask(contacts={"base": pa.Weld()}))
 

@@ -471,10 +471,13 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 def _is_light_part(robot: UrdfModel, body: Link) -> bool:
     """Return True for a light rotor, or a light link between other links.
 
-    Light means below `MIN_MASS_FRACTION` of the robot's mass. A rotor is a link on a hinge without
-    limits, and its mass includes all fixed links. A light link between moving links, such as the
-    cross of a waist, is inside of the neighbours, if it has a mass. A fixed link with collision
-    shapes and more than half of the mass is a neighbour, too.
+    Light means below `MIN_MASS_FRACTION` of the robot's mass. True in three cases:
+
+    - A rotor, that is a link on a hinge without limits, is light together with all fixed links.
+    - A link with moving child links, such as the cross of a waist, is light together with all fixed
+      links, and their mass is not zero.
+    - A link is light without its fixed links, and one fixed link with collision shapes has more
+      than half of the mass of all.
     """
     group = robot.fixed_group(body.name)
     is_between = any(child.moving for part in group for child in robot.children(part.name))
@@ -611,17 +614,17 @@ def _is_drawn_by_next_link(robot: UrdfModel, body: Link) -> bool:
 
 @rule
 def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find the only hinge whose axis passes outside one of the two links, or whose links are apart.
+    """Find a hinge with an axis outside one of its two links, or with links that are apart.
 
     A link is the convex hull of its shapes, with all fixed links, at zero joint angles. Both links
     must have visual meshes, since boxes and rods may show a part of a link only, and all sizes must
-    be known. Two lengths are compared with `MAX_HINGE_OFFSET` and `MAX_HINGE_FRACTION` times the
-    extent of the smaller link:
+    be known. The larger of two lengths is reported if it exceeds both `MAX_HINGE_OFFSET` and
+    `MAX_HINGE_FRACTION` times the extent of the smaller link:
 
     - Distance between the axis and the hull of a link. The position along the axis is free.
     - Distance between both hulls.
 
-    The larger length is reported. Nothing is reported for robots with several such hinges, whose
+    Nothing is reported for robots with several such hinges, whose
     meshes are simplified, and for robots with fewer than `MIN_OTHER_LINKS` other hinges whose links
     have hulls.
     """

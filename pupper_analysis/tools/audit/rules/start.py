@@ -253,10 +253,9 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_FOOT_CLEARANCE = 0.05
-"""Smallest height of all feet above the lowest other shape of the robot [m] at which a keyframe is
-reported. A keyframe may start in the air, but the feet must be the lowest shapes. The same value
-bounds the distance of the feet from the ground after the proposed change of signs. Chosen, not
-tuned.
+"""Height of the feet above the lowest other shape of the robot [m]: a keyframe is reported if all
+feet are at least this height above. A change of joint signs is proposed only if it brings the feet
+within this distance of the ground. Chosen, not tuned.
 """
 
 

@@ -119,7 +119,7 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
     """Decode the fields of a message in the wire format of Protocol Buffers.
 
     Args:
-        data: Bytes of the message.
+        data: Bytes of the message. An integer is a field that is not a message, and is refused.
 
     Returns:
         {field number: values in order}: integers, or bytes of nested messages, texts and
