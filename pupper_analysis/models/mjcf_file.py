@@ -523,6 +523,10 @@ def _check_formats(path: Path, element: etree._Element) -> None:
             raise make_element_error(path, element, diagnose("format-in-attribute", **values))
 
 
+_MAX_PRODUCT = 10**18
+"""Upper bound of `_multiply_numbers`, far above all accepted numbers of elements."""
+
+
 def _multiply_numbers(text: str) -> int:
     """Return the product of the numbers in a text such as ``3 -4``, without signs, at most 1e18.
 
@@ -531,9 +535,13 @@ def _multiply_numbers(text: str) -> int:
     # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
     numbers = [abs(float(word)) for word in words if NUMBER_PATTERN.fullmatch(word)]
-    numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL_NUMBER.fullmatch(word)]
+    numbers += [
+        float(min(int(word, 16), _MAX_PRODUCT))
+        for word in words
+        if _HEXADECIMAL_NUMBER.fullmatch(word)
+    ]
     product = math.prod(max(number, 1.0) for number in numbers)
-    return int(min(product, 1e18))
+    return int(min(product, _MAX_PRODUCT))
 
 
 def walk_elements(root: XmlNode) -> Iterator[XmlNode]:

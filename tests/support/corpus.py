@@ -272,6 +272,13 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
         2,
         "nrow x ncol is too large",
     ),
+    "mjcf hfield of a hexadecimal size": (
+        format_mjcf(
+            f'<asset><hfield name="h" nrow="0x{"f" * 300}" ncol="2" size="1 1 1 1"/></asset>'
+        ),
+        2,
+        "nrow x ncol is too large",
+    ),
     "mjcf keys": (format_mjcf('<size nkey="2000000000"/>'), 2, "nkey is too large"),
     "mjcf supersphere": (
         format_mjcf('<asset><mesh name="s" builtin="supersphere" params="99999 1 1"/></asset>'),
