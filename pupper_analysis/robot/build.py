@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
@@ -595,6 +595,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         joint: effort for name, effort in efforts.items() for joint in find_joints(robot, name)
     }
     for name, effort in efforts.items():
+        check_type(f"efforts[{name}]", effort, float)
         if isinstance(effort, bool) or not MIN_EFFORT <= effort < math.inf:
             unit = old_limits[name].unit
             stated, least = Quantity(effort, unit), Quantity(MIN_EFFORT, unit)

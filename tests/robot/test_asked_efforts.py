@@ -48,6 +48,8 @@ def test_requested_efforts_bound_statics_and_simulation(effort: float) -> None:
     )
     with pytest.raises(UnknownNameError, match=re.escape("*knee*")):
         with_efforts(robot, {"*knee*": 1.0})
+    with pytest.raises(ConfigurationError, match="'3' is not a number"):
+        with_efforts(robot, {"*": "3"})  # type: ignore[dict-item]
 
 
 _LIFT_URDF = """<robot name="lift"><link name="base"/><link name="arm">
