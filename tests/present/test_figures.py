@@ -140,6 +140,16 @@ def test_base_without_visual_shapes_is_drawn_by_its_collision_shapes(tmp_path: P
 # ------------------------------------------------------------------------------------- figures
 
 
+def test_pose_figure_of_a_welded_base_with_all_feet_lifted_has_no_arrow() -> None:
+    robot = load("v3")
+    task = pa.StandTask(contacts={"base": pa.Weld()}, swing=dict.fromkeys(robot.feet, 0.02))
+    stand = pa.solve_stand(robot, task)
+    statics = pa.stance.stand_statics(robot, stand)
+    figure = make_pose_figure(stand.check(robot), stand, statics)
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert not [text for text in texts if "forces up to" in text]
+
+
 def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

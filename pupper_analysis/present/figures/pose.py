@@ -335,7 +335,8 @@ def make_pose_figure(
         axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, bottom - 0.18))
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
-        largest = f", forces up to {_find_largest_force(seen):.3g} N" if place < 0.5 else ""
+        forces = f", forces up to {_find_largest_force(seen):.3g} N" if seen.contacts else ""
+        largest = forces if place < 0.5 else ""
         drawing.title_panel(axes, f"{side}{largest}")
         axes.set_axis_off()
     _draw_scale(axes, seen)
@@ -542,7 +543,8 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
 
     The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
-    scale = _MAX_ARROW_RATIO * _measure_support(seen) / _find_largest_force(seen)
+    largest = _find_largest_force(seen)
+    scale = _MAX_ARROW_RATIO * _measure_support(seen) / largest if largest else 0.0
     arrow = {
         "arrowstyle": "-|>",
         "color": drawing.RED_COLOUR,
@@ -558,13 +560,13 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
 
 
 def _find_largest_force(seen: StandingScene) -> float:
-    """Return the magnitude of the largest contact force [N]."""
-    return max(float(np.linalg.norm(contact.force)) for contact in seen.contacts)
+    """Return the magnitude of the largest contact force [N]; 0 without contacts."""
+    return max((float(np.linalg.norm(contact.force)) for contact in seen.contacts), default=0.0)
 
 
 def _measure_support(seen: StandingScene) -> float:
-    """Return the longer horizontal side [m] of the box around the support polygon."""
-    return float(np.ptp(seen.polygon[:, :2], axis=0).max())
+    """Return the longer horizontal side [m] of the box around the support polygon; 0 without."""
+    return float(np.ptp(seen.polygon[:, :2], axis=0).max()) if len(seen.polygon) else 0.0
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
@@ -573,7 +575,7 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
     The length is one of `_SCALE_LENGTHS`. The lower limit of the y axis is moved to make space for
     the bar.
     """
-    limit = 0.6 * _measure_support(seen)
+    limit = 0.6 * _measure_support(seen) or 0.3 * float(np.ptp(axes.get_xlim()))
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)
     length = max(fitting, default=_SCALE_LENGTHS[0])
     low, high = axes.get_ylim()
