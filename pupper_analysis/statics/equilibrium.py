@@ -176,7 +176,7 @@ class Equilibrium(Tabular):
         joint_names: Names of the joints, in actuator order.
         joint_torques: Motor torques or forces, shape (nu,) (N m or N).
         torque_units: Unit of each element of ``joint_torques``: N m for a hinge, N for a slide.
-        motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
+        motor_utilisation: |torque| / effort limit, shape (nu,): NaN if the limit is unknown,
             infinite for a loaded motor with a limit of zero. For dependent joints of loops: 0, or
             NaN if the limits of all motors are unknown.
         contact_forces: {contact point: (3,)} force of the ground on the contact point, in world

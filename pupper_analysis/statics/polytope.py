@@ -50,8 +50,8 @@ class ForcePolytope(Tabular):
             the force through loops and couplings.
         rows: Rows of J^T in world axes, shape (n, 3) (m or 1).
         load: Static load of the motors, shape (n,) (N m or N).
-        limits: Effort limits of the motors, shape (n,) (N m or N); infinite if no file states the
-            limit.
+        limits: Effort limits of the motors, shape (n,) (N m or N); infinite if the limit is
+            unknown.
         vertices: Vertices of the polytope in world axes, shape (k, 3) (N). None if a limit is
             unknown, or if no motor bears a force in some direction (fewer than three motors, or a
             straight limb): the polytope is then unbounded or empty. Otherwise k = 0 if no force

@@ -157,7 +157,7 @@ class RepositoryCheck(Result):
         failures: Number of failing findings: not in the baseline, and at least as severe as
             ``fail-on``. Differences with the same cause or the same values count once.
         stale: Entries of the baseline that no longer occur; removed if the baseline was rewritten.
-            Empty if a file cannot be read or compared.
+            Empty if a file cannot be read or compared, or another check ends with an error.
         updated: Whether the baseline was rewritten.
         passed: Whether there are no failures.
     """

@@ -398,7 +398,7 @@ class KeyframeRun(Result):
 
     Attributes:
         keyframe: Name of the keyframe.
-        stability: Stability of the simulation step at the keyframe.
+        stability: Stability of the simulation step after the keyframe has settled.
         nudge: Response to a nudge at the start.
         failures: Reasons why the robot does not return to rest.
     """

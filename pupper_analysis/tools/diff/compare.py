@@ -114,7 +114,7 @@ class ModelDiff(Result):
         torque_units: {joint: unit of the torques: N m for a hinge, N for a slide}.
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
-        complete: Whether all residuals are within the tolerance.
+        complete: Whether all residuals are within 1e-9.
         combined: For two MJCFs: effects of all changes together in a simulation of the files, with
             an added ground if both have no ground. Empty if the effect is reported for the only
             change.

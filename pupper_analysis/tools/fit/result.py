@@ -70,8 +70,8 @@ class Estimate(Result):
     Attributes:
         name: Parameter name.
         kind: Parameter kind.
-        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings; robot
-            name for the whole robot.
+        subject: Link, joint or foot; ``floor``, ``servos`` (value of all servos) or
+            ``scale``; robot name for the whole robot.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
         unit: Unit of ``stated``, ``mean``, ``std``, ``low`` and ``high``.
         stated: Mean of the prior: the value of the model files, or the assumed value of the

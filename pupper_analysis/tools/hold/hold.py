@@ -162,7 +162,7 @@ class ToolPayload(Result):
             not ``stated``.
         code: ``zero`` if a motor that may bear the mass has a limit of zero; else ``unknown`` if
             such a motor has an unknown limit; else ``stated``.
-        unknown: Joints that may bear the mass, and whose effort limit no file states.
+        unknown: Joints that may bear the mass, and whose effort limit is unknown.
     """
 
     mass: float = field(metadata={"unit": "kg"})

@@ -342,7 +342,7 @@ class WorstPostures(Tabular):
         joint_names: Names of the joints, in actuator order.
         joint_torques: (nu,) torques of largest magnitude found, with sign (N m or N).
         postures: (nu, nu) posture of each torque, a row per motor (rad or m).
-        limits: (nu,) effort limits (N m or N); infinite if no file states a limit.
+        limits: (nu,) effort limits (N m or N); infinite if the limit is unknown.
         utilisation: (nu,) |torque| / limit. 0 without torque. If there is a torque, NaN for an
             unknown limit; infinite for a limit of zero if the torque is above rounding.
         endless: Reason for unbounded torques; None if all are bounded.

@@ -225,7 +225,7 @@ class PayloadLimit(Result):
             simulation, or is 0 or infinite. 0 if the stance fails without payload.
         point: (3,) position of the payload in the frame of ``link`` [m].
         link: Link of the URDF with the payload.
-        unknown_limits: Motors that carry the load and whose torque limit no file states.
+        unknown_limits: Motors that carry the load and whose torque limit is unknown.
         stand: Loaded stand with ``upper_bound``; stand without payload if ``upper_bound`` is
             infinite.
         offset: (2,) position of the base of ``stand`` from the centre of the feet, as

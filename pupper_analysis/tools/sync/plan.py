@@ -83,7 +83,7 @@ class Edit(Result):
         file: File.
         line: Line of the element, or of the parent for a new element.
         element: Path: ``link base > inertial > mass``.
-        attribute: Name of the attribute.
+        attribute: Name of the attribute; ``old -> new`` for a renamed attribute.
         old: Old text; None for a new attribute.
         new: New text.
     """
