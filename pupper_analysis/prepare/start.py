@@ -360,7 +360,9 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     The horizontal positions are free because a bent leg may not reach a level sole at prescribed
     positions: with fewer than six joints and axes that are not parallel, bending moves and tilts
     the sole sideways. The start pose is searched near ``pose``, joint positions of shape (nu,)
-    [rad, m], at several base heights. The nominal stand (default `StandTask`) must exist.
+    [rad, m], at several base heights. The nominal stand (default `StandTask`) must exist. If no
+    start pose has the CoM above the centre of the feet, and at least three feet have a polygon, the
+    CoM is free as well: legs of two joints cannot move it sideways.
 
     Returns:
         Robot with this start pose; None if no start pose is found.
@@ -371,20 +373,30 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     )
     heights = heights[heights > 0]
 
-    def level_at_heights(margin: float) -> list[Robot]:
+    def level_at_heights(margin: float, *, centred: bool) -> list[Robot]:
         """Return a robot per base height at which the joints can lay all soles flat.
 
         The joints are at least ``margin`` [rad, m] from the limits.
         """
-        guesses = [(height, _level_soles(robot, pose, height, margin)) for height in heights]
+        guesses = [
+            (height, _level_soles(robot, pose, height, margin, centred=centred))
+            for height in heights
+        ]
         return [
             _set_start(replace(robot, nominal=joints), joints, float(height))
             for height, joints in guesses
             if joints is not None
         ]
 
-    return _choose_start(level_at_heights(margin) for margin in _JOINT_MARGINS)
+    found = _choose_start(level_at_heights(margin, centred=True) for margin in _JOINT_MARGINS)
+    if found is None and len(robot.feet) >= _MIN_FEET_OF_POLYGON:
+        return _choose_start(level_at_heights(margin, centred=False) for margin in _JOINT_MARGINS)
+    return found
 
+
+_MIN_FEET_OF_POLYGON = 3
+"""Number of feet from which a start pose is also searched with the CoM off the centre of the feet:
+point feet then have a support polygon."""
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
 """Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``) and largest number of evaluations of the
@@ -392,7 +404,9 @@ second least-squares problem of `_level_soles`, which has no regularisation. Gau
 quadratically from errors of 1e-8 m. Chosen, not tuned."""
 
 
-def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
+def _level_soles(
+    robot: Robot, pose: Array, height: float, margin: float, *, centred: bool = True
+) -> Array | None:
     """Bend the joints until all contact points are on the ground, with their centre below the CoM.
 
     The joint positions are a least-squares solution with a level base. The distance from ``pose``
@@ -404,6 +418,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
         pose: Joint positions that the solution is close to, shape (nu,) [rad, m].
         height: Height of the base above the ground [m].
         margin: Distance of the joints from the limits [rad, m]; at most 40 % of a joint's range.
+        centred: Whether the CoM must be above the centre of the contact points.
 
     Returns:
         Joint positions, shape (nu,) [rad, m]; None if an error divided by ``height`` is
@@ -425,11 +440,11 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
 
         Returns:
             Shape (number of points + 2,) [m]: height of each contact point above the ground, then x
-            and y of the CoM relative to the mean contact point.
+            and y of the CoM relative to the mean contact point; the latter only if ``centred``.
         """
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_centres(points)
-        com_offset = (config.center_of_mass() - touching.mean(axis=0))[:2]
+        com_offset = (config.center_of_mass() - touching.mean(axis=0))[: 2 * centred]
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
 
     def derivative(joints: Array) -> Array:
@@ -443,7 +458,8 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
         """
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_twist_jacobians(points)[:, :3, 6:]
-        com_offset = config.com_jacobian()[:2, 6:] - touching.mean(axis=0)[:2]
+        rows = slice(2 * centred)
+        com_offset = config.com_jacobian()[rows, 6:] - touching.mean(axis=0)[rows]
         return np.concatenate([touching[:, 2], com_offset])
 
     found = optimize.least_squares(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import warnings
 from dataclasses import replace
@@ -22,7 +23,14 @@ from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from tests.support import random_legged
-from tests.support.legged import biped, edit_pair, quadruped, rewrite_file
+from tests.support.legged import (
+    biped,
+    edit_pair,
+    planar,
+    quadruped,
+    rewrite_file,
+    shift_base_com,
+)
 from tests.support.slips import standing
 from tests.support.variants import load, stand_of
 
@@ -298,3 +306,28 @@ def test_legs_of_two_joints_stand_within_the_reach_of_forward_kinematics(tmp_pat
         angle = joints[f"ankle{number}"]
         assert stand.qpos[2] == pytest.approx(length * math.sin(angle) + radius, abs=1e-6)
     assert pa.judge_stand(robot, stand).passed
+
+
+@pytest.mark.slow
+def test_legs_of_two_joints_stand_where_their_planes_are_tilted(tmp_path: Path) -> None:
+    """The planes of the legs are tilted by 0.1 mrad, as by an angle of 1.5708 in a public URDF.
+
+    At another height the feet move sideways, and the CoM is 10 mm aside: the feet were out of reach
+    by 8 nm to 8 mm at every height. Reference: bare MuJoCo's feet, level at the solved joints.
+    """
+    pair = planar(quadruped(tmp_path, floor=True, actuators="position", keyframe=""))
+    pair = shift_base_com(pair, 0.01)
+    text = pair.mjcf.read_text()
+    for side, tilt in (("L", 1e-4), ("R", -1e-4)):
+        text = re.sub(rf'(<body name=".{side}_thigh" )', rf'\1euler="{tilt} 0 0" ', text)
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(mjcf=pair.mjcf, visuals=False)
+    stand = pa.solve_stand(robot)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    for name, angle in zip(robot.joint_names, stand.joint_positions(robot), strict=True):
+        data.qpos[model.jnt_qposadr[model.joint(name).id]] = angle
+    data.qpos[2] = stand.task.height
+    mujoco.mj_kinematics(model, data)
+    spheres = [geom for geom in range(model.ngeom) if model.geom_rbound[geom] == 0.02]
+    assert data.geom_xpos[spheres, 2] == pytest.approx([0.02] * 4, abs=1e-8)
