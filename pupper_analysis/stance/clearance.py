@@ -237,7 +237,7 @@ class ClearanceShapes:
         )
         centres = np.array(
             [pose.transform(solid.aabb_center) for pose, solid in zip(at, solids, strict=True)]
-        )
+        ).reshape(-1, 3)
         radii = np.array([solid.aabb_radius for solid in solids])
         first, second = pairs.T
         apart = np.linalg.norm(centres[first] - centres[second], axis=1)

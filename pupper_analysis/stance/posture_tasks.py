@@ -108,9 +108,10 @@ class PostureTask(ABC):
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add this task to a PlaCo solver, and return PlaCo's task.
+        """Add this task to a PlaCo solver, and return it as a `PlacoTask`.
 
-        ``weight`` is the weight of the squared error.
+        ``weight`` is the weight of the squared error. `SelfClearanceTask` multiplies this weight by
+        `CLEARANCE_WEIGHT`.
         """
 
 
@@ -417,6 +418,9 @@ class SelfClearanceTask(PostureTask):
             """Linearise PlaCo's constraint at the configuration of ``body``."""
             distances = body.self_clearances()
             derivatives, q = body.linearise_self_clearances()
+            if not len(distances):  # 0 q <= 1: PlaCo's constraint needs a row
+                constraint.A, constraint.b = np.zeros((1, len(q))), np.ones(1)
+                return
             # distance + derivative (q' - q) >= required distance
             constraint.A = -derivatives
             constraint.b = distances - self.distance - derivatives @ q

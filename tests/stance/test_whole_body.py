@@ -436,3 +436,24 @@ def test_residuals_of_mujoco_show_that_the_mjcf_differs() -> None:
     )
     assert posture.residuals.max() < 1e-9
     assert posture.mujoco_residuals.max() > 1e-5
+
+
+def test_clearance_of_a_robot_without_collision_shapes_is_no_task(tmp_path: Path) -> None:
+    """Reference: the position of the link after two joints, closed form 0.3 sin(angle)."""
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz="0 0 0.1"/><mass value="1"/><inertia ixx="0.1" '
+        'iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for name in ("plinth", "upper", "tip")
+    )
+    joints = "".join(
+        f'<joint name="{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 {height}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="10" velocity="1"/></joint>'
+        for parent, child, height in (("plinth", "upper", 0.0), ("upper", "tip", 0.3))
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    arm = pa.load_robot(file)
+    tasks = [PositionTask("tip", (0.1, 0.0, 0.0), axes="x"), SelfClearanceTask(0.01)]
+    posture = pa.solve_posture(arm, tasks)
+    assert 0.3 * np.sin(posture.qpos[0]) == pytest.approx(0.1, abs=1e-6)
