@@ -112,8 +112,23 @@ class Servos:
         return ctrl
 
 
+def read_torque_ranges(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> Array:
+    """Read the force ranges of actuators at their joints, shape (n, 2) [N m, N].
+
+    The columns are the lower and upper end; infinite for an actuator without ``forcelimited``.
+
+    Args:
+        model: MuJoCo model.
+        actuators: Actuator ids, each at a single joint, shape (n,).
+    """
+    gears = read_gears(model, actuators)
+    ranges = np.sort(model.actuator_forcerange[actuators] * gears[:, None], axis=1)
+    limited = model.actuator_forcelimited[actuators].astype(bool)
+    return np.where(limited[:, None], ranges, [-np.inf, np.inf])
+
+
 def integrate_servo_damping(
-    model: mujoco.MjModel, kd: Array, torques: Array, speeds: Array, limits: Array
+    model: mujoco.MjModel, kd: Array, torques: Array, speeds: Array, ranges: Array
 ) -> Array:
     """Return the servo torques with which MuJoCo integrates n steps, shape (n, nu) [N m, N].
 
@@ -127,12 +142,13 @@ def integrate_servo_damping(
         torques: Torques with the velocity at the start of each step, shape (n, nu) [N m, N].
         speeds: Speeds of the joints at the start of each step and at the end of the last step,
             shape (n + 1, nu) [rad/s, m/s].
-        limits: Largest |torque| of each servo, shape (nu,) [N m, N]; infinite without a limit.
+        ranges: Lower and upper torque of each servo, shape (nu, 2) [N m, N]; infinite without.
     """
     integrators = mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if model.opt.integrator not in {integrator.value for integrator in integrators}:
         return torques
-    saturated = np.abs(torques) >= limits * (1 - _SATURATION_RTOL)
+    low, high = ranges.T * (1 + _SATURATION_RTOL * np.array([[1.0], [-1.0]]) * np.sign(ranges.T))
+    saturated = (torques <= low) | (torques >= high)
     integrated: Array = torques - np.where(saturated, 0.0, kd * np.diff(speeds, axis=0))
     return integrated
 

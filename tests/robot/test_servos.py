@@ -21,7 +21,9 @@ from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot import servos
 from pupper_analysis.robot.servos import (
     command_ranges,
+    integrate_servo_damping,
     model_with_servos,
+    read_torque_ranges,
     with_options,
     write_position_servos,
 )
@@ -423,3 +425,32 @@ def test_command_range_is_that_to_which_mujoco_clips(tmp_path: Path, *, clamped:
     data.ctrl[robot.mj_model.actuator_ctrladr[actuator]] = 3.0
     mujoco.mj_forward(robot.mj_model, data)
     assert data.actuator_force[actuator] == pytest.approx(STIFFNESS["shoulder"] * min(3.0, high))
+
+
+def test_torques_of_a_saturated_servo_are_those_of_the_engine() -> None:
+    """Reference: inertia times change of velocity in bare ``mj_step``, divided by the time step.
+
+    The servo has an asymmetric range, and saturates in the first steps only.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002" gravity="0 0 0" integrator="implicitfast"/><worldbody>'
+        '<body><joint name="j"/><inertial mass="1" pos="0 0 0" diaginertia="0.1 0.1 0.1"/></body>'
+        '</worldbody><actuator><position joint="j" kp="100" kv="5" forcerange="-2 3"/></actuator>'
+        "</mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.ctrl[0], kd = 0.05, np.array([5.0])
+    torques, speeds = list[float](), [0.0]
+    for _ in range(200):
+        mujoco.mj_forward(model, data)
+        torques.append(float(data.qfrc_actuator[0]))
+        mujoco.mj_step(model, data)
+        speeds.append(float(data.qvel[0]))
+    ranges = read_torque_ranges(model, np.array([0]))
+    np.testing.assert_array_equal(ranges, [[-2.0, 3.0]])
+    columns = np.array(torques)[:, None], np.array(speeds)[:, None]
+    applied = integrate_servo_damping(model, kd, *columns, ranges)
+    assert torques[0] == 3.0
+    assert min(torques) < -0.1
+    expected = 0.1 * np.diff(speeds) / 0.002
+    np.testing.assert_allclose(applied[:, 0], expected, atol=1e-9)

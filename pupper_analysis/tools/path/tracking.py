@@ -33,7 +33,12 @@ from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos
+from pupper_analysis.robot.servos import (
+    Servos,
+    integrate_servo_damping,
+    model_with_servos,
+    read_torque_ranges,
+)
 from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import describe_growth
@@ -540,33 +545,34 @@ def track_path(
     )
 
 
-def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, Array]:
+def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Compute the simulated torques by the servo law, shape (n, nu) [N m, or N for a slide].
 
-    ``states`` are the full physics states of MuJoCo at the end of each step, shape (n, size). With
-    an implicit integrator, damping acts on the velocity at the end of the step, but
-    ``qfrc_actuator`` of MuJoCo contains the velocity at the start.
+    The damping acts on the velocity that MuJoCo's integrator uses (`integrate_servo_damping`).
+
+    Args:
+        plan: Commands of the path.
+        states: Full physics states of MuJoCo at the end of each step, shape (n, size).
 
     Returns:
-        Torques, and torques without the limits of the motors.
+        Torques; mask, shape (n, nu), True if the motor saturates.
     """
     drive, robot, model = plan.drive, plan.robot, plan.drive.model
     public = robot.mj_convention
-    before = np.vstack([plan.start, states[:-1]])
+    history = np.vstack([plan.start, states])
     joints = slice(robot.nq - robot.nu, None)
     dofs = 1 + model.nq + public.qvel_index[robot.nv - robot.nu :]
     target = plan.ctrl[:, model.actuator_ctrladr[public.actuator_index]] / drive.gear
-    position = before[:, 1 + public.qpos_index[joints]]
-    velocity = (states if drive.is_implicit else before)[:, dofs]
-    unlimited = drive.kp * (target - position) - drive.kd * velocity
-    limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
-    ranges = model.actuator_forcerange[public.actuator_index] * drive.gear[:, None]
-    ranges = np.where(limited[:, None], ranges, [-np.inf, np.inf])
-    return np.clip(unlimited, ranges.min(axis=1), ranges.max(axis=1)), unlimited
+    positions, speeds = history[:-1, 1 + public.qpos_index[joints]], history[:, dofs]
+    unlimited = drive.kp * (target - positions) - drive.kd * speeds[:-1]
+    ranges = read_torque_ranges(model, public.actuator_index)
+    torques = np.clip(unlimited, *ranges.T)
+    applied = integrate_servo_damping(model, drive.kd, torques, speeds, ranges)
+    return applied, torques != unlimited
 
 
 def _compare_torques(
-    plan: PathCommands, torques: Array, unlimited: Array
+    plan: PathCommands, torques: Array, is_saturated: NDArray[np.bool_]
 ) -> tuple[list[Diagnostic], float]:
     """Compare the simulated torques with the planned torques: saturated motors and largest error.
 
@@ -576,13 +582,12 @@ def _compare_torques(
     Args:
         plan: Commands of the path.
         torques: Simulated torques, shape (n, nu) [N m, or N for a slide].
-        unlimited: Simulated torques without the limits of the motors, same shape.
+        is_saturated: Mask of the saturated motors, same shape.
 
     Returns:
         A diagnostic per saturated motor, and the largest error [1].
     """
     robot, events = plan.robot, []
-    is_saturated = torques != unlimited
     for column in np.flatnonzero(is_saturated.any(axis=0)):
         moment = Quantity(plan.time[int(np.argmax(is_saturated[:, column]))], "s")
         motor = "joint", robot.joint_names[int(column)]

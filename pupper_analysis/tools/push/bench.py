@@ -23,7 +23,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import integrate_servo_damping
+from pupper_analysis.robot.servos import integrate_servo_damping, read_torque_ranges
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.clearance import ClearanceBounds
@@ -510,14 +510,12 @@ class PushBench:
             torques.append(self.watcher.data.qfrc_actuator[dofs])
             speeds.append(self.watcher.data.qvel[dofs])
         drive, actuators = self.drive, self.robot.mj_convention.actuator_index
-        limited = drive.model.actuator_forcelimited[actuators].astype(bool)
-        ranges = np.abs(drive.model.actuator_forcerange[actuators]).min(axis=1)
         integrated = integrate_servo_damping(
             drive.model,
             drive.kd,
             np.array(torques[:-1]),
             np.array(speeds),
-            np.where(limited, ranges * np.abs(drive.gear), np.inf),
+            read_torque_ranges(drive.model, actuators),
         )
         return MotorSamples(np.array(torques), np.array(speeds), integrated, self.timestep)
 

@@ -32,7 +32,7 @@ from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.joints import list_force_units
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import integrate_servo_damping
+from pupper_analysis.robot.servos import integrate_servo_damping, read_torque_ranges
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
 from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.tools.contract.contract import SIMULATED
@@ -624,13 +624,10 @@ def _compute_run_energy(
     speeds = states[:count, 1 + model.nq + convention.qvel_index[6:]]
     driven = convention.actuator_index >= 0
     actuators = convention.actuator_index[driven]
-    gear = read_gears(model, actuators)
-    kd, limits = np.zeros(robot.nu), np.full(robot.nu, np.inf)
-    kd[driven] = -model.actuator_biasprm[actuators, 2] * gear**2
-    ranges = np.abs(model.actuator_forcerange[actuators]).min(axis=1) * np.abs(gear)
-    limited = model.actuator_forcelimited[actuators].astype(bool)
-    limits[driven] = np.where(limited, ranges, np.inf)
-    applied = integrate_servo_damping(model, kd, torques[: count - 1], speeds, limits)
+    kd, ranges = np.zeros(robot.nu), np.tile([-np.inf, np.inf], (robot.nu, 1))
+    kd[driven] = -model.actuator_biasprm[actuators, 2] * read_gears(model, actuators) ** 2
+    ranges[driven] = read_torque_ranges(model, actuators)
+    applied = integrate_servo_damping(model, kd, torques[: count - 1], speeds, ranges)
     return compute_motor_energy(motors, robot.joint_names, applied, speeds, stage.timestep)
 
 
