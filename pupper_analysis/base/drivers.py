@@ -60,7 +60,7 @@ def guard_mujoco_import() -> None:
     """Let a later ``import mujoco`` succeed if the OpenGL backend named in MUJOCO_GL fails.
 
     MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
-    because MuJoCo then selects an available backend. Nothing is done either if MuJoCo is already
+    because the import then succeeds. Nothing is done either if MuJoCo is already
     imported. If MuJoCo is not installed, the first module that needs MuJoCo reports the error.
     """
     guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)

@@ -305,7 +305,8 @@ def acting_gravity(model: mujoco.MjModel) -> Array:
 def joint_armature(model: mujoco.MjModel) -> Array:
     """Return the armature of each degree of freedom, shape (nv,) [kg m^2, kg].
 
-    The value is the joint armature, plus gear^2 times the armature of each actuator at this joint.
+    The value is the joint armature. For a hinge or slide, gear^2 times the armature of each
+    actuator at this joint is added.
     """
     return np.array(model.dof_armature) + _sum_actuator_values(model, model.actuator_armature)
 

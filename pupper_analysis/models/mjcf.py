@@ -97,8 +97,8 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 TIMESTEP_RANGE = 1e-5, 0.1
-"""Lower and upper bound of the time step of a simulated model [s]; other time steps are refused.
-The lower bound of a time step that a user requests is larger (`robot.servos.MIN_TIMESTEP`). Chosen,
+"""Lower and upper bound of the time step in an MJCF that is simulated [s]; other time steps are
+refused. `robot.servos.with_options` has a larger lower bound (`robot.servos.MIN_TIMESTEP`). Chosen,
 not tuned. At the lower bound, a simulation of 12 s takes 1.2 million steps. At the upper bound, a
 base falls 10 cm in its first step, although contacts oscillate within 10 ms."""
 

@@ -152,7 +152,7 @@ _DESCRIPTION_SUFFIX: Final = re.compile(r"(_mj)?_description$")
 """Pattern of the end of a description's name, behind the name of the robot."""
 
 _NUM_SIMILAR_NAMES: Final = 3
-"""Largest number of similar published names in an error message. Chosen, not tuned."""
+"""Largest number of names that `list_similar_published_names` returns. Chosen, not tuned."""
 
 _MIN_NAME_SIMILARITY: Final = 0.75
 """Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes,

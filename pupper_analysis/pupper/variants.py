@@ -129,8 +129,8 @@ class VariantSpec:
 
 
 MAX_SCALE = 1000.0
-"""Upper bound of ``leg_scale`` and ``torso_mass_scale``: legs of 100 m, a torso of a tonne. Chosen,
-not tuned: larger robots have no meaningful simulation."""
+"""Upper bound of ``leg_scale`` and ``torso_mass_scale``: legs of almost 200 m, a torso of 1.5
+tonnes. Chosen, not tuned: larger robots have no meaningful simulation."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {

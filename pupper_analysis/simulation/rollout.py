@@ -143,7 +143,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         robot: The robot.
         drive: Servos and MuJoCo model of the robot.
         stand: The stand.
-        torques: Motor torques that balance the stand, shape (nu,) [N m].
+        torques: Motor torques and forces that balance the stand, shape (nu,) [N m, N].
 
     Returns:
         The state (mjSTATE_FULLPHYSICS), with zero velocities.

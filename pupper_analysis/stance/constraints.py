@@ -249,7 +249,8 @@ class SupportMargin(Constraint):
     def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian of the CoM's distances from the sides of the support polygon.
 
-        Shape (m, nv), columns in the order of qvel. The polygon with m sides is constant.
+        Shape (m, nv), columns in the order of qvel. The rows are those of ``residual``, so that the
+        last side may be repeated. The polygon is treated as constant.
         """
         jacobian: Array = self._polygon_sides(targets)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
@@ -362,7 +363,7 @@ class SelfClearance(Constraint):
     def smallest_clearance(self, _: StandTargets, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] of links that are not neighbours, with both links.
 
-        None if the robot has no such links.
+        Only collision shapes count. None without two such links with collision shapes.
         """
         return self._shapes.find_closest_links(at.qpos)
 

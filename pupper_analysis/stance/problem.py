@@ -569,8 +569,9 @@ not tuned."""
 MIN_SUPPORT_NORMAL_Z = 0.5
 """Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot. The
 mean position of the feet excludes a foot on a plane with a smaller component, which is more than 60
-deg from level ground. Also used for messages: the explanation of an unreachable stance may state
-that the foot of a steeper plane is at the height of the ground. Chosen, not tuned."""
+deg from level ground, unless no foot would remain. Also used for messages: the explanation of an
+unreachable stance may state that the foot of a steeper plane is at the height of the ground.
+Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
 """Extent [m] of a sole's contact points perpendicular to a fitted line, below which the points

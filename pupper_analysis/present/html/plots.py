@@ -250,7 +250,7 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
 
 
 def _count_letters(words: Words) -> int:
-    """Return the number of letters of a name, or of a text in its longer language (en, zh)."""
+    """Return the number of characters of a name, or of a text in its longer language."""
     return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
 

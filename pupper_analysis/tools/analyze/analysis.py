@@ -291,8 +291,8 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     """Compute the Jacobian of each contact point with respect to the joints of its leg.
 
     Returns:
-        {contact point: Jacobian, shape (3, n) [m/rad], singular values and condition number}. The
-        Jacobian maps joint velocities to the velocity of the contact sphere's centre, in world
+        {contact point: Jacobian, shape (3, n) [m/rad, m/m], singular values and condition number}.
+        The Jacobian maps joint velocities to the velocity of the contact sphere's centre, in world
         axes.
     """
     robot = config.robot

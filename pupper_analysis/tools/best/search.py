@@ -274,8 +274,8 @@ class StanceSearch:
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
                 stand without payload.
-            StaticsInfeasibleError: If the objective is not the margin, and no contact
-                forces balance the stand.
+            StaticsInfeasibleError: If no contact forces balance the stand, or, for the payload, the
+                stand with a small payload. Not raised for the margin.
             ConfigurationError: If a closed loop of the robot is open or singular in the stand, for
                 example.
         """

@@ -273,8 +273,9 @@ def _find_missing_sides(
 ) -> Iterator[Diagnostic]:
     """Yield a message for each quantity that a source states on one side of the robot only.
 
-    Nothing is reported if at least as many left-right pairs are one-sided as complete, because the
-    source may belong to a single arm.
+    Another source must state the missing number. Nothing is reported if at least as many left-right
+    pairs are one-sided as complete, because the source may belong to a single arm, or if another
+    message reports the quantity (``unplaced``, ``unread``).
 
     Args:
         source: Source.

@@ -187,7 +187,7 @@ def command(
     robot is at rest on its feet. A file of stands has a row per stand, with the columns
     command.<joint> and position.<joint> (rad, or [deg] in the header) and swing (feet in the air).
     A log is recorded on a robot that hangs or is bolted down, with the columns time,
-    position.<joint> and command.<joint>.
+    position.<joint> and command.<joint>; friction, damping and armature are fitted, too.
 
     Every number has an interval. The output states whether the measurements determine the number.
 
@@ -391,6 +391,8 @@ def _record_policy(
 
     Raises:
         ConfigurationError: For example, if ``bridge`` or ``output`` is None.
+        MeasurementError: For example, if too few observations or actions are received.
+        OutputError: If the trace cannot be written.
     """
     from pupper_analysis.tools.fit.record.listen import record_policy
 

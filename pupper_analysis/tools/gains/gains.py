@@ -255,9 +255,10 @@ class GainStudy(Result):
         True if four conditions hold:
 
         - All modes of the linearised closed loop with feed-forward are stable (`WorstMode.stable`).
-        - The robot is predicted to stand without feed-forward.
+        - The robot is predicted to stand without feed-forward. Not tested with a fixed base.
         - No gain exceeds the bound that follows from a torque limit or an encoder.
-        - No servo was replaced because its stiffness in the file is invalid.
+        - No servo was replaced because its stiffness in the file is invalid. Not tested if gains
+          were passed.
         """
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None

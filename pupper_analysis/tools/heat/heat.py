@@ -36,8 +36,9 @@ _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
 _SETTLED_FRACTION = 0.95
-"""Fraction [1] of the final temperature rise. The curve of a motor that stays below the temperature
-limit ends when the temperature has risen by this fraction. Chosen, not tuned.
+"""Fraction [1] of the final temperature rise. The common end time of the curves is at least the
+time at which the temperature of a motor that stays below its limit has risen by this fraction, at
+most `_MAX_DURATION`. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)

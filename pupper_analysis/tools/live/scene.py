@@ -144,8 +144,8 @@ INSIDE_COLOUR: Colour = (30, 140, 70)
 in balance."""
 
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
-"""Colour of the CoM if its projection is outside the support polygon, and of the polygon of a
-stance that is not in balance."""
+"""Colour of the CoM if the CoM margin is negative, and of the polygon of a stance that is not in
+balance."""
 
 LOAD_COLOUR: Colour = (90, 60, 140)
 """Colour of the payload."""

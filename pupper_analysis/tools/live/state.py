@@ -108,9 +108,10 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield (field, value in page units) for each field that the user has set.
+        """Yield (field, value in page units) for each field of the stand task with a value.
 
-        Only fields of the stand task are yielded, not payload and gains.
+        The mode of the base position determines whether ``offset`` or ``com`` is yielded. Payload
+        and gains are no fields of the stand task.
         """
         for name, field in FIELDS.items():
             if name == "offset":

@@ -341,8 +341,8 @@ def stance_path(
         UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
             of the stance, or the time of the sample.
-        StaticsInfeasibleError: If a sample cannot be held at this speed. The error contains the
-            time.
+        StaticsInfeasibleError: If a sample cannot be held at this speed, or the CoM margin of a
+            sample is smaller than the tasks require. The error contains the time.
         ModelError: If a number of a motor is unknown, or the mass or inertia of a body is invalid.
     """
     for joint, motor in (motors or {}).items():

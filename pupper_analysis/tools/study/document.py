@@ -177,10 +177,10 @@ def _format_design(values: pd.Series[Any], units: Mapping[str, str]) -> str:
 
 
 def _find_shown_unit(column: str, units: Mapping[str, str]) -> tuple[float, str]:
-    """Return the factor and the unit with which reports of a study print a column.
+    """Return the factor and the unit with which tables and plots of a study show a column.
 
-    Lengths of metrics are in mm, angles in degrees, and utilisations in %. Variables keep the unit
-    of the study file. ``units`` contains the unit of each column in the table.
+    Lengths of metrics in `METRICS` are in mm, angles in degrees, and utilisations in %. All other
+    columns keep their unit. ``units`` contains the unit of each column in the table.
     """
     unit = units.get(column, "")
     metric = METRICS.get(column.partition(".")[0])

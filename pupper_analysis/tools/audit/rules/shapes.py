@@ -618,8 +618,8 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A link is the convex hull of its shapes, with all fixed links, at zero joint angles. Both links
     must have visual meshes, since boxes and rods may show a part of a link only, and all sizes must
-    be known. The larger of two lengths is reported if it exceeds both `MAX_HINGE_OFFSET` and
-    `MAX_HINGE_FRACTION` times the extent of the smaller link:
+    be known. The larger of two lengths, or of their lower bounds, is reported if it exceeds both
+    `MAX_HINGE_OFFSET` and `MAX_HINGE_FRACTION` times the extent of the smaller link:
 
     - Distance between the axis and the hull of a link. The position along the axis is free.
     - Distance between both hulls.

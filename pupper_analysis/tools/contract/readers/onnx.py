@@ -126,7 +126,8 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
             numbers of fixed size.
 
     Raises:
-        ValueError: If the data is not such a message.
+        ValueError: If the data is an integer; or if a field has an unknown wire type, or is longer
+            than the rest of the data.
         IndexError: If the data ends inside an integer.
     """
     if isinstance(data, int):
