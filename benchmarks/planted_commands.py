@@ -2,14 +2,14 @@
 
     python benchmarks/planted_commands.py --robots FOLDER --seed 1 --csv FILE
 
-The kinds are those of `planted.py`. `crosscheck` compares the URDF with the defect with the MJCF
-that MuJoCo converts from the published URDF, as if only one of two files had the defect. `stand`
-gets the URDF alone. A command *notices* a defect if
+The kinds are those of `planted.py`. One of two files has the defect: the published URDF, or the
+MJCF that MuJoCo converts from it (`planted_mjcf.py`). `audit` gets this file, `crosscheck` and
+`stand` get the pair. A command *notices* a defect if
 
 - ``audit``: a finding that the published file does not have names the edited link or joint;
 - ``crosscheck``: a difference, cause, note or error that the published pair does not have names it
   (for a defect of the whole file: there is such a text);
-- ``stand``: the command refuses the file or fails, and the published file does not, or a new note
+- ``stand``: the command refuses the pair or fails, and the published pair does not, or a new note
   or statement names it.
 """
 
@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import planted_mjcf
 from corpus import DATA, convert_with_mujoco
 from lxml import etree
 from planted import (
@@ -78,10 +79,10 @@ class StandAnswer:
     texts: frozenset[str]
 
 
-def answer_stand(urdf: Path, share: Path) -> StandAnswer:
-    """Return the verdict of the nominal stand of a URDF with its statements and notes."""
+def answer_stand(urdf: Path, mjcf: Path, share: Path) -> StandAnswer:
+    """Return the verdict of the nominal stand of a pair with its statements and notes."""
     try:
-        robot = pa.load_robot(urdf, packages={PACKAGE: share})
+        robot = pa.load_robot(urdf, mjcf, packages={PACKAGE: share})
         verdict = judge_stand(robot, pa.solve_stand(robot))
     except pa.PupperAnalysisError as error:
         return StandAnswer(passed=False, texts=frozenset({str(error)}))
@@ -89,9 +90,40 @@ def answer_stand(urdf: Path, share: Path) -> StandAnswer:
     return StandAnswer(verdict.passed, frozenset(texts))
 
 
-COLUMNS = ("kind", "planted", "audit", "crosscheck", "neither", "with stand", "stand", "none")
-"""Columns of the table: numbers of planted defects, and of those that the commands notice. ``with
-stand`` is the number that `stand` was given, ``none`` of these the number that nothing notices."""
+COLUMNS = ("kind", "defect in", "planted", "audit", "crosscheck", "neither", "with stand", "stand",
+           "none")  # fmt: skip
+"""Columns of the table: the file with the defect, and numbers of planted defects, and of those that
+the commands notice. ``with stand`` is the number that `stand` was given, ``none`` of these the
+number that nothing notices."""
+
+
+def write_defect(
+    file: str, kind: str, pair: tuple[Path, Path], source: Path, share: Path, seed: str
+) -> tuple[str, Path] | None:
+    """Write a copy of one file of a pair with a defect.
+
+    Args:
+        file: ``"URDF"`` or ``"MJCF"``.
+        kind: Kind of the defect.
+        pair: Published URDF, and its MJCF; the copy is written beside the URDF.
+        source: Published URDF in its own folder.
+        share: Folder of the package with the meshes.
+        seed: Seed.
+
+    Returns:
+        Name of the edited element, and path of the copy; None if the robot has no such element.
+    """
+    rng, sizes = random.Random(seed), read_sizes(source, share)
+    if file == "URDF":
+        root, path = copy_root(source), pair[0].with_name("robot.urdf")
+        edited = KINDS[kind].plant(Site(root, rng, sizes))
+    else:
+        root, path = etree.parse(str(pair[1])).getroot(), pair[0].with_name("robot.xml")
+        edited = planted_mjcf.KINDS[kind](planted_mjcf.Site(root, rng, sizes))
+    if edited is None:
+        return None
+    path.write_bytes(etree.tostring(root, pretty_print=True))
+    return edited, path
 
 
 @click.command()
@@ -103,43 +135,48 @@ stand`` is the number that `stand` was given, ``none`` of these the number that 
 def main(
     robots: Path, seed: int, only: tuple[str, ...], stand: tuple[str, ...], to: Path | None
 ) -> None:
-    """Plant one defect of each kind in each robot, and count the commands that notice it."""
+    """Plant one defect of each kind in each file, and count the commands that notice it."""
     share = (robots / DATA).parent.resolve()
-    counts = {kind: dict.fromkeys(COLUMNS[1:], 0) for kind in KINDS}
+    cases = [(kind, file) for kind in KINDS for file in ("URDF", "MJCF")]
+    counts = {case: dict.fromkeys(COLUMNS[2:], 0) for case in cases}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for robot in only:
             source = robots / ROBOTS[robot]
             sound = audit_sound(source, share, folder)
-            known = {(finding.rule, finding.element) for finding in sound.findings}
             with contextlib.redirect_stderr(io.StringIO()):
                 mjcf = convert_with_mujoco(source.resolve(), share.parent, folder)
-            pair = frozenset(compare(folder / "sound.urdf", mjcf, share))
-            stands = answer_stand(folder / "sound.urdf", share) if robot in stand else None
-            for kind, plant in KINDS.items():
-                root = copy_root(source)
-                rng = random.Random(f"{seed} {robot} {kind}")
-                edited = plant.plant(Site(root, rng, read_sizes(source, share)))
-                if edited is None:
+            pair = folder / "sound.urdf", mjcf
+            audits = {"URDF": sound, "MJCF": run_audit(mjcf, share)}
+            known = {
+                file: {(finding.rule, finding.element) for finding in audit.findings}
+                for file, audit in audits.items()
+            }
+            stated = frozenset(compare(*pair, share))
+            stands = answer_stand(*pair, share) if robot in stand else None
+            for kind, file in cases:
+                written = write_defect(file, kind, pair, source, share, f"{seed} {robot} {kind}")
+                if written is None:
                     continue
-                path = folder / "robot.urdf"
-                path.write_bytes(etree.tostring(root, pretty_print=True))
+                edited, path = written
+                files = (path, mjcf) if file == "URDF" else (pair[0], path)
                 places = name_places(copy_root(source), edited) - {""}
                 findings = [
                     finding
                     for finding in run_audit(path, share).findings
-                    if (finding.rule, finding.element) not in known
+                    if (finding.rule, finding.element) not in known[file]
                 ]
-                texts = frozenset(compare(path, mjcf, share)) - pair
+                texts = frozenset(compare(*files, share)) - stated
                 noticed = {
-                    "audit": any(not edited or is_about(each, places) for each in findings),
+                    "audit": bool(findings)
+                    and (not edited or any(is_about(each, places) for each in findings)),
                     "crosscheck": names_place(texts, places) if edited else bool(texts),
                 }
-                row = counts[kind]
+                row = counts[kind, file]
                 row["planted"] += 1
                 row["neither"] += not any(noticed.values())
                 if stands is not None:
-                    answer = answer_stand(path, share)
+                    answer = answer_stand(*files, share)
                     fresh = answer.texts - stands.texts
                     fails = stands.passed and not answer.passed
                     noticed["stand"] = fails or names_place(fresh, places)
@@ -147,11 +184,13 @@ def main(
                     row["none"] += not any(noticed.values())
                 for command, found in noticed.items():
                     row[command] += found
-                click.echo(f"{robot} | {kind} | {edited} | {noticed}", err=True)
+                click.echo(f"{robot} | {kind} | {file} | {edited} | {noticed}", err=True)
     table: list[tuple[str | int, ...]] = [
-        (kind, *row.values()) for kind, row in counts.items() if row["planted"]
+        (*case, *row.values()) for case, row in counts.items() if row["planted"]
     ]
-    table.append(("all", *(sum(row[column] for row in counts.values()) for column in COLUMNS[1:])))
+    for file in ("URDF", "MJCF"):
+        rows = [row for case, row in counts.items() if case[1] == file]
+        table.append(("all", file, *(sum(row[column] for row in rows) for column in COLUMNS[2:])))
     for line in table:
         click.echo(" | ".join(map(str, line)))
     if to is not None:

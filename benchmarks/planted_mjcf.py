@@ -53,6 +53,11 @@ class Site:
         return self.sizes.get(str(body.get("name")), 0.1)
 
 
+Planter = Callable[[Site], str | None]
+"""Function that edits a copy, and returns the name of the edited body, joint or mesh ("" for the
+whole file); None if the robot has no such element."""
+
+
 def scale_lengths(site: Site, factor: float) -> str | None:
     """Scale all positions, sizes and meshes."""
     for element in site.root.iter():
@@ -174,7 +179,7 @@ def break_mesh_path(site: Site) -> str | None:
     name = body.find("geom[@mesh]").get("mesh")
     mesh = site.root.find(f"asset/mesh[@name='{name}']")
     mesh.set("file", f"{mesh.get('file')}.missing")
-    return str(body.get("name"))
+    return str(name)
 
 
 def displace_joint(site: Site) -> str | None:
@@ -190,10 +195,6 @@ def displace_joint(site: Site) -> str | None:
         shift(body, index, step)
     return str(joint.get("name"))
 
-
-Planter = Callable[[Site], str | None]
-"""Function that edits a copy, and returns the name of the edited body or joint ("" for the whole
-file); None if the robot has no such element."""
 
 KINDS: dict[str, Planter] = {
     "lengths in mm": lambda site: scale_lengths(site, 1000.0),
