@@ -167,7 +167,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.37}
     # A robot slides on slopes steeper than arctan(0.37) = 0.354 rad.
     steep = pa.solve_stand(robot, pa.StandTask(height=0.28, ground=pa.Ground(slope=0.45)))
-    with pytest.raises(pa.StaticsInfeasibleError, match=r"is 0\.370, and 0\.48. is needed"):
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"is 0\.370, but balance needs 0\.48"):
         pa.stance.stand_statics(robot, steep)
     flat = pa.solve_stand(robot, pa.StandTask(height=0.28, ground=pa.Ground(slope=0.34)))
     for used in pa.stance.stand_statics(robot, flat).friction_utilisation.values():
