@@ -41,12 +41,12 @@ refused; also, except for peak and continuous torque, with a ratio below `MIN_ST
 not tuned: line and phase currents, and rms and peak values, differ by up to sqrt(3)."""
 
 
-def _multiply(first: float | None, second: float | None) -> float | None:
+def _multiply_known(first: float | None, second: float | None) -> float | None:
     """Return the product of two numbers; None if a number is unknown."""
     return None if first is None or second is None else first * second
 
 
-def _number(kind: str) -> float | None:
+def _number_field(kind: str) -> float | None:
     """Create a dataclass field for a motor number with the unit of its kind; by default None."""
     found: float | None = field(
         default=None, metadata={"kind": kind, "unit": UNIT_KINDS[kind].unit}
@@ -99,34 +99,34 @@ class Motor:
     name: str
     source: str
     sources: dict[str, str] = field(default_factory=dict)
-    torque_constant: float | None = _number("torque constant")
-    resistance: float | None = _number("resistance")
-    resistance_temperature: float | None = _number("temperature")
-    resistance_rise: float | None = _number("relative rise")
-    gear_ratio: float | None = _number("ratio")
-    gear_efficiency: float | None = _number("efficiency")
-    output_torque_constant: float | None = _number("torque constant")
-    rotor_inertia: float | None = _number("inertia")
-    coulomb_friction: float | None = _number("friction torque")
-    viscous_friction: float | None = _number("viscous friction")
-    load_friction: float | None = _number("fraction")
-    supply_voltage: float | None = _number("voltage")
-    current_limit: float | None = _number("current")
-    peak_torque: float | None = _number("torque")
-    continuous_torque: float | None = _number("torque")
-    stall_torque: float | None = _number("torque")
-    stall_current: float | None = _number("current")
-    no_load_speed: float | None = _number("speed")
-    winding_resistance: float | None = _number("thermal resistance")
-    housing_resistance: float | None = _number("thermal resistance")
-    winding_capacity: float | None = _number("heat capacity")
-    housing_capacity: float | None = _number("heat capacity")
-    ambient_temperature: float | None = _number("temperature")
-    limit_temperature: float | None = _number("temperature")
-    kp: float | None = _number("stiffness")
-    kd: float | None = _number("viscous friction")
-    mass: float | None = _number("mass")
-    price: float | None = _number("price")
+    torque_constant: float | None = _number_field("torque constant")
+    resistance: float | None = _number_field("resistance")
+    resistance_temperature: float | None = _number_field("temperature")
+    resistance_rise: float | None = _number_field("relative rise")
+    gear_ratio: float | None = _number_field("ratio")
+    gear_efficiency: float | None = _number_field("efficiency")
+    output_torque_constant: float | None = _number_field("torque constant")
+    rotor_inertia: float | None = _number_field("inertia")
+    coulomb_friction: float | None = _number_field("friction torque")
+    viscous_friction: float | None = _number_field("viscous friction")
+    load_friction: float | None = _number_field("fraction")
+    supply_voltage: float | None = _number_field("voltage")
+    current_limit: float | None = _number_field("current")
+    peak_torque: float | None = _number_field("torque")
+    continuous_torque: float | None = _number_field("torque")
+    stall_torque: float | None = _number_field("torque")
+    stall_current: float | None = _number_field("current")
+    no_load_speed: float | None = _number_field("speed")
+    winding_resistance: float | None = _number_field("thermal resistance")
+    housing_resistance: float | None = _number_field("thermal resistance")
+    winding_capacity: float | None = _number_field("heat capacity")
+    housing_capacity: float | None = _number_field("heat capacity")
+    ambient_temperature: float | None = _number_field("temperature")
+    limit_temperature: float | None = _number_field("temperature")
+    kp: float | None = _number_field("stiffness")
+    kd: float | None = _number_field("viscous friction")
+    mass: float | None = _number_field("mass")
+    price: float | None = _number_field("price")
 
     def __post_init__(self) -> None:
         """Check that all numbers are in range, and that stated numbers do not contradict.
@@ -197,28 +197,28 @@ class Motor:
         bound. Each unknown number omits the pairs that need it.
         """
         constants: dict[str, float | None] = {
-            "torque_constant x gear_ratio": _multiply(self.torque_constant, self.gear_ratio),
+            "torque_constant x gear_ratio": _multiply_known(self.torque_constant, self.gear_ratio),
             "output_torque_constant": self.output_torque_constant,
         }
         voltage, resistance = self.supply_voltage, self.resistance
         currents = {
-            "supply_voltage / resistance": _multiply(voltage, resistance and 1 / resistance),
+            "supply_voltage / resistance": _multiply_known(voltage, resistance and 1 / resistance),
             "stall_current": self.stall_current,
         }
         (first, expected), _ = constants.items()
         number = "output_torque_constant"
         self._check_ratio(number, expected, first, "N m/A", MAX_CONVENTION_RATIO)
         for name, constant in constants.items():
-            free = _multiply(voltage, constant and 1 / constant)
+            free = _multiply_known(voltage, constant and 1 / constant)
             formula = f"supply_voltage / ({name})"
             self._check_ratio("no_load_speed", free, formula, "rad/s", MAX_CONVENTION_RATIO)
             for current_name, current in currents.items():
                 formula = f"{name} x {current_name}"
-                expected = _multiply(constant, current)
+                expected = _multiply_known(constant, current)
                 self._check_ratio("stall_torque", expected, formula, "N m", MAX_STALL_RATIO)
             for current_name, current in {**currents, "current_limit": self.current_limit}.items():
                 formula = f"{name} x {current_name}"
-                expected = _multiply(constant, current)
+                expected = _multiply_known(constant, current)
                 for number in ("peak_torque", "continuous_torque"):
                     self._check_ratio(number, expected, formula, "N m", MAX_CONVENTION_RATIO, 0.0)
 
@@ -354,7 +354,7 @@ class Motor:
             limits.append((self.peak_torque, "peak_torque"))
         if self.stall_torque is not None:
             limits.append((self.stall_torque, "stall_torque"))
-        per_ampere = _multiply(self.torque_constant, self.gear_ratio) if limits else None
+        per_ampere = _multiply_known(self.torque_constant, self.gear_ratio) if limits else None
         with suppress(ModelError):
             per_ampere = self.output_torque_per_ampere
         if per_ampere is not None:
@@ -425,5 +425,5 @@ def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
     return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
 
 
-NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
+NUMBER_KINDS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
 """{field of `Motor` that contains a number: kind of quantity, a key of ``UNIT_KINDS``}."""

@@ -15,10 +15,10 @@ from typing import Any
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input, read_toml
-from pupper_analysis.models.motors.motor import NUMBERS, Motor
+from pupper_analysis.models.motors.motor import NUMBER_KINDS, Motor
 from pupper_analysis.models.motors.units import UNIT_KINDS, parse_motor_quantity
 
-_DATA = files("pupper_analysis.models.motors") / "data"
+_DATA_FOLDER = files("pupper_analysis.models.motors") / "data"
 """Folder of this package with a TOML file per motor."""
 
 BAM_MODELS = {
@@ -39,7 +39,7 @@ def list_motors() -> tuple[str, ...]:
     return tuple(
         sorted(
             path.name.removesuffix(".toml")
-            for path in _DATA.iterdir()
+            for path in _DATA_FOLDER.iterdir()
             if path.name.endswith(".toml")
         )
     )
@@ -58,7 +58,7 @@ def find_motor(name: str) -> Motor:
         OutputError: If this run of the command line also writes the file.
     """
     if name in list_motors():
-        return read_motor(Path(str(_DATA / f"{name}.toml")))
+        return read_motor(Path(str(_DATA_FOLDER / f"{name}.toml")))
     path = Path(name)
     if not name or (not path.exists() and not path.suffix):
         raise UnknownNameError("motors", "motor", name, list_motors())
@@ -89,8 +89,8 @@ def read_motor(path: Path) -> Motor:
     if not source:
         raise ModelError(path, diagnose("motor-without-source"))
     for key in (*stated, *sources):
-        if key not in NUMBERS:
-            raise UnknownNameError(path, "number", key, NUMBERS)
+        if key not in NUMBER_KINDS:
+            raise UnknownNameError(path, "number", key, NUMBER_KINDS)
     return _make_motor(path, name, source, stated, sources)
 
 
@@ -158,7 +158,7 @@ def _make_motor(
     """
     try:
         numbers = {
-            key: parse_motor_quantity(key, text, UNIT_KINDS[NUMBERS[key]])
+            key: parse_motor_quantity(key, text, UNIT_KINDS[NUMBER_KINDS[key]])
             for key, text in stated.items()
         }
     except ConfigurationError as error:

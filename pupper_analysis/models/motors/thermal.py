@@ -103,7 +103,7 @@ class ThermalNetwork:
         ohms = self.ohms * (1 + self.rise * (temperature - self.reference))
         return self.current**2 * ohms
 
-    def _matrices(self) -> tuple[Array, Array]:
+    def _compute_matrices(self) -> tuple[Array, Array]:
         """Return the matrices A (n, n) [1/s] and b (n,) [K/s] of the equations dx/dt = A x + b.
 
         x contains T - T_ambient [K] of the n nodes.
@@ -143,7 +143,7 @@ class ThermalNetwork:
         Returns:
             Shape (m, n) [degC]; the winding is the first node.
         """
-        matrix, rate = self._matrices()
+        matrix, rate = self._compute_matrices()
         # Symmetric in the scaled coordinates sqrt(C) x, so that the eigenvalues are real.
         scale = np.sqrt(self.capacities)
         values, vectors = np.linalg.eigh(matrix * scale[:, None] / scale)

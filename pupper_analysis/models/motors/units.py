@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 
-_KGF = 9.80665
+_NEWTONS_PER_KGF = 9.80665
 """Weight of a kilogram in standard gravity [N] (ISO 80000-3)."""
 
 _TORQUE_FACTORS = {
-    **{"N m": 1.0, "mN m": 1e-3, "kgf cm": _KGF * 1e-2, "kgf m": _KGF},
+    **{"N m": 1.0, "mN m": 1e-3, "kgf cm": _NEWTONS_PER_KGF * 1e-2, "kgf m": _NEWTONS_PER_KGF},
     "ozf in": 7.061552e-3,
 }
 """{accepted unit of torque: factor to N m}."""
@@ -77,7 +77,7 @@ UNIT_KINDS = {
 }
 """{kind of quantity: unit of the result, accepted units with their factors, and range}."""
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*\Z")
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*\Z")
 """Pattern of a number and its unit, as in ``1.2 N m``; the unit may be missing."""
 
 
@@ -96,7 +96,7 @@ def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
     units = [unit for unit in kind.factors if unit]
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         raise ConfigurationError(name, diagnose("motor-no-quantity", given=repr(text), units=units))
-    match = _NUMBER.match(str(text))
+    match = _NUMBER_AND_UNIT.match(str(text))
     if match is None or not math.isfinite(float(match[1])):
         raise ConfigurationError(name, diagnose("motor-no-quantity", given=str(text), units=units))
     number, unit = float(match[1]), " ".join(match[2].replace("Nm", "N m").split())

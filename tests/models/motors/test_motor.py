@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
-from pupper_analysis.models.motors.motor import NUMBERS, Motor
+from pupper_analysis.models.motors.motor import NUMBER_KINDS, Motor
 from pupper_analysis.models.motors.reading import (
     find_motor,
     list_motors,
@@ -159,7 +159,7 @@ def test_a_file_without_source_is_refused(tmp_path: Path) -> None:
     [
         *(
             (number, 0.0)
-            for number, kind in NUMBERS.items()
+            for number, kind in NUMBER_KINDS.items()
             if not (UNIT_KINDS[kind].zero or UNIT_KINDS[kind].signed)
         ),
         ("output_torque_constant", -0.1),
@@ -231,7 +231,7 @@ def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
     assert len(motors) >= 10
     for motor in motors:
         assert motor.source.startswith("http")
-        assert set(motor.sources) <= set(NUMBERS)
+        assert set(motor.sources) <= set(NUMBER_KINDS)
         assert all(getattr(motor, number) is not None for number in motor.sources)
         assert "pastebin" not in motor.source
     servo = find_motor("dynamixel-xm540-w270")
