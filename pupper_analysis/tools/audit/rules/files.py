@@ -65,7 +65,13 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
         if pointer:
             message = diagnose("mesh-is-lfs-pointer", meshes=names)
         else:
-            message = diagnose("mesh-missing", meshes=names, package=package or None)
+            message = diagnose(
+                "mesh-missing",
+                meshes=names,
+                first=names[0].rpartition("/")[2],
+                more=len(names) - 1 or None,
+                package=package or None,
+            )
         is_error = touches and not pointer and "://" not in names[0]
         first, severity = group[0], None if is_error else Severity.WARNING
         yield CheckFinding(kind, first.owner, message, place=first.place, severity=severity)
