@@ -366,7 +366,7 @@ def payload_limit(
     else:
         task = stance or StandTask()
         robot = with_contacts(robot, task.contacts)
-    if robot.is_base_fixed and not place.chain:
+    if robot.floating and robot.is_base_fixed and not place.chain:
         raise ConfigurationError("point", diagnose("payload-on-fixed-base", robot=robot.name))
     # Raise, with an explanation, if the stance has no stand without payload.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
