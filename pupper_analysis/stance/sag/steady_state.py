@@ -340,12 +340,14 @@ class HomotopyPath:
     def reset_creep(self, anchors: dict[str, Anchor]) -> None:
         """Set the touching contacts, with a creep (slow slip) of zero for all contacts.
 
+        The contact changes before the call no longer count for `_MAX_EVENTS`.
+
         Args:
             anchors: {touching contact: pose at the first contact}.
         """
         system = self.system
         system.anchors, system.crept, system.yielding = dict(anchors), {}, {}
-        self.crept, self._euler_step = 0.0, math.inf
+        self.crept, self._euler_step, self._events = 0.0, math.inf, 0
 
     def remove_feedforward(self) -> None:
         """Remove all feed-forward from the servo commands, without solving for an equilibrium."""

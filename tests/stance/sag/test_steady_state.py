@@ -550,3 +550,18 @@ def test_dictionary_of_a_steady_state_states_the_parts_of_the_height_loss() -> N
     result = steady_state(load("v3"), stand_of("v3")).to_dict()
     assert result["base_height"] == pytest.approx(0.11963, abs=1e-5)
     assert result["height_loss"] == pytest.approx(result["servo_sag"] + result["contact_sag"])
+
+
+def test_contact_changes_of_earlier_searches_do_not_end_a_path() -> None:
+    """A search for the least stiffness follows one path many times, from the same contacts."""
+    robot = load("v3")
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    path = settle.make_homotopy_path(robot, stand, None, "pinned", exact=True)
+    path.follow(1.0)
+    anchors, start = dict(path.system.anchors), path.solution
+    foot = next(iter(anchors))
+    for _ in range(60):
+        path.reset_creep(anchors)
+        path.solution = start
+        path._switch_contact(foot, start)  # opens the contact
+    assert foot not in path.system.anchors
