@@ -103,7 +103,7 @@ def test_exit_status_is_1_if_the_verification_fails(monkeypatch: pytest.MonkeyPa
     result = CliRunner().invoke(cli.find_command("analyze"), ["original", "--no-figures"])
     assert result.exit_code == 1
     assert "FAILED original: " in result.stdout
-    assert "FAILED original: a joint is off by" in result.stdout
+    assert "FAILED original: a joint deviates from the prediction by" in result.stdout
     assert "VERIFIED" not in result.stdout
 
 

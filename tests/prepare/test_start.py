@@ -160,7 +160,7 @@ def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) 
     messages = {note.code: str(note) for note in robot.notes}
     assert "start-pose-found" in messages
     assert messages["keyframe-without-stand"].startswith(
-        "keyframe 'home': the file stands from this keyframe"
+        "keyframe 'home': the robot stands from this keyframe"
     )
     assert "in which the robot stands" not in messages["start-pose-found"]
 

@@ -86,10 +86,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         "without feed-forward, no sag is predicted: why"
     )
     assert "base height 104.4 mm on rigid" in text
-    assert (
-        "out of reach with compensation of the contact penetration: simulated with the joint"
-        in text
-    )
+    assert "with compensated contact penetration is out of reach: simulated with the joint" in text
     assert "HOLDS" not in text
 
 

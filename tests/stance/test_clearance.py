@@ -310,7 +310,7 @@ def test_feet_at_one_place_are_refused_if_links_must_be_apart() -> None:
     offsets = {"FL": (-x, 0.0), "RL": (x, 0.0)}
     pa.solve_stand(robot, pa.StandTask(foot_offsets=offsets, com="inside"))
     task = pa.StandTask(foot_offsets=offsets, com="inside", self_clearance=0.004)
-    with pytest.raises(pa.StanceUnreachableError, match="mm in leg_") as caught:
+    with pytest.raises(pa.StanceUnreachableError, match="overlaps leg_") as caught:
         pa.solve_stand(robot, task)
     nearest = caught.value.nearest
     assert nearest is not None

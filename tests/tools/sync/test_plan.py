@@ -353,7 +353,7 @@ def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
     files = write(tmp_path, urdf_text(ROBOT), sprung)
     for side, said in (
         ("mjcf", "not expressible in a URDF"),
-        ("urdf", "only in the MJCF: delete it there by hand"),
+        ("urdf", "only in the MJCF: delete the element there by hand"),
     ):
         result = sync(files, side, dry_run=True)
         assert [(one.difference, str(one.reason)) for one in result.not_mended] == [
