@@ -322,16 +322,17 @@ class Nudge(Result):
     """Response of a stand to a nudge, a small velocity of all coordinates.
 
     Attributes:
-        speed: Upper bound of the velocity changes by the nudge (m/s, rad/s).
+        speed: Upper bound of the velocity changes by the nudge (m/s or rad/s).
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
-        motion: Largest speed in the second third of ``duration``, without creep (m/s, rad/s). For a
-            free base, the increase of the mean speed by the nudge counts, too.
-        left: Largest speed in the last third of ``duration``, defined as ``motion`` (m/s, rad/s).
+        motion: Largest speed in the second third of ``duration``, without creep (m/s or rad/s).
+            For a free base, the increase of the mean speed by the nudge counts, too.
+        left: Largest speed in the last third of ``duration``, with the same definition as
+            ``motion`` (m/s or rad/s).
         moved: Largest displacement of a joint in the last third of ``duration``, from its position
-            before the nudge, without the creep (rad, m).
+            before the nudge, without the creep (rad or m).
         farthest: Largest displacement of a joint at any time after the nudge, without the creep
-            (rad, m).
+            (rad or m).
         decayed: Whether the simulation did not diverge and ``left`` is small: at most 90 % of
             ``motion``, or at most 1 % of the nudge.
         moved_unit: Unit of ``moved``: rad for a hinge, m for a slide.

@@ -481,7 +481,7 @@ class SteadyState(Result):
             sliding feet.
         height_drift: Rate of the base height by creep (m/s). A simulated height stays within D of
             the predicted height for about D / |height_drift| seconds.
-        residual: Largest absolute element of the residual of the equations (N, N m and m mixed).
+        residual: Largest absolute element of the residual of the equations (N or m).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
             relative to the mass matrix (rad^2/s^2). If it is positive, its square root is the
             lowest natural frequency without damping.

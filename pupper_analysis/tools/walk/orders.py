@@ -95,7 +95,7 @@ class Orders(Result):
     Attributes:
         name: Name of the robot.
         policy: File name of the policy.
-        commands: Tried commands, shape (n, 3) (m/s, m/s, rad/s).
+        commands: Tried commands, shape (n, 3): forward, left, yaw rate (m/s or rad/s).
         candidates: Interpretations, the best first: most tracked commands, then the smallest cost.
         stated: Index of the stated interpretation in `candidates`.
         lead: Cost of the second candidate / cost of the first, if both track as many commands; else
