@@ -226,7 +226,7 @@ def test_tilted_soles_of_spheres_are_refused(tmp_path: Path) -> None:
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(height=0.36, offset=(0.15, 0.0)))
-    assert "_calf is 0.1 mm in the ground" in str(caught.value.blocked[0])
+    assert "_calf penetrates the ground by 0.1 mm" in str(caught.value.blocked[0])
 
 
 TILTED = Rotation.from_euler("xyz", (0.3, 0.5, 0.2))

@@ -258,7 +258,7 @@ def test_stands_of_default_poses_differ_in_height(sources: dict[str, Path]) -> N
     assert 0.05 < one.utilisation < 0.3
     finding = next(finding for finding in found.findings if finding.kind == "default angle")
     apart = abs(one.height - two.height)
-    assert f"{1e3 * apart:.3g} mm of base height" in finding.message
+    assert f"difference of the base height {1e3 * apart:.3g} mm" in finding.message
 
 
 def test_several_configurations_in_one_file_require_a_name(sources: dict[str, Path]) -> None:

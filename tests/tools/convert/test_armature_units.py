@@ -34,12 +34,12 @@ def test_armature_of_slides_and_hinges_is_reported_in_units_of_its_own(tmp_path:
         for note in pa.compare_models(tmp_path / "cart.urdf", source).notes
         if note.code == "armature-of-the-mjcf-alone"
     ]
-    assert [note.partition(" is in")[0] for note in copied] == [
+    assert [note.partition(" is only in")[0] for note in copied] == [
         "armature (0.01 kg m^2 on 1 joint)",
         "armature (0.5 kg on 1 joint)",
     ]
     urdf = tmp_path / "cart.urdf"
-    for joint, unit in (("rail", "-1 kg of"), ("pivot", "-1 kg m^2 of")):
+    for joint, unit in (("rail", "-1 kg,"), ("pivot", "-1 kg m^2,")):
         with pytest.raises(pa.ConfigurationError, match=unit.replace("^", r"\^")):
             pa.convert_model(urdf, tmp_path / "new.xml", armature={joint: -1.0})
 
