@@ -38,12 +38,12 @@ _EXAMPLE_LIMIT = 100.0
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the motor temperatures of a stance, for ``build_document``."""
     first = _describe_first_motor(study.first)
+    exceeds_limits = bool(study.weak or study.overheats)
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
-    if study.weak or study.overheats:
-        failures: tuple[doc.Words, ...] = (*first, *unknown)
-    else:
-        failures = unknown
+    final = study.first.steady_temperature
+    is_temperature_known = not exceeds_limits and final is not None and math.isfinite(final)
+    failures: tuple[doc.Words, ...] = (*first, *unknown) if exceeds_limits else unknown
     return doc.Document(
         text("heat"),
         doc.Name(study.name),
@@ -51,7 +51,7 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
         passed=study.passed,
         verdict=text(_select_verdict(study)),
         failures=failures,
-        findings=losses if study.weak or study.overheats else (*first, *losses),
+        findings=(*first, *losses) if study.passed or is_temperature_known else losses,
         details=(task_text(study.stand.task), text("heat-model")),
         brief=True,
         notes=robot_notes(robot),

@@ -282,7 +282,7 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
     assert bad.returncode == 2
-    assert "resistance: 2 rpm: rpm is not a unit" in bad.stderr
+    assert "resistance: 2 rpm: rpm is not a valid unit" in bad.stderr
 
 
 def test_motor_that_overheats_at_an_unknown_time_precedes_cool_motors() -> None:

@@ -176,7 +176,7 @@ def test_a_termination_signal_ends_a_page_that_computes_for_a_browser() -> None:
         text=True,
     )
     assert process.stdout is not None
-    address = process.stdout.readline().split()[0]
+    address = process.stdout.readline().split()[1]
 
     async def terminate() -> None:
         async with websockets.connect(
