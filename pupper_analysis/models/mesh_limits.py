@@ -114,7 +114,7 @@ class _ColladaScene:
 
 
 def check_collada(data: bytes) -> Diagnostic | None:
-    """Check if a COLLADA file describes too many parts, or shapes with too much text, to be read.
+    """Check if a COLLADA file has more parts, or more text in its shapes, than may be read.
 
     The limits apply to the sum over all scenes, in which each instance of a node or shape counts.
     There may be `MAX_MESH_PARTS` parts. The text of the shapes may have up to twice

@@ -89,9 +89,9 @@ def list_overloaded_joints(
     """Return the names of the joints whose motors exceed their torque limits in a stance.
 
     If no joint is driven only through tendons, the static torque of each joint is compared with the
-    torque limit. Otherwise the forces F of the actuators at the tendons are computed. F is the
-    least-squares solution of tau = M F, with the torques tau of these joints and the levers M at
-    the given joint positions. A joint then counts as overloaded in three cases:
+    torque limit. Otherwise the forces F of the actuators at the tendons are the least-squares
+    solution of tau = M F, with the static torques tau of the joints that only tendons drive, and
+    the levers M at the given joint positions. A joint then counts as overloaded in three cases:
 
     - Only tendons drive the joint, and an actuator at one of them exceeds a force limit.
     - Only tendons drive the joint, and they cannot exert its torque.

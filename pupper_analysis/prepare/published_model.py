@@ -211,8 +211,8 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
       collidable geom.
     - The base is fixed, and the ground disabled, if the base is fixed in the robot and free in the
       file.
-    - Bodies and joints without a name get a name, in both cases above and if the file lacks a name
-      of the robot.
+    - Bodies and joints without a name get a name in both cases above, and if the file does not
+      contain all body and joint names of the robot.
 
     Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 

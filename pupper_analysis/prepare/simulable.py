@@ -30,8 +30,8 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
 """Upper bound of MuJoCo's solver option ``tolerance`` [1]. `check_simulable` raises an error for a
-larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot does
-not fall."""
+larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot that
+should fall does not."""
 
 _GEAR_RANGE = 1e-6, 1e6
 """Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
@@ -191,8 +191,8 @@ a push the constraint forces are in equilibrium, and an inaccurate solver is not
 not tuned."""
 
 _NUM_SOLVES = 20
-"""Number of repeated solves in the test of the solver's accuracy. A solver with few iterations is
-warm-started, as in consecutive simulation steps. Chosen, not tuned."""
+"""Number of repeated solves in the test of the solver's accuracy. Each solve is warm-started by the
+previous one, as in consecutive simulation steps. Chosen, not tuned."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:

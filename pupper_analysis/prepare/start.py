@@ -648,7 +648,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
     ]
 
     def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
-        """Solve a stand at a base height in which no other body than the feet nears the ground.
+        """Solve a stand at a base height in which only the feet are close to the ground.
 
         Args:
             height: Height of the base [m].

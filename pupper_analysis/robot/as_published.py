@@ -358,9 +358,9 @@ class PublishedRun:
     def agrees_with_equilibrium(self) -> bool:
         """True if the robot does not collapse in this run, and is near the computed equilibrium.
 
-        Limits of the torque error: 0.05 (``MAX_TORQUE_DEVIATION``); for a URDF 0.1
-        (``MAX_IMPORTED_TORQUE_DEVIATION``). With feed-forward, the joint error must also be at most
-        0.02 rad or m (``MAX_PUBLISHED_DEVIATION``).
+        Limits of ``torque_error``: 0.05 (``MAX_TORQUE_DEVIATION``); for MuJoCo's import of a URDF
+        0.1 (``MAX_IMPORTED_TORQUE_DEVIATION``). With feed-forward, the joint error must also be at
+        most 0.02 rad or m (``MAX_PUBLISHED_DEVIATION``).
         """
         near = not self.feedforward or self.joint_error <= MAX_PUBLISHED_DEVIATION
         most = MAX_IMPORTED_TORQUE_DEVIATION if self.imported else MAX_TORQUE_DEVIATION

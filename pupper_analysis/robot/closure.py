@@ -46,7 +46,8 @@ equation counts as independent. The redundant equation of a planar loop has a ra
 files with rounded numbers. The value is also used as an absolute bound, below which entries of a
 constraint Jacobian and determinants (`Closure.has_reference_assembly`) count as zero. A
 configuration is singular if an eigenvalue of A^T K A, scaled to a unit diagonal, is below the
-square. K contains the stiffnesses of the constraints, and A the columns of the dependent joints."""
+square of this value. K contains the stiffnesses of the constraints, and A the columns of the
+dependent joints."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""

@@ -71,7 +71,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
             * a named frame moves with a foot, but is not the foot;
             * options for hands are used for a foot or base: ``offset`` or ``radius`` in the contact
               of a foot, ``place`` or ``offset`` in the weld of a foot or of the base;
-            * a foot with several contact points touches a bar, or grips;
+            * a foot with several contact points has a contact with a bar, or a grip;
             * a contact other than a weld is on the base;
             * two named parts other than feet move with the same joint, or both with the base, and
               one of them is welded or grips;

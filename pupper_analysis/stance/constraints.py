@@ -357,7 +357,7 @@ class SelfClearance(Constraint):
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: StandTargets, at: Configuration) -> Array:
-        """Return the Jacobian by qvel of the distances of n nearest shape pairs, shape (n, nv)."""
+        """Return the Jacobian by qvel of the n smallest distances of shapes, shape (n, nv)."""
         return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: StandTargets, at: Kinematics) -> Clearance | None:

@@ -319,10 +319,10 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Compute the penetrations (n,) [m] of a rigid sole that exert required force and moments.
+    """Compute the penetrations (n,) [m] of a rigid sole with the same resultant as given ones.
 
-    The contact forces have the same resultant force and moments as those of the penetrations
-    ``given``. The potential of the forces is convex, so that all solutions give equal forces.
+    The resultant is the force and the moments of the contact forces. The potential of the forces is
+    convex, so that all solutions give equal forces.
 
     Args:
         table: Row per contact point: 1 and the position in the sole's plane, normalised, shape (n,

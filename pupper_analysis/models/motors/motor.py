@@ -420,7 +420,7 @@ class Motor:
 
 
 def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
-    """Return the numbers that an error of `Motor` reports as unknown; empty for other errors."""
+    """Return the fields of `Motor` that an error reports as unknown; empty for other errors."""
     numbers = error.cause.values.get("numbers", ())
     return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
 

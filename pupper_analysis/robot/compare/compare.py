@@ -771,9 +771,9 @@ def _compare_servo_gains(
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yield reasons, other than differences, for which URDF and MJCF do not agree.
 
-    - An unexplained residual.
-    - Otherwise, if there is no mechanical difference: each quantity whose deviation exceeds the
-      largest tolerance of `_DYNAMIC_KINDS`, because small differences add up.
+    - A deviation of the dynamics that the differences do not explain.
+    - Otherwise, if there is no mechanical difference: each quantity with a deviation above all
+      tolerances of `_DYNAMIC_KINDS`. Several small differences can cause such a deviation.
     """
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:

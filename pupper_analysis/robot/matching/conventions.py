@@ -209,8 +209,8 @@ def _find_base_pose(
         - No joint is on the base, or the joints on the base do not correspond.
         - A joint and its body agree in both trees: the base frames are equal.
         - Exchanged names of limbs explain the deviation: the joints on the base coincide under
-          other names, and the base bodies are equal only without the pose. (A half turn about x
-          exchanges left and right, too.)
+          other names, the base bodies are equal, and the pose would make the base bodies differ.
+          (A half turn about x exchanges left and right, too.)
         - No pose decreases the deviation enough.
     """
     names = first.children(first.base)

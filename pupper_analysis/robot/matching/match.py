@@ -119,7 +119,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """List the parts (subtrees) of a file that could be removed: the other file lacks their joints.
 
     The root of a part is the link that a missing joint moves, or a link above this link on a fixed
-    joint. Each possible root is an alternative. `remove_parts` selects one of the alternatives.
+    joint. Each choice of roots is an alternative, of which `remove_parts` selects one.
 
     Args:
         tree: Tree of the file with the parts.

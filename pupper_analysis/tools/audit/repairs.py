@@ -659,12 +659,12 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the CoM is probably in mm (`_read_com_in_metres`), it is converted to m instead. If the other
-    limbs state equal origins (`_find_common_attributes`), the xyz is copied. If the finding only
-    reports that both CoMs differ, `select_deviating_pairs` selects the link to be repaired. The
-    selection compares the magnitudes of the CoM coordinates, in the link frame, with
-    other limbs. If there are too few other limbs, or the other limbs differ, both links are
-    candidates. If both links or neither deviate, there is no repair. Coordinates that agree with
+    If the CoM is probably in mm (`_read_com_in_metres`), it is converted to m instead. If all other
+    limbs state one and the same origin (`_find_common_attributes`), its xyz is copied. If the
+    finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
+    repaired, by a comparison with the other limbs: the link that deviates from them; both links if
+    there are too few other limbs, or these differ; none if both links or neither deviate.
+    Coordinates that agree with
     the mirror image are not changed (`_replace_deviating_coordinates`).
     """
     link = robot.links.get(found.name)

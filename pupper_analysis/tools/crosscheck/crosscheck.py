@@ -780,7 +780,7 @@ def cross_check(
             equivalent joint equality of the MJCF is disabled.
 
     Returns:
-        Largest deviation of each quantity with the place, and the verdict.
+        Largest deviation of each quantity, with its joint or body, and the verdict.
 
     Raises:
         ConfigurationError: If an argument is out of range.

@@ -171,8 +171,8 @@ def solve_segments(
 
 
 _MAX_FOOT_MOTION = 1e-9
-"""Largest difference [m] of a coordinate of a loaded foot between two successive stances: the error
-of a solved stand. Chosen, not tuned."""
+"""Difference [m] of a coordinate of a loaded foot between two successive stances, above which the
+foot counts as moved. Smaller differences are errors of solved stands. Chosen, not tuned."""
 
 
 def _describe_moved_foot(

@@ -459,10 +459,10 @@ def track_path(
     """Simulate a path on the free base, with servo commands q* + (tau + kd dq*/dt) / kp.
 
     The velocity term compensates the servo damping, which acts on the absolute joint velocity;
-    without this term the joints lag by kd / kp (20 ms for v3). Legs are extended by the penetration
-    of the feet into MuJoCo's soft ground under the loads of the motion, and torques belong to the
-    extended legs. Creep of rolling feet is not compensated; creep matters for paths of less than a
-    second.
+    without this term the joints lag by kd / kp (20 ms for v3). The joint positions q* contain an
+    extension of the legs by the penetration of the feet into MuJoCo's soft ground under the loads
+    of the motion, and tau is computed for the extended legs. Creep of rolling feet is not
+    compensated; creep matters for paths of less than a second.
 
     A path is tracked if all these conditions hold:
 

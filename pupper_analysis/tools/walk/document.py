@@ -885,7 +885,7 @@ def _select_step_after_orders(result: Orders) -> doc.NextStep:
 
 
 def _describe_change(candidate: Candidate) -> doc.Words:
-    """Describe how an interpretation of the policy differs from the stated contract."""
+    """Describe how a tested order, sign or scale of the policy differs from the stated contract."""
     if candidate.change == "stated":
         return text("walk-change-stated")
     if candidate.change == "sign":

@@ -36,9 +36,9 @@ def find_fall_tests(
         seconds: Duration of each run [s].
 
     Returns:
-        A test per change, of the first run that falls. Empty if no run of the walk falls. Left
-        out are a command of zero if the command is already zero, no delay if the policy has no
-        latency, and larger torque limits if the motors have no limits.
+        A test per change, of the first run that falls. Empty if no run of the walk falls. Changes
+        without effect are left out: the command 0 if the command is 0, the latency 0 if the latency
+        is 0, and larger torque limits if the motors have no limits.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:

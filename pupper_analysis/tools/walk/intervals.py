@@ -371,9 +371,12 @@ def _make_interval(
     """
 
     def collect(side: int, criterion: str, end: int) -> Array:
-        """Return the values of one end of a bracket, shape (seeds,).
+        """Return the bracketing values of an interval's end for all seeds, shape (seeds,).
 
-        ``end`` is 0 for the value that satisfies the criterion, 1 for the value that violates it.
+        Args:
+            side: Side of the interval.
+            criterion: Criterion that ends the interval, a key of `_CRITERIA`.
+            end: 0 for the values that satisfy the criterion, 1 for the values that violate it.
         """
         return np.array([brackets[name, side, seed, criterion][end] for seed in seeds])
 

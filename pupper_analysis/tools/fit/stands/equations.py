@@ -357,8 +357,8 @@ class StandRows:
 
         - r: whitened residuals (divided by the noise), projected so that base tilt, base height and
           contact forces of the stand have no effect
-        - d: derivative of r by the error of the joint position
-        - A: derivative of r by the parameters
+        - d: derivative of r with respect to the error of the joint position
+        - A: Jacobian of r with respect to the parameters
 
         Args:
             covariance: Covariance C of the parameters, shape (n, n).
@@ -792,8 +792,9 @@ _MIN_DECREASE_RATIO = 0.1
 unknowns of a stand is accepted. Chosen, not tuned."""
 
 _COST_RTOL = 1e-6
-"""Increase of the cost, relative to the cost, up to which a step for the own unknowns of a stand is
-accepted. At a cost of 1e6, rounding exceeds predicted decreases of 0.01. Chosen, not tuned."""
+"""Increase of the cost, relative to the cost, up to which a step of the base pose and contact
+forces of a stand is accepted. At a cost of 1e6, rounding exceeds predicted decreases of 0.01.
+Chosen, not tuned."""
 
 
 class StandEquations:

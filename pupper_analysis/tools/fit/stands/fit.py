@@ -1363,8 +1363,8 @@ def scale_common_widths(
     Parameters of the kind ``moment`` are the part of the moments on a foot that is equal in all
     stands. Parameters of the kind ``settling`` are the one-sided part of the dry friction in stands
     with a known mass. The prior widths are multiplied by the ratio of estimated to expected random
-    noise. For ``settling`` the factor is at least 1, because random noise does not show one-sided
-    friction.
+    noise. For ``settling`` the factor is at least 1, because low random noise does not imply low
+    one-sided friction.
 
     Args:
         table: Parameters.
