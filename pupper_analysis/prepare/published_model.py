@@ -223,27 +223,26 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
     Returns:
         Model; None if the model lacks the base body or a joint of the robot.
     """
-    model = mjcf.model
+    spec, model = mjcf.spec.copy(), mjcf.model
+    if not _contains_robot(model, robot):
+        name_elements(spec, set())
+        model = compile_spec(spec, mjcf.path)
+        if not _contains_robot(model, robot):
+            return None
     has_ground = (
         not robot.floating
         or _find_plane_height(model) is not None
         or len(_list_ground_geoms(model)) > 0
     )
-    free = (
-        None
-        if robot.floating or not _contains_robot(model, robot)
-        else _find_free_joint(model, robot.mj_base)
-    )
-    if has_ground and free is None and _contains_robot(model, robot):
-        return mjcf.model
-    spec = mjcf.spec.copy()
+    free = None if robot.floating else _find_free_joint(model, robot.mj_base)
+    if has_ground and free is None:
+        return model
     name_elements(spec, set())
     if not has_ground:
         SpecTree(spec).add_floor()
     if free is not None:
         _hold_base(spec, robot.mj_base, model, free)
-    model = compile_spec(spec, mjcf.path)
-    return model if _contains_robot(model, robot) else None
+    return compile_spec(spec, mjcf.path)
 
 
 def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:

@@ -100,3 +100,22 @@ def test_robot_that_is_not_drawn_has_no_visuals_and_equal_remarks(tmp_path: Path
     for field in ("body_mass", "body_inertia", "actuator_gainprm", "key_qpos"):
         expected = getattr(drawn.mj_model, field)
         np.testing.assert_array_equal(getattr(undrawn.mj_model, field), expected)
+
+
+def test_fixed_base_of_a_file_with_an_unnamed_joint_is_fixed_in_the_published_model(
+    tmp_path: Path,
+) -> None:
+    """The model keeps the two hinges, and loses the free joint."""
+    shape = '<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.2" mass="0.3"/>'
+    file = tmp_path / "leg.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="base" pos="0 0 1"><freejoint/>'
+        '<geom type="box" size="0.1 0.1 0.05" mass="2"/>'
+        f'<body name="thigh"><joint axis="0 1 0" range="-90 90"/>{shape}'
+        f'<body name="calf" pos="0 0 -0.2"><joint name="knee" axis="0 1 0" range="-90 90"/>{shape}'
+        "</body></body></body></worldbody></mujoco>"
+    )
+    robot = pa.load_robot(file, fixed_base=True)
+    model = compile_published_model(read_mjcf(file), robot)
+    assert model is not None
+    assert (model.nq, model.njnt) == (2, 2)
