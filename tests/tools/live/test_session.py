@@ -148,7 +148,7 @@ def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -
 def test_unreachable_stance_is_reported_before_its_explanation(page: Open) -> None:
     page.ask(State(roll=35.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
-    wait_for(lambda: "as asked: roll 23.8 deg" in page.numbers, "it is not explained")
+    wait_for(lambda: "unchanged: roll 23.8 deg" in page.numbers, "it is not explained")
     panels = page.session._panels
     wait_for(lambda: panels._nearest.visible, "there is no way to the nearest")
     page.session.go_to_nearest()
