@@ -190,10 +190,6 @@ _PUSH_FRACTION = 0.1
 a push the constraint forces are in equilibrium, and an inaccurate solver is not detected. Chosen,
 not tuned."""
 
-_NUM_SOLVES = 20
-"""Number of repeated solves in the test of the solver's accuracy. Each solve is warm-started by the
-previous one, as in consecutive simulation steps. Chosen, not tuned."""
-
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     """Compute the error of MuJoCo's constraint solver for a robot whose free base is pushed.
@@ -215,8 +211,7 @@ def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: in
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])
     data.xfrc_applied[base, :3] = _PUSH_FRACTION * weight
-    for _ in range(_NUM_SOLVES):
-        mujoco.mj_forward(model, data)
+    mujoco.mj_forward(model, data)
     data.xfrc_applied[base] = 0.0
     inertial_force = np.zeros(model.nv)
     mujoco.mj_mulM(model, data, inertial_force, data.qacc)
