@@ -314,7 +314,8 @@ def joint_armature(model: mujoco.MjModel) -> Array:
 def joint_damping(model: mujoco.MjModel) -> Array:
     """Return the linear damping of each degree of freedom, shape (nv,) [N m s/rad, N s/m].
 
-    The value is the joint damping, plus gear^2 times the damping of each actuator at this joint.
+    The value is the joint damping. For a hinge or slide, gear^2 times the damping of each actuator
+    at this joint is added.
     Zero if a flag disables damping.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:

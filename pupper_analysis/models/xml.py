@@ -152,10 +152,10 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 
 
 def blank_faulty_declaration(data: bytes) -> bytes:
-    """Overwrite a faulty XML declaration, which parsers reject, with blanks.
+    """Overwrite an XML declaration behind white space or without version 1.N with blanks.
 
-    All other bytes keep their positions and lines. The encoding in the declaration is lost: the
-    caller passes UTF-8.
+    Parsers reject such a declaration. All other bytes keep their positions and lines. The encoding
+    in the declaration is lost: the caller passes UTF-8.
     """
     return _FAULTY_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
 

@@ -328,8 +328,8 @@ class _ServoTrials:
         """Choose the candidate for a robot that comes to rest only with feed-forward torques.
 
         Only candidates with which the robot comes to rest with feed-forward are considered. The
-        first of these with which the motion after nudges decays is returned, else the first of all.
-        None if there are no such candidates.
+        first tested candidate with which the motion after nudges decays is returned, else the first
+        of all. None if there are no such candidates.
         """
         first = None
         for candidate in self.find_resting_candidates(True):

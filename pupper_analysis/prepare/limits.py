@@ -95,7 +95,8 @@ def list_overloaded_joints(
 
     - Only tendons drive the joint, and an actuator at one of them exceeds a force limit.
     - Only tendons drive the joint, and they cannot exert its torque.
-    - The joint has a motor, and the remaining torque tau - M F exceeds the motor's limit.
+    - The joint has another actuator or none, and the remaining torque tau - M F exceeds the torque
+      limit of the joint (0 for a passive joint).
 
     Tendons are not evaluated if the robot has no published MJCF, or has closed loops or couplings,
     which transfer torques between joints.

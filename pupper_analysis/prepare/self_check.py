@@ -128,10 +128,9 @@ which the published file agrees with the predicted equilibrium. Chosen as for a 
 deviations that count as equal."""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Upper bound of the height error of the CoM [m] in a simulation with elements switched off, which
-searches the cause of a deviation. If the torques agree with the predicted torques, a height error
-up to
-this bound is accepted: the switched-off elements are the cause. Chosen, not tuned."""
+"""Height error of the CoM [m] up to which switched-off elements count as the cause of a deviation,
+if switching them off repairs the torques and the joint positions agree. Otherwise `HEIGHT_RTOL`
+applies. Chosen, not tuned."""
 
 HEIGHT_RTOL = 1e-3
 """Upper bound of the height error of the CoM, divided by the CoM height [1], with which the

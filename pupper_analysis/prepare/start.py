@@ -79,7 +79,8 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
         etc.
 
     Raises:
-        ModelError: If MuJoCo refuses the spec.
+        ModelError: If there are keyframes, and MuJoCo refuses the spec, or the model contains an
+            invalid number.
     """
     if not len(spec.keys):
         return {}

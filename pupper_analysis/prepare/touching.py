@@ -183,7 +183,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
     Returns:
         Robot, and a list with a note about the pairs. The list is empty, and the robot unchanged,
-        if no bodies overlap or if the start pose cannot be solved.
+        if no bodies overlap, or if the start pose cannot be solved or is not in static equilibrium.
     """
     pose = _find_start_configuration(robot)
     if pose is None:

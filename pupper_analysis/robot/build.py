@@ -650,8 +650,8 @@ def _without_stated_efforts(
 def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report the effort limits of the files that appear to be placeholders, in one diagnostic.
 
-    A placeholder is a number that nobody determined, such as 100 N m at every joint. Limits that
-    the caller passed (`with_efforts`) are not examined.
+    A placeholder is a number that nobody determined, such as 100 N m at every joint. Limits of
+    slides, and limits that the caller passed (`with_efforts`), are not examined.
     """
     efforts = {
         limit.joint: max(-limit.lower, limit.upper)

@@ -42,12 +42,12 @@ Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
 """Singular value of the constraint Jacobian, relative to the largest singular value, above which an
-equation counts as independent. The redundant equation of a planar loop has a ratio of up to 1e-9 in
-files with rounded numbers. The value is also used as an absolute bound, below which entries of a
-constraint Jacobian and determinants (`Closure.has_reference_assembly`) count as zero. A
-configuration is singular if an eigenvalue of A^T K A, scaled to a unit diagonal, is below the
-square of this value. K contains the stiffnesses of the constraints, and A the columns of the
-dependent joints."""
+equation, or the column of a joint, counts as independent. The redundant equation of a planar loop
+has a ratio of up to 1e-9 in files with rounded numbers. The value is also used as an absolute
+bound, below which entries of a constraint Jacobian and determinants
+(`Closure.has_reference_assembly`) count as zero. A configuration is singular if an eigenvalue of
+A^T K A, scaled to a unit diagonal, is below the square of this value. K contains the stiffnesses of
+the constraints, and A the columns of the dependent joints."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""

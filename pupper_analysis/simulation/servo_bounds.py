@@ -163,7 +163,7 @@ def bound_servo_gains(
 
     - Minimum stiffness, without feed-forward: if the robot stands, an estimate
       (`estimate_minimum_stiffness`). Otherwise the result of `minimum_stiffness`; simulations then
-      find a larger stiffness with which the robot stands.
+      search for a larger stiffness with which the robot stands. None for a fixed base, for example.
     - Maximum damping: stability limit of an explicit PD controller with a command per time step. If
       the present stiffness is below 1.1 times the minimum (`_STABLE_RATIO`), the limit is computed
       for this larger stiffness.

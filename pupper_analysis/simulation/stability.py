@@ -61,9 +61,9 @@ def stand_stability(
     - False: equilibrium of the servos (`steady_state`, feet pinned), simulated for
       `CONTACT_SETTLING_TIME`.
 
-    If a mode is predicted to grow within ``HOLD_DURATION``, nudged simulations test this prediction
-    (`confirm_growth`). Each takes up to twice ``growth.LONGEST_TRIAL`` of simulated time. The
-    result does not cover larger pushes.
+    If the state is at rest, and a mode is predicted to grow within ``HOLD_DURATION``, nudged
+    simulations test this prediction (`confirm_growth`). Each takes up to twice
+    ``growth.LONGEST_TRIAL`` of simulated time. The result does not cover larger pushes.
 
     Args:
         robot: Robot.

@@ -271,7 +271,8 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
 def differs_from_nominal(robot: Robot, task: StandTask, requirements: Sequence[str]) -> bool:
     """Return True if a requirement of a task differs from its value in the nominal stand.
 
-    The nominal stand is that of the default `StandTask`.
+    The nominal stand is that of the default `StandTask`; its CoM is above the centre of the stance
+    feet of ``task``. Values None and texts are not compared.
 
     Args:
         robot: Robot.

@@ -54,8 +54,9 @@ which the fixed-point iteration fails. Example: a sole that is loaded at its edg
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Upper bound of the ratio of two successive changes of the feet's penetration depths up to which
-the fixed-point iteration takes full steps. From a larger ratio on, steps are scaled by a relaxation
+"""Upper bound of the ratio of two successive changes up to which the fixed-point iteration takes
+full steps. A change is the change of the feet's penetration depths or, if larger, of loop openings.
+From a larger ratio on, steps are scaled by a relaxation
 factor, until this factor is 1 again. Chosen, not tuned: with this ratio, the iteration without
 relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
 

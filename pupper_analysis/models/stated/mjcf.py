@@ -336,7 +336,7 @@ attribute of the group that is set. The empty name represents the geom itself.""
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the geoms that may collide: with a contact bit, or in a contact pair.
 
-    All other geoms are only visual. The result is empty if the MJCF disables contacts.
+    The result is empty if the MJCF disables contacts.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         return set()

@@ -119,7 +119,8 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """List the parts (subtrees) of a file that could be removed: the other file lacks their joints.
 
     The root of a part is the link that a missing joint moves, or a link above this link on a fixed
-    joint. Each choice of roots is an alternative, of which `remove_parts` selects one.
+    joint. Each alternative removes all parts at a parent joint, each at one of its possible roots;
+    `remove_parts` selects an alternative.
 
     Args:
         tree: Tree of the file with the parts.
@@ -189,7 +190,7 @@ def remove_parts(
 
     For each body that carries such parts, the alternatives (which parts to remove, or none) are
     compared by mass. The alternative is applied with which the mass of the body, including its
-    remaining parts, differs least between the files.
+    remaining parts, differs least from the mass in the other file before any removal.
 
     Args:
         trees: Trees of URDF and MJCF; modified.

@@ -239,7 +239,7 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Find the largest grid value of kp with which the robot does not stand; return its index.
+    """Find the largest grid value of kp without an equilibrium before creep; return its index.
 
     The search is a bisection with `_StiffnessSearch.stands_at_first`; the index is 0 if the robot
     stands with each tested value.

@@ -659,7 +659,8 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the CoM is probably in mm (`_read_com_in_metres`), it is converted to m instead. If all other
+    If the finding is a CoM outside the shapes, and the CoM is probably in mm
+    (`_read_com_in_metres`), it is converted to m instead. If all other
     limbs state one and the same origin (`_find_common_attributes`), its xyz is copied. If the
     finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
     repaired, by a comparison with the other limbs: the link that deviates from them; both links if

@@ -1105,8 +1105,8 @@ class Evaluator:
         """Return the result of ``not``, or a number with sign.
 
         Raises:
-            NotConstantError: If the operand is unknown, the operator is ``~``, or a sign precedes
-                anything but a number.
+            NotConstantError: For example, if the operand is unknown, the operator is ``~``, or a
+                sign precedes anything but a number.
         """
         if isinstance(expression.op, ast.Not):
             return not self._is_true(self.evaluate(expression.operand, scope))

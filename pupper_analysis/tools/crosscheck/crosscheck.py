@@ -764,8 +764,9 @@ def cross_check(
 ) -> CrossCheck:
     """Compare the dynamics of a robot's URDF and MJCF, each evaluated in Pinocchio and in MuJoCo.
 
-    States are random: `random_states` defines the ranges of the configuration, the velocities and
-    the torques.
+    Large robots (`is_large`) are evaluated in MuJoCo only. A URDF that MuJoCo refuses is evaluated
+    without MuJoCo, with a note. States are random: `random_states` defines the ranges of the
+    configuration, the velocities and the torques.
 
     If the robot was loaded from an MJCF alone, terms of the MJCF that a URDF cannot express are not
     compared, for example springs: there is no second file.

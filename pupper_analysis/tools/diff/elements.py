@@ -279,8 +279,8 @@ of the simulations. Chosen, not tuned.
 """
 
 NUMBER_RTOL = 1e-9
-"""Relative difference up to which two numbers of elements count as equal: rounding by programs that
-rewrite files. Chosen, not tuned."""
+"""Relative difference, in addition to an absolute difference of 1e-12, up to which two numbers of
+elements count as equal: rounding by programs that rewrite files. Chosen, not tuned."""
 
 SURFACE_ATOL = 1e-6
 """Largest distance between the surfaces of two shapes [m] with which the shapes count as equal.

@@ -81,9 +81,9 @@ GAIN_MARGIN = 2.0
 recommended damping and the upper bound: the usual gain margin of 6 dB (Åström and Murray 2008)."""
 
 MIN_DAMPING_RATIO = 0.5
-"""Required damping ratio [1] of each oscillation with the recommended damping. If no damping within
-the stability margins reaches this ratio, the damping with the largest ratio is recommended. A ratio
-of 0.5 causes an overshoot of 16 %. Chosen, not tuned.
+"""Required damping ratio [1] of lasting oscillations with the recommended damping. If no tried
+damping within the stability margins reaches this ratio, the tried damping with the largest ratio is
+recommended. A ratio of 0.5 causes an overshoot of 16 %. Chosen, not tuned.
 """
 
 MAX_NOISE_RATIO = 0.1

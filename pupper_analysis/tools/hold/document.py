@@ -48,7 +48,7 @@ of the 600 random postures. Chosen, not tuned.
 
 MIN_FURTHER_SHARE = 0.1
 """Further payload, divided by the present payload [1], above which a further payload is proposed. A
-smaller further payload is only the amount that the last proposal lost by rounding. Chosen, not
+smaller further payload may be the amount that the last proposal lost by rounding. Chosen, not
 tuned."""
 
 

@@ -203,7 +203,7 @@ def tool_payload(
 
     Raises:
         ConfigurationError: If kp is invalid, or a closed loop is singular in a posture.
-        ModelError: If a joint has no motor, or the model has no position servos and no kp is given.
+        ModelError: If a joint has no motor; or, without ``kp``, no position servo.
     """
     mass, joint = posture_payload(robot, posture.qpos, tool)
     servos, servo = servo_payload(robot, posture, tool, kp)
@@ -322,7 +322,7 @@ def servo_payload(
 
     Raises:
         ConfigurationError: If kp is invalid, or a closed loop is singular in the posture.
-        ModelError: If a joint has no motor, or the model has no position servos and no kp is given.
+        ModelError: If a joint has no motor; or, without ``kp``, no position servo.
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)

@@ -47,7 +47,7 @@ UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
 colours between two entries are interpolated linearly."""
 
 OVERLOAD_COLOUR: Colour = (138, 0, 110)
-"""Colour of a utilisation above 1."""
+"""Colour of a finite utilisation above 1."""
 
 NO_LIMIT_COLOUR: Colour = (150, 150, 150)
 """Colour of a motor without torque limit, or with a limit of 0."""

@@ -511,10 +511,13 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
 
 
 def check_variable_name(name: str, source: RobotSource) -> None:
-    """Check that a study can vary a variable of this name.
+    """Check the form of the name of a study variable.
+
+    The pattern of ``KIND:PATTERN`` is not compared with the robot.
 
     Raises:
-        ConfigurationError: If no such variable exists; the message lists the valid names.
+        ConfigurationError: If no variable has this name or kind; the message contains similar or
+            valid names.
     """
     known_names = (*source.scales, *FIELD_OF_VARIABLE, MOTOR_KIND)
     if VariablePattern.parse(name) is None and name not in known_names:

@@ -201,7 +201,8 @@ def normal(mean: float, deviation: float) -> Variable:
         deviation: Standard deviation, in the unit of the variable.
 
     Raises:
-        ConfigurationError: If the standard deviation is not positive, or a number is not finite.
+        ConfigurationError: If the standard deviation is not positive, or an argument is not a
+            finite number.
     """
     spread = check_finite("normal", deviation)
     if spread <= 0:

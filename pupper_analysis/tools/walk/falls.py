@@ -33,7 +33,7 @@ def find_fall_tests(
         robot: Robot of the walk.
         policy: Policy of the walk.
         walk: Result of `simulate_walk`.
-        seconds: Duration of each run [s].
+        seconds: Duration of each run without a fall [s].
 
     Returns:
         A test per change, of the first run that falls. Empty if no run of the walk falls. Changes

@@ -376,7 +376,8 @@ def _make_interval(
         Args:
             side: Side of the interval.
             criterion: Criterion that ends the interval, a key of `_CRITERIA`.
-            end: 0 for the values that satisfy the criterion, 1 for the values that violate it.
+            end: 0 for the values that satisfy the criterion, 1 for the values that violate it (NaN
+                if there is none).
         """
         return np.array([brackets[name, side, seed, criterion][end] for seed in seeds])
 

@@ -792,9 +792,9 @@ _MIN_DECREASE_RATIO = 0.1
 unknowns of a stand is accepted. Chosen, not tuned."""
 
 _COST_RTOL = 1e-6
-"""Increase of the cost, relative to the cost, up to which a step of the base pose and contact
-forces of a stand is accepted. At a cost of 1e6, rounding exceeds predicted decreases of 0.01.
-Chosen, not tuned."""
+"""Tolerance of the required decrease of the cost by a step of the base pose and contact forces of a
+stand, relative to the cost. At a cost of 1e6, rounding exceeds predicted decreases of 0.01. Chosen,
+not tuned."""
 
 
 class StandEquations:
