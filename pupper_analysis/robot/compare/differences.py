@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -356,12 +357,27 @@ class RelativeError:
         Args:
             name: Name of the quantity, for example ``mass matrix``.
         """
-        lower_bound = 1e-300
-        if name in ("gravity", "bias forces"):
-            lower_bound = 1e-3 * EARTH_GRAVITY * self.scale("mass matrix")
-        # With a negative mass, MuJoCo returns NaN for the first model.
-        values = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
-        return max(float(np.abs(values).max()), lower_bound)
+        if name not in self._scales:
+            lower_bound = 1e-300
+            if name in ("gravity", "bias forces"):
+                lower_bound = 1e-3 * EARTH_GRAVITY * self.scale("mass matrix")
+            # With a negative mass, MuJoCo returns NaN for the first model.
+            values = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
+            self._scales[name] = max(float(np.abs(values).max()), lower_bound)
+        return self._scales[name]
+
+    @cached_property
+    def _scales(self) -> dict[str, float]:
+        """Scales computed so far, by `scale`: matrices of large robots have 1e7 entries."""
+        return {}
+
+    @cached_property
+    def _total_deviations(self) -> dict[str, float]:
+        """Relative deviation between both models, for each quantity."""
+        return {
+            name: self.relative_deviation(name, values, self.two[name])
+            for name, values in self.one.items()
+        }
 
     def relative_deviation(self, name: str, first: Array, second: Array) -> float:
         """Return the largest deviation between two arrays of a quantity, divided by its ``scale``.
@@ -394,7 +410,7 @@ class RelativeError:
         for name, values in after.items():
             relative = self.relative_deviation(name, values, before[name])
             if relative > 1e-12:  # rounding
-                total = self.relative_deviation(name, self.one[name], self.two[name])
+                total = self._total_deviations[name]
                 # The fraction is undefined if the total is a rounding error.
                 fraction = relative / total if 1e-9 < total < math.inf else math.inf
                 effects[name] = Effect(relative * self.scale(name), relative, fraction)
