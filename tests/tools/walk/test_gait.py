@@ -11,6 +11,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
@@ -22,6 +23,7 @@ from pupper_analysis.tools.walk.contract import ObservationTerm
 from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.falls import find_fall_tests
 from pupper_analysis.tools.walk.gait import (
+    _compute_base_deviations,
     describe_run_failure,
     measure_gait,
     sample_ground_support,
@@ -315,3 +317,19 @@ def test_motors_of_a_walk_are_compared_with_torques_at_their_speeds(still: Polic
     unknown = simulate_walk(robot, still, (0, 0, 0), **arguments)
     assert np.isnan(unknown.gaits[0].region_peak).all()
     assert unknown.passed
+
+
+def test_deviations_of_the_base_are_those_of_its_roll_pitch_and_height(still: Policy) -> None:
+    """Reference: the standard deviation of a sine is its amplitude / sqrt(2). SciPy makes the
+    quaternions from the angles.
+    """
+    stage = prepare_stage(load("v3"), still)
+    columns = 1 + stage.robot.mj_convention.qpos_index
+    phase = 2 * np.pi * np.arange(100) / 100
+    roll, pitch, height = 0.2 * np.sin(phase), 0.05 * np.sin(2 * phase), 0.01 * np.sin(3 * phase)
+    angles = np.stack([np.full(100, 0.4), pitch, roll], axis=1)
+    states = np.zeros((100, 1 + stage.model.nq + stage.model.nv + stage.model.na))
+    states[:, columns[3:7]] = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    states[:, columns[2]] = 0.13 + height
+    found = _compute_base_deviations(stage, states)
+    assert found == pytest.approx(np.array([0.2, 0.05, 0.01]) / math.sqrt(2), rel=1e-9)
