@@ -351,6 +351,8 @@ def make_payload_result(*unknown: str) -> Any:
         get_torque_unit=lambda _: "N m",
         continuous=(),
         weak_motors=(),
+        mass_by_commands_alone=math.nan,
+        depends_on_feedforward=False,
         carried=0.0,
         trial=trial,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.CARRIES),

@@ -63,7 +63,7 @@ def command(
     robot = with_efforts(robot, limit_by_peak(robot, continuous_efforts))
     kp, kd = request.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
-        result = payload_limit(robot, task, request.place, kp=kp, kd=kd)
+        result = payload_limit(robot, task, request.place, kp=kp, kd=kd, commands_alone=True)
         weak = describe_weak_motors(motors, result.torque_by_joint)
         result = replace(
             result,

@@ -31,7 +31,6 @@ from pupper_analysis.present.verdict import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
-from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.tools.payload.limit import VERIFIED_FRACTION, Bound, PayloadLimit, PayloadTrial
 
 
@@ -128,7 +127,7 @@ def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
     """
     count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
     return {
-        "compensated": limit.verdict.commands_alone not in (None, Ending.HOLDS),
+        "compensated": limit.depends_on_feedforward,
         "continuous": bool(limit.continuous) and not count,
         "peak": not limit.continuous,
         "part": bool(count),
@@ -152,9 +151,18 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         ground=ground_word(limit.stand.depths.values()),
         beside=bool(np.any(limit.point)),
         none=limit.upper_bound == 0,
-        conditions=text("payload-conditions", **_describe_torque_limits(limit))
-        if limit.passed
-        else "",
+        conditions=_describe_conditions(limit) if limit.passed else "",
+    )
+
+
+def _describe_conditions(limit: PayloadLimit) -> doc.Text:
+    """Return the conditions of a payload: gravity compensation, mass without it, torque limits."""
+    mass = limit.mass_by_commands_alone
+    return text(
+        "payload-conditions",
+        alone="" if math.isnan(mass) else mass_text(mass),
+        only=limit.depends_on_feedforward and math.isnan(mass),
+        **_describe_torque_limits(limit),
     )
 
 

@@ -42,9 +42,11 @@ from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_sta
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
 from pupper_analysis.simulation.verdict import (
     UNKNOWN_CODES,
+    Ending,
     Question,
     Verdict,
     VerdictCode,
+    classify_ending,
     find_overloaded_motors,
 )
 from pupper_analysis.simulation.verify import verify_stand
@@ -243,6 +245,8 @@ class PayloadLimit(Result):
         weak_motors: Named motors that cannot exert the torques of ``stand`` even for moments.
         carried: Mass of the payload of the command line [kg] (``--payload``), to which all results
             are additional.
+        mass_by_commands_alone: Largest simulated payload with which the stance holds with position
+            commands alone, without feed-forward torques [kg]; not a number if not computed.
     """
 
     _warnings: ClassVar[tuple[str, ...]] = ("unknown_reasons",)
@@ -270,6 +274,7 @@ class PayloadLimit(Result):
     continuous: tuple[str, ...] = ()
     weak_motors: tuple[Diagnostic, ...] = ()
     carried: float = field(default=0.0, metadata={"unit": "kg"})
+    mass_by_commands_alone: float = field(default=math.nan, metadata={"unit": "kg"})
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
@@ -313,6 +318,14 @@ class PayloadLimit(Result):
         return self.bounds[self.binding].failing_parts
 
     @property
+    def depends_on_feedforward(self) -> bool:
+        """Whether the stance with the payload fails in simulation with position commands alone.
+
+        False if that stance was not simulated, for example because the stance fails anyway.
+        """
+        return self.verdict.commands_alone not in (None, Ending.HOLDS)
+
+    @property
     def passed(self) -> bool:
         """Whether the largest payload is known and positive, and the stance holds in simulation."""
         return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.survived)
@@ -326,6 +339,7 @@ def payload_limit(
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
+    commands_alone: bool = False,
 ) -> PayloadLimit:
     """Find the largest point mass that a robot can carry in a stance.
 
@@ -343,6 +357,8 @@ def payload_limit(
             body or geom, as in ``with_payload``.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
+        commands_alone: Whether to compute also ``mass_by_commands_alone``, the payload without
+            feed-forward torques, if this is smaller. Requires about seven more simulations.
 
     Returns:
         The limit with bounds and assumptions.
@@ -373,7 +389,11 @@ def payload_limit(
     search = _PayloadSearch(robot, task, place, kp, kd)
     simulations = _PayloadSimulations(robot, task, place, kp, kd)
     bounds = _add_simulated_bounds(search.find_bounds(), simulations)
-    return _make_payload_limit(robot, place, bounds, search, simulations)
+    limit = _make_payload_limit(robot, place, bounds, search, simulations)
+    if commands_alone and limit.passed and limit.depends_on_feedforward:
+        mass = _bisect_commands_alone(limit.upper_bound, simulations)
+        limit = replace(limit, mass_by_commands_alone=mass)
+    return limit
 
 
 def _find_binding(bounds: Mapping[str, Bound]) -> str:
@@ -508,6 +528,15 @@ class _PayloadSimulations:
             kd=self._kd,
         )
 
+    def holds_by_commands_alone(self, mass: float) -> bool:
+        """Return True if a simulation with position commands alone holds a payload [kg]."""
+        try:
+            loaded, stand = solve_loaded_stand(self._robot, self._task, mass, self._place)
+        except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
+            return False
+        alone = verify_stand(loaded, stand, feedforward=False, kp=self._kp, kd=self._kd)
+        return classify_ending(alone) is Ending.HOLDS
+
     def holds(self, mass: float) -> bool:
         """Return True if a stand with a payload [kg] exists, and holds in simulation."""
         try:
@@ -610,6 +639,25 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
     return _bisect_mass(
         find_cause, max(low, 0.0), high, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
     )
+
+
+def _bisect_commands_alone(mass_limit: float, simulations: _PayloadSimulations) -> float:
+    """Find the largest simulated payload [kg] that holds with position commands alone; else 0.
+
+    The search assumes that the stance fails with `VERIFIED_FRACTION` of ``mass_limit`` [kg], the
+    largest payload with feed-forward torques.
+    """
+    if not simulations.holds_by_commands_alone(0.0):
+        return 0.0
+
+    def find_cause(mass: float) -> FailureCause:
+        """Return a failure if a payload [kg] does not hold; else None."""
+        return None if simulations.holds_by_commands_alone(mass) else (Failure.SIMULATED, ())
+
+    high = VERIFIED_FRACTION * mass_limit
+    tolerance = SIMULATION_RTOL**2 * mass_limit
+    cause = Failure.SIMULATED, ()
+    return _bisect_mass(find_cause, 0.0, high, cause, tolerance, SIMULATION_RTOL).mass
 
 
 def _holds_in_simulation(verdict: Verdict) -> bool:

@@ -23,7 +23,7 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         assert status == 0, err
         answer = out.partition("\n")[0]
         assert answer.startswith("CARRIES v3: max ")
-        found[option] = answer.split(", ")[1], json.loads(path.read_text())["mass"]
+        found[option] = answer.split(", ")[-1], json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "permanently (continuous torque)"
     assert found["--effort"][0] == "short-term (peak torque)"
@@ -41,7 +41,9 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     content = json.loads(path.read_text())
     assert content["point"] == [0.01, 0.0, 0.08]
     robot = load("original")
-    limit = pa.payload_limit(robot, pa.StandTask(yaw=0.1), (0.01, 0.0, 0.08), kp=30.0, kd=1.0)
+    limit = pa.payload_limit(
+        robot, pa.StandTask(yaw=0.1), (0.01, 0.0, 0.08), kp=30.0, kd=1.0, commands_alone=True
+    )
     marks = {name: content[name] for name in ("generator", "provenance")}
     assert {**json.loads(limit.to_json()), **marks} == content
     assert content["trial"]["survived"]

@@ -565,3 +565,28 @@ def test_payload_of_an_arm_on_a_weld_is_that_of_the_arm_with_a_fixed_base(tmp_pa
 def test_payload_of_a_fixed_base_is_refused_with_the_command_that_computes_it() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand"):
         pa.payload_limit(pa.load_robot("v3", fixed_base=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["v3", "original"])
+def test_payload_by_commands_alone_is_the_largest_that_stand_holds_without_feedforward(
+    variant: str,
+) -> None:
+    """Reference: `judge_stand` of the loaded stand, below and above the reported mass."""
+    robot = load(variant)
+    limit = payload_limit(robot, None, ON_TOP, commands_alone=True)
+    assert 0 < limit.mass_by_commands_alone < limit.mass
+    endings = {}
+    for ratio in (1.0, 1.03):
+        loaded = with_payload(robot, ratio * limit.mass_by_commands_alone, ON_TOP)
+        endings[ratio] = pa.judge_stand(loaded, pa.solve_stand(loaded)).commands_alone
+    assert endings[1.0] == "holds"
+    assert endings[1.03] != "holds"
+
+
+@pytest.mark.parametrize("largest", [-1.0, 0.0, 0.4, 5.0])
+def test_payload_by_commands_alone_is_bisected_to_two_percent(largest: float) -> None:
+    """Reference: simulations that hold each payload up to ``largest`` [kg]."""
+    simulations: Any = SimpleNamespace(holds_by_commands_alone=lambda mass: mass <= largest)
+    found = payload._bisect_commands_alone(10.0, simulations)
+    assert max(largest, 0.0) - max(SIMULATION_RTOL * largest, 0.004) <= found <= max(largest, 0.0)
