@@ -32,6 +32,10 @@ _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
 ``--payload-at`` without ``--payload``."""
 
 
+_COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
+"""Commands that refuse a stance with a weld or a grip (`--contact NAME=weld`)."""
+
+
 def complete_command(step: NextStep | None) -> str:
     """Create the command line of a suggested next step, for the robot of the running command.
 
@@ -56,10 +60,11 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     root, typed = context.find_root(), context.meta.get(TYPED_WORDS, ())
     group = root.command
+    values, _, order = context.command.make_parser(context).parse_args(list(typed))
+    step = _replace_step_of_weld(step, values, str(context.command.name))
     target = group.get_command(root, step.command) if isinstance(group, click.Group) else None
     if target is None:
         return ""
-    values, _, order = context.command.make_parser(context).parse_args(list(typed))
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
     robot = _fit_robot_arguments(typed_robot, arguments, target, required=step.robot_typed)
@@ -72,6 +77,32 @@ def complete_command(step: NextStep | None) -> str:
     first, last = step.words[:split], step.words[split:]
     words = [step.command, *first, *robot, *options, *last]
     return "" if "-" in words else f"{GENERATOR_NAME} {shlex.join(words)}"
+
+
+def _replace_step_of_weld(
+    step: NextStep, values: Mapping[str, Any], running_command: str
+) -> NextStep:
+    """Replace a next step that would refuse the welds or grips of the typed stance.
+
+    Args:
+        step: Next step.
+        values: {name of a parameter: typed value}.
+        running_command: Name of the running command.
+
+    Returns:
+        `hold` if the base is welded; otherwise `payload`, or `gains` after `payload`. The given
+        step if the next command accepts the typed stance.
+    """
+    contacts = [word.partition("=")[::2] for word in _split_parameter(values.get("contacts"))]
+    fixed_parts = [
+        part for part, surface in contacts if surface.startswith("weld") or "grip=" in surface
+    ]
+    payload_on_base = step.command == "payload" and not values.get("payload_at")
+    if "base" in fixed_parts and (step.command in _COMMANDS_WITHOUT_WELDS or payload_on_base):
+        return NextStep("hold")
+    if fixed_parts and step.command in _COMMANDS_WITHOUT_WELDS:
+        return NextStep("gains" if running_command == "payload" else "payload")
+    return step
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
@@ -152,6 +183,20 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
     if not (searches or values.get("payload") or "--payload" in step.words):
         excluded.append("--payload-at")
     return excluded
+
+
+def complete_fixed_base_command(running_command: str) -> str:
+    """Create the command line that replaces a command about stands, if the base is fixed.
+
+    Args:
+        running_command: Name of the refused command.
+
+    Returns:
+        `gains` with the base welded to the world, if `gains` was refused; otherwise `hold`.
+    """
+    if running_command == "gains":
+        return complete_command(NextStep("gains", ("--contact", "base=weld")))
+    return complete_command(NextStep("hold"))
 
 
 def complete_relaxed_command(error: StanceUnreachableError) -> str:

@@ -165,8 +165,8 @@ A short report with a single document prints this number below the results."""
 
 _FIXED_BASE_CODE = "base-is-fixed"
 """Code of the error that a command about stands raises for a robot with a fixed base.
-`Command.invoke` adds the command line of `hold` for this robot to the error, or that of `audit` if
-MuJoCo refuses a free base (`_AUDITED_CODES`)."""
+`Command.invoke` adds a command line that accepts the robot (`complete_fixed_base_command`), or that
+of `audit` if MuJoCo refuses a free base (`_AUDITED_CODES`)."""
 
 
 _AUDITED_CODES = (
@@ -374,12 +374,19 @@ class Command(click.Command):
         except ConfigurationError as error:
             problem = error.problem
             if isinstance(problem, Diagnostic) and problem.code == _FIXED_BASE_CODE:
-                from pupper_analysis.cli.next_step import complete_command
+                from pupper_analysis.cli.next_step import (
+                    complete_command,
+                    complete_fixed_base_command,
+                )
                 from pupper_analysis.present.document import NextStep
 
                 why = problem.values.get("why")
                 refused = isinstance(why, Diagnostic) and why.code in _AUDITED_CODES
-                error.add_note(complete_command(NextStep("audit" if refused else "hold")))
+                error.add_note(
+                    complete_command(NextStep("audit"))
+                    if refused
+                    else complete_fixed_base_command(str(self.name))
+                )
             if option := self._find_typed_option(context, error.field):
                 named = ConfigurationError(option, error.problem)
                 for note in getattr(error, "__notes__", ()):

@@ -83,6 +83,16 @@ def complete(typed: str, step: NextStep | None) -> str:
         ("stand v3 --json -", NextStep("payload"), "payload v3"),
         ("stand v3 --height 12cm --csv - --report -", NextStep("payload"),
          "payload v3 --height 12cm"),
+        ("stand arm.urdf --contact base=weld", NextStep("payload"), "hold arm.urdf"),
+        ("heat arm.urdf --contact base=weld", NextStep("best", ("utilisation",)), "hold arm.urdf"),
+        ("heat v3 --contact FR=weld,place=0/0/0", NextStep("best", ("utilisation",)),
+         "payload v3 --contact FR=weld,place=0/0/0"),
+        ("payload v3 --contact FR=weld", NextStep("push"), "gains v3 --contact FR=weld"),
+        ("stand v3 --contact FR=bar:0,0,1,grip=60N", NextStep("workspace"),
+         "payload v3 --contact FR=bar:0,0,1,grip=60N"),
+        ("stand v3 --contact FR=weld", NextStep("payload"), "payload v3 --contact FR=weld"),
+        ("stand v3 --contact FR=wall:1m", NextStep("best", ("margin",)),
+         "best margin v3 --contact FR=wall:1m"),
         ("stand v3", NextStep("no-such-command"), ""),
         ("contract a.xml policy.json", NextStep("audit"), ""),
         ("stand v3", None, ""),
@@ -144,19 +154,28 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
     assert step == NextStep("audit", ("--fix",))
 
 
-def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("stand --payload 1kg --height 1m", "hold {path} --payload 1kg"),
+        ("gains --payload 1kg --delay 1ms",
+         "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
+    ],
+)  # fmt: skip
+def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(
+    typed: str, expected: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Reference: the options that `stand` and `hold` have in common."""
+    """Reference: the options that both commands have; `gains` accepts a welded base."""
     limb = _LIMB.format(name="limb", x=0)
     path = tmp_path / "arm.xml"
     path.write_text(
         '<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="2" '
         f'diaginertia="0.01 0.01 0.01"/>{limb}</body></worldbody></mujoco>'
     )
-    status, _, err = run_command(capfd, "stand", str(path), "--payload", "1kg", "--height", "1m")
+    name, *options = typed.split()
+    status, _, err = run_command(capfd, name, str(path), *options)
     assert status == 2
-    assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path} --payload 1kg"
+    assert err.splitlines()[-1] == f"  next: pupper-analysis {expected.format(path=path)}"
 
 
 def test_refusal_of_a_base_without_mass_prints_audit(
