@@ -70,6 +70,7 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
     """Return the command to suggest next; the first case that applies is used.
 
     - URDF and MJCF of the robot disagree: `crosscheck` of both.
+    - The sources disagree about a robot with a free base, and one is a policy: `walk` with it.
     - Otherwise: `stand` of the model, or `hold` for a fixed base.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
@@ -80,6 +81,10 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
         return doc.NextStep("crosscheck", (contract.model,), robot_typed=False)
     if differ and urdfs and contract.model not in urdfs:
         return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
+    policies = [source.path for source in contract.sources if source.role == Role.POLICY]
+    if contract.findings and contract.floating and len(policies) == 1:
+        words = (contract.model, "--policy", policies[0])
+        return doc.NextStep("walk", words, robot_typed=False)
     command = "stand" if contract.floating else "hold"
     return doc.NextStep(command, (contract.model,), robot_typed=False)
 

@@ -486,6 +486,7 @@ def _group_by_values(
             more=len(members) - 1 or None,
             one=Quantity(first_fact.number, kind.unit),
             two=Quantity(second_fact.number, kind.unit),
+            angle="rad" in kind.unit.split() or None,
             first=first_fact.source,
             second=second_fact.source,
             sign=mistake == "sign" or None,

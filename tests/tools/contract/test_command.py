@@ -89,14 +89,16 @@ def test_agreement_states_the_comparison_and_the_next_command(tmp_path: Path) ->
     assert lines[2].startswith("  next: pupper-analysis stand ")
 
 
-def test_next_command_is_crosscheck_only_if_urdf_and_mjcf_differ(tmp_path: Path) -> None:
+def test_next_command_is_crosscheck_if_urdf_and_mjcf_differ_else_walk(tmp_path: Path) -> None:
     """After a difference between policy and model, crosscheck of v3 has nothing to report."""
     sources = write_all(tmp_path)
     lines = run(tmp_path, URDF, MJCF, sources["policy.json"]).stdout.splitlines()
     assert lines[1] == (
-        "  most severe: kd of joint leg_front_r_1 and 11 more: 0.25 N m s/rad and 0.1 N m s/rad"
+        "  kd of joint leg_front_r_1 and 11 more: "
+        "0.25 in policy.json, 0.1 N m s/rad in pupper_v3.xml"
     )
-    assert lines[2].startswith("  next: pupper-analysis stand ")
+    assert lines[2].startswith("  next: pupper-analysis walk ")
+    assert lines[2].endswith(f" --policy {sources['policy.json']}")
     other = tmp_path / "robot.urdf"
     other.write_text(URDF.read_text().replace('effort="3"', 'effort="4"', 1))
     lines = run(tmp_path, other, MJCF).stdout.splitlines()
