@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
@@ -12,9 +13,11 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, InputError
+from pupper_analysis.base.inputs import describe_missing_file
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
+from pupper_analysis.cli.next_step import complete_command
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
     VARIANT_OPTIONS,
@@ -224,6 +227,8 @@ def command(
         refuse_alone(("--added",), "added_at")
     selection = which.select_robot(words) or "v3"
     robot = load_selected_robot(selection)
+    if (planned := record or stands) is not None:
+        _check_planned_file(planned, robot, plan=record or Path("plan.csv"))
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording | TraceRecording
     if record is not None:
@@ -270,6 +275,29 @@ def command(
         shared.confirm_written(output)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
+
+
+def _check_planned_file(path: Path, robot: Robot, plan: Path) -> None:
+    """Raise an error if a file of stands is missing, for a free base with the command to plan it.
+
+    Args:
+        path: Plan, or file of recorded stands.
+        robot: Robot that shall stand.
+        plan: Output of the command that the error prints.
+    """
+    # Path.exists raises an error for a name that is too long.
+    if not os.path.exists(path):  # noqa: PTH110
+        error = InputError(path, describe_missing_file(path))
+        if robot.floating:
+            words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
+            step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
+            error.add_note(complete_command(step))
+        raise error
+
+
+_PROPOSED_STANDS = 6
+"""Number of stands in the proposed command that plans stands. Chosen, not tuned: with fewer stands
+most parameters keep their prior standard deviation."""
 
 
 def _read_measurements(

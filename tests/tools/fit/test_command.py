@@ -227,6 +227,7 @@ def test_each_option_of_a_mode_reaches_a_function_or_is_refused(
 ) -> None:
     """The arguments of the called functions differ from those without the option."""
     monkeypatch.chdir(tmp_path)
+    Path("stands.csv").touch()
     used: set[str] = set()
     refused: dict[str, tuple[str, str, str]] = {}
     without_effect = []
@@ -277,3 +278,21 @@ def test_recording_after_a_plan_omits_the_options_that_it_refuses() -> None:
     for option in fit_command.params:
         if option.name in refused:
             assert {*option.opts} & {*step.omitted}, option.opts
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("--record my.csv --bridge typed -o s.csv", "--plan 6 -o {folder}/my.csv"),
+        ("--stands my.csv --kp 6 --weight 3kg", "--kp 6 --plan 6 -o plan.csv"),
+    ],
+)
+def test_missing_plan_or_stands_print_the_command_that_plans_stands(
+    typed: str, expected: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = [str(tmp_path / word) if word == "my.csv" else word for word in typed.split()]
+    status, _, err = run_command(capfd, "fit", "v3", *words)
+    assert status == 2
+    assert "my.csv: there is no such file" in err
+    line = f"  next: pupper-analysis fit v3 {expected.format(folder=tmp_path)}"
+    assert err.splitlines()[-1] == line
