@@ -71,6 +71,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         findings=(
             *(_list_causes_of_fall(walk) if fallen else ()),
             speed,
+            *_describe_missing_steps(walk),
             *(() if fallen else _report_zero_torque_limits(walk)),
             torque,
             *(_describe_region(walk) if walk.within_region else ()),
@@ -101,6 +102,13 @@ def _select_next_step(walk: Walk) -> doc.NextStep:
     if prevented & {"kp", "kd"}:
         return doc.NextStep("gains")
     return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))
+
+
+def _describe_missing_steps(walk: Walk) -> Iterable[doc.Words]:
+    """Yield a text if no run tracks the command and no foot leaves the ground in any run."""
+    gaits = walk.gaits
+    if not any(gait.tracks or min(gait.duty.values(), default=0.0) < 1 for gait in gaits):
+        yield text("walk-without-steps")
 
 
 def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:

@@ -48,6 +48,24 @@ def test_walk_that_does_not_follow_its_command_gives_exit_status_1(
     assert len(out.splitlines()[1]) <= 100
     assert "…" not in out.splitlines()[1]  # the cause was cut
     assert out.startswith("DOES NOT TRACK v3 by still.json")
+    assert out.splitlines()[1].startswith("  no foot leaves the ground: ")
+
+
+def test_policy_on_a_fixed_base_is_refused_before_its_observations(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The observations of v3 do not fit to this arm either."""
+    policy = made.write_standing_policy(tmp_path / "still.json")
+    arm = tmp_path / "arm.xml"
+    arm.write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 1 0"/>'
+        '<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
+        '<actuator><position joint="turn" kp="5"/></actuator></mujoco>'
+    )
+    status, _, err = run_command(capfd, "walk", str(arm), "--policy", str(policy))
+    assert status == 2
+    assert "has a fixed base" in err
+    assert err.splitlines()[-1] == f"  next: pupper-analysis hold {arm}"
 
 
 @pytest.mark.slow

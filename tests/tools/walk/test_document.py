@@ -97,3 +97,20 @@ def test_verdict_of_orders_depends_on_the_tracked_commands(
 def test_range_of_values_with_equal_digits_is_a_single_number() -> None:
     assert _format_range(np.array([5.0, 5.0 + 1e-9])) == "5"
     assert _format_range(np.array([2.0, 5.0, 3.0])) == "2-5"
+
+
+@pytest.mark.parametrize(
+    ("tracks", "duty", "count"),
+    [
+        (False, ({"FL": 1.0, "FR": 1.0}, {"FL": 1.0, "FR": 1.0}), 1),
+        (False, ({"FL": 1.0, "FR": 1.0}, {"FL": 1.0, "FR": 0.99}), 0),
+        (True, ({"FL": 1.0, "FR": 1.0}, {"FL": 1.0, "FR": 1.0}), 0),
+        (False, ({}, {}), 0),
+    ],
+)
+def test_missing_steps_are_reported_if_no_foot_leaves_the_ground_in_any_run(
+    tracks: bool, duty: tuple[dict[str, float], ...], count: int
+) -> None:
+    runs = [SimpleNamespace(tracks=tracks, duty=share) for share in duty]
+    walk: Any = SimpleNamespace(gaits=runs)
+    assert len(list(document._describe_missing_steps(walk))) == count
