@@ -121,6 +121,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
         return text(
             "gains-range" if largest is not None else "gains-range-open",
+            added=bool(study.servos.made),
             kp=f"{kp:.3g} {study.units.stiffness}",
             kd=f"{kd:.3g} {study.units.damping}",
             least=f"{least:.3g}",
