@@ -71,10 +71,12 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
 
 
 def _get_verdict_key(conversion: Conversion) -> str:
-    """Return the key of the verdict in the catalogue of texts: "agree", "disagree" or "FAILED"."""
+    """Return the key of the verdict in the catalogue of texts, for example "agree" or "FAILED"."""
     if not conversion.agree:
         return "disagree"
-    return "agree" if conversion.passed else "FAILED"
+    if not conversion.passed:
+        return "FAILED"
+    return "agree-except-servos" if any(map(_is_servo_note, conversion.notes)) else "agree"
 
 
 def _format_file_name(path: str) -> doc.Name:

@@ -19,6 +19,7 @@ import trimesh
 
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import MIN_EFFORT
+from pupper_analysis.tools.convert.document import conversion_document
 from tests.support import features
 from tests.support.commands import answer
 from tests.support.conversions import (
@@ -640,6 +641,7 @@ def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path)
     """References: kp and kd of MuJoCo's compiled models; the note is about variants only."""
     done = pa.convert_model("v3", tmp_path / "new.xml")
     (note,) = [note for note in done.notes if note.code == "servos-of-variant-not-used"]
+    assert conversion_document(done).verdict.en == "AGREE except servos"
     new, own = (compile_file(path) for path in (tmp_path / "new.xml", ROOT / "mjcf/pupper_v3.xml"))
     gains = [-model.actuator_biasprm[0, 1:3] for model in (new, own)]
     assert gains[0] != pytest.approx(gains[1])
