@@ -79,14 +79,8 @@ def build_robot(
             of ``Robot.home``.
 
     Raises:
-        ModelError: In these cases:
-
-            - MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not valid.
-            - The MJCF has a flexible body, a ball joint or no joint.
-            - A joint of the URDF has no axis, is planar, or is floating within the tree.
-            - The joints of both files differ.
-            - ``description.foot_geoms`` has no entry for a contact point, and the contact point is
-              not the centre of a collision sphere.
+        ModelError: If MuJoCo or Pinocchio rejects a file, or the joints of both files differ, for
+            example.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
         KeyError: If ``description.foot_geoms`` names a geom that the MJCF lacks.
@@ -172,13 +166,7 @@ def _group_contact_points(description: Description) -> dict[str, tuple[str, ...]
 
 
 def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
-    """Raise an error if a model contains flexible bodies, because statics does not support them.
-
-    A vertex of a flexible body can have joints. It would count as a limb without motors.
-
-    Raises:
-        ModelError: If the model contains a flexible body (``flex``).
-    """
+    """Raise a ModelError if a model has flexible bodies: statics does not support them."""
     if model.nflex:
         kind = mujoco.mjtObj.mjOBJ_FLEX
         names = [mujoco.mj_id2name(model, kind, flex) or f"#{flex}" for flex in range(model.nflex)]
@@ -195,9 +183,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
         changes: New values of fields of ``Description``, for example ``mjcf=spec``.
 
     Raises:
-        ModelError: If the robot cannot be built from the changed description, for example because
-            MuJoCo rejects the MJCF, or the joints of both files differ. For all cases see
-            `build_robot`.
+        ModelError: If MuJoCo rejects the MJCF, or the joints of both files differ, for example.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
         KeyError: If ``foot_geoms`` of the description names a geom that the MJCF lacks.
@@ -209,9 +195,8 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to the MJCF, and keep the metadata of the original.
 
-    `copy_metadata` lists the kept data. Additions do not change the URDF: the result has a copy of
-    the Pinocchio model of ``robot``, including changes of this model in memory, such as other
-    limits.
+    Additions do not change the URDF: the result has a copy of the Pinocchio model of ``robot``,
+    including changes of this model in memory.
 
     Args:
         robot: The original robot.
@@ -230,8 +215,7 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy notes, stand height and published file from the original to a rebuilt robot.
 
-    A description does not contain these data. If the original has contacts of a task
-    (``touching``), the contacts, the home position and the fingerprint are copied as well.
+    Contacts of a task (``touching``) are copied as well.
 
     Args:
         built: Rebuilt robot; not changed.
@@ -280,10 +264,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     """Report MJCF settings with effect at rest; turn gravity compensation into a passive force.
 
-    The model is changed in place. Reported settings are MuJoCo's sleep, passive forces at rest
-    (such as springs), and gravity compensation that MuJoCo would add to the motor torques.
-    ``actuatorgravcomp`` is cleared: gravity compensation then is a passive force, which reduces the
-    motor torques.
+    The model is changed in place: gravity compensation by actuators would be part of motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -307,12 +288,10 @@ def _copy_armature(
     joint_names: Sequence[str],
     null: Mapping[str, EffortStatement],
 ) -> list[Diagnostic]:
-    """Copy the armature of MuJoCo's model to Pinocchio's, in place.
+    """Copy MuJoCo's armature of joints and actuators to Pinocchio's model, in place.
 
-    The armature of a joint includes the armature of actuators at this joint (`joint_armature`).
-    Returns notes about armature, and about effort limits (`report_efforts`). ``null`` is {joint:
-    force range in the MJCF that permits no force}, for example ``forcerange="0 0"``. MuJoCo ignores
-    such a range.
+    Returns notes about armature and effort limits. ``null`` is {joint: force range in the MJCF that
+    permits no force}, for example ``forcerange="0 0"``; MuJoCo ignores such a range.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)
@@ -335,11 +314,7 @@ def _hash_properties(
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Return a hash (16 hex digits) of the kinematic and inertial properties of a robot.
-
-    The properties are the frames of joints and foot links (rounded to 1 nm), inertias and position
-    limits of the URDF, names of joints, contact points and their links, and contact radii.
-    """
+    """Return a hash (16 hex digits) of the kinematic and inertial properties of a robot."""
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
     ]
@@ -364,8 +339,7 @@ def _compile_mujoco_model(
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
     """Compile the MJCF; return model, qpos of the start pose, and notes on changes.
 
-    The start pose is the keyframe ``home``, otherwise the first keyframe. It is qpos0 if the MJCF
-    states no keyframe, or this keyframe no qpos.
+    qpos may contain a free base that the model has fixed.
     """
     spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
@@ -375,11 +349,9 @@ def _compile_mujoco_model(
 def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
     """Return the MuJoCo model of a robot with the visual geoms of its files.
 
-    The model of a robot that is not drawn lacks visual geoms (``load_robot``, option ``visuals``).
-    Sizes of bodies and names of geoms must not depend on this option. Bodies, joints and their
-    addresses are the same in both models. The result is the robot's own model if this model
-    contains the visual geoms, if the user's MJCF has ``discardvisual="true"``, or if no separate
-    published file is stored (`PublishedFile.is_unchanged`).
+    Sizes of bodies and names of geoms must not depend on the option ``visuals`` of ``load_robot``.
+    Bodies, joints and their addresses are the same as in the robot's own model. If the user's MJCF
+    discards visual geoms, for example, the result lacks them as well.
 
     Raises:
         ModelError: If MuJoCo rejects the MJCF.
@@ -399,8 +371,7 @@ def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
 def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
     """List the joints of a MuJoCo model in actuator order; joints without actuators come last.
 
-    Raises:
-        ModelError: If the model has a ball joint, or no joint except free joints.
+    A model with a ball joint, or without joints, raises a ModelError.
     """
     all_joints: list[str] = []
     for joint in range(model.njnt):
@@ -421,11 +392,7 @@ def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 
 
 def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Find the base body of the robot in a MuJoCo model, and return its name.
-
-    A free base is the body of the free joint. A fixed base is the nearest ancestor of the first
-    joint's body that is fixed to the world.
-    """
+    """Return the name of the base body: the free body, or the first joint's fixed ancestor."""
     if floating:
         return str(model.body(int(model.jnt_bodyid[list_free_joints(model)[0]])).name)
     base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
@@ -435,13 +402,9 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Find the MJCF body that corresponds to the URDF's root link, and return its name.
+    """Return ``base``, or its ancestor whose name contains the name of the URDF's root link.
 
-    Candidates are the body ``base`` and its ancestors. The first of these that exists is returned:
-
-    - the candidate with the name of the link
-    - the first candidate whose name is this name with a prefix or suffix (``right_``, ``robot/``)
-    - ``base``
+    The name of the ancestor may have a prefix or suffix (``right_``, ``robot/``).
     """
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
@@ -456,10 +419,7 @@ def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
 
 
 def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
-    """Find the site of the IMU in an MJCF, and return its name; None if there is none.
-
-    The IMU is a site with a gyro and an accelerometer. A link of the URDF must have the same name.
-    """
+    """Return the name of a site with gyro and accelerometer that is also a URDF link, or None."""
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [
         {
@@ -481,13 +441,11 @@ def _build_pinocchio_model(
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Build Pinocchio's model of the URDF, with the gravity that the MJCF states.
-
-    A fixed base has the pose that the MJCF states.
+    """Build Pinocchio's model of the URDF, with gravity and fixed base pose of the MJCF.
 
     Raises:
-        ModelError: If Pinocchio cannot read the URDF, if the joints differ from the joints of the
-            MJCF, if a joint is planar or floating, or if its axis has no direction.
+        ModelError: If Pinocchio cannot read the URDF, or its joints differ from the joints of the
+            MJCF, for example.
     """
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)
@@ -549,8 +507,7 @@ reported if it is set (`report_options`)."""
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth.
 
-    The options are gravity, flags that disable contacts, constraints or actuation, and disabled
-    actuator groups.
+    Examples are gravity, disabled contacts, and disabled actuator groups.
     """
     gravity = acting_gravity(model)
     if float(np.linalg.norm(gravity - DOWNWARD_GRAVITY)) > _GRAVITY_ATOL:
@@ -572,9 +529,8 @@ def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
 def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     """Return a copy of the robot with other effort limits of joints, and a note about this change.
 
-    Use this function if the files contain placeholder limits. The new limits apply to computations
-    and simulations of the robot. Simulations of the published file use the limits of the file.
-    Other changes of the robot's Pinocchio model in memory are kept.
+    Use this function if the files contain placeholder limits. Simulations of the published file
+    still use the limits of the file.
 
     Args:
         robot: The robot.

@@ -279,18 +279,12 @@ class Configuration(Pictured):
         return index
 
     def _jacobian(self, frame: int) -> Array:
-        """Return the Jacobian (6, nv) of the origin of a frame, as a new array, in world axes.
-
-        Rows: linear velocity of the origin [m/s], then angular velocity [rad/s].
-        """
+        """Return the Jacobian (6, nv) of a frame's origin in world axes; linear rows come first."""
         jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
         return self._structure.sort_columns(jacobian)
 
     def _foot_frames(self, feet: Iterable[str]) -> list[int]:
-        """Return the Pinocchio frames of contact points; UnknownNameError for an unknown point.
-
-        ConfigurationError if ``feet`` is a text, bytes or no iterable.
-        """
+        """Return the Pinocchio frame index of each contact point; UnknownNameError if unknown."""
         frames, names = self._structure.feet, check_names("feet", feet)
         try:
             return [frames[name] for name in names]
@@ -300,10 +294,7 @@ class Configuration(Pictured):
             raise
 
     def _jacobians(self, feet: Iterable[str]) -> Array:
-        """Return the Jacobians (n, 6, nv) of the sphere centres of n contact points, in world axes.
-
-        Rows of each Jacobian: linear velocity of the centre [m/s], then angular velocity [rad/s].
-        """
+        """Return the Jacobians (n, 6, nv) of n contact points in world axes; linear rows first."""
         jacobians = np.array([self._jacobian(frame) for frame in self._foot_frames(feet)])
         return jacobians.reshape(-1, 6, self._structure.nv)
 
@@ -462,14 +453,12 @@ class Configuration(Pictured):
     def centroidal_map_time_variation(self) -> Array:
         """Return the time derivative dA/dt, shape (6, nv), of ``centroidal_map`` at ``qvel``.
 
-        The rate of the centroidal momentum is A qacc + dA/dt qvel. It equals the sum of the
-        external forces and the sum of their moments about the CoM.
+        The rate of the centroidal momentum is A qacc + dA/dt qvel.
 
         The angular rows differ from ``pin.computeCentroidalMapTimeVariation`` (Pinocchio's issue
-        2093). Pinocchio differentiates about a fixed point at the present CoM. This method
-        subtracts the missing term: the cross product of the CoM velocity and the linear rows of
-        ``centroidal_map``. Multiplied by qvel, both matrices give the same vector, unless a fixed
-        base has mass.
+        2093), which differentiates about a fixed point at the present CoM. This method subtracts
+        the missing term: the cross product of the CoM velocity and the linear rows of
+        ``centroidal_map``.
         """
         if self._structure.fixed == 1:
             return self._massless_centroidal_map_variation()
@@ -484,10 +473,7 @@ class Configuration(Pictured):
         return variation
 
     def _massless_centroidal_map(self) -> Array:
-        """Compute ``centroidal_map`` if the moving links have no mass, where Pinocchio returns NaN.
-
-        Each link then contributes its rotational inertia times its angular velocity.
-        """
+        """Compute ``centroidal_map`` if the moving links have no mass: Pinocchio returns NaN."""
         momentum = np.zeros((6, self._structure.nv))
         for joint in range(1, self._model.njoints):
             turning = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL_WORLD_ALIGNED)
@@ -498,8 +484,8 @@ class Configuration(Pictured):
     def _massless_centroidal_map_variation(self) -> Array:
         """Compute ``centroidal_map_time_variation`` if the moving links have no mass.
 
-        With inertia I and angular Jacobian J of a link, and S the cross-product matrix of its
-        angular velocity: d(I J)/dt = (S I - I S) J + I dJ/dt.
+        Per link: d(I J)/dt = (S I - I S) J + I dJ/dt, with the inertia I, the angular Jacobian J,
+        and the cross-product matrix S of the angular velocity.
         """
         workspace = self._structure.acquire_workspace()
         data, frame = workspace.data, pin.LOCAL_WORLD_ALIGNED
@@ -516,19 +502,13 @@ class Configuration(Pictured):
         return variation
 
     def _world_inertia(self, joint: int) -> Array:
-        """Return the rotational inertia (3, 3) [kg m^2] of a joint's link about its CoM.
-
-        The result is expressed in world axes. ``joint`` is the index in Pinocchio's model.
-        """
+        """Return the inertia (3, 3) [kg m^2] of a joint's body about its CoM, in world axes."""
         rotation = self._data.oMi[joint].rotation
         inertia: Array = rotation @ self._model.inertias[joint].inertia @ rotation.T
         return inertia
 
     def _moving_com_offset(self) -> Array:
-        """Return the vector (3,) [m] from the CoM to the CoM without fixed mass, in world axes.
-
-        Fixed mass is the mass of a fixed base.
-        """
+        """Return the vector (3,) [m] from the CoM to the CoM without a fixed base, in the world."""
         fixed, lever = self._structure.fixed, self._structure.lever
         offset: Array = fixed / (1 - fixed) * (self.center_of_mass() - lever)
         return offset
@@ -567,9 +547,8 @@ class Configuration(Pictured):
     def passive_forces(self) -> Array:
         """Return the passive generalised forces of the MJCF at zero velocity, shape (nv,) [N, N m].
 
-        The forces are MuJoCo's ``qfrc_passive`` at this configuration, for example of springs,
-        gravity compensation, wind and flexible bodies. A URDF does not contain such forces. The
-        result is zero if the MJCF has no source of such forces (`Robot.acts_at_rest`).
+        The forces are MuJoCo's ``qfrc_passive`` at this configuration, for example of springs and
+        gravity compensation. A URDF does not contain such forces.
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -585,11 +564,10 @@ class Configuration(Pictured):
         return self.gravity() - self.passive_forces() if self.robot.acts_at_rest else self.gravity()
 
     def transfer_to_motors(self, forces: Array) -> Array:
-        """Transfer loads of joints without motor to the motors, through closed loops and couplings.
+        """Transfer loads of dependent joints to the motors of loops and couplings.
 
-        A dependent joint has no motor. Constraint forces transfer its load to the motors of other
-        joints (`Closure.load_transfer`). The rows of dependent joints become zero. The first nv -
-        nu rows (the base) are unchanged. Without loops and couplings, the result equals ``forces``.
+        The rows of dependent joints become zero (`Closure.load_transfer`). The first nv - nu rows
+        (the base) are unchanged.
 
         Args:
             forces: Generalised forces that motors and constraints must exert together, shape (nv,)
@@ -743,10 +721,7 @@ class Configuration(Pictured):
         return np.array(parameters, dtype=float).reshape(-1)
 
     def _bodies(self) -> IntArray:
-        """Return Pinocchio's joint index of each moving body, in public order, shape (n,).
-
-        Order: free base (if any), then the bodies of the joints in actuator order.
-        """
+        """Return Pinocchio's joint indices of the moving bodies, shape (n,), in public order."""
         base = [2] if self._structure.floating else []  # translation 1, then rotation 2
         return np.array([*base, *self._structure.joints.values()], dtype=np.int64)
 
@@ -850,10 +825,7 @@ def _check_reference(reference: Reference) -> tuple[str, pin.ReferenceFrame]:
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of the central differences of passive forces [rad, m]. Most passive forces are smooth:
-springs are linear or polynomial, and gravity compensation varies with sines of the angles.
-Exception: the spring force of a tendon has a kink at both ends of the dead band of its rest length.
-Chosen, not tuned."""
+"""Step of the central differences of passive forces [rad, m]. Chosen, not tuned."""
 
 
 class AtRest:

@@ -52,8 +52,8 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
-"""Default of the argument ``null`` of `efforts_of`: no force range of the MJCF is empty (permits no
-force)."""
+"""Default of the argument ``null`` of `efforts_of`: no joint has a force range that permits no
+force."""
 
 
 def efforts_of(
@@ -64,19 +64,15 @@ def efforts_of(
     original_limits: Mapping[str, EffortLimit],
     null: Mapping[str, EffortStatement] = _NO_STATEMENTS,
 ) -> tuple[EffortLimit, ...]:
-    """Return the effort limit of each joint, resolved from the URDF and the MJCF.
-
-    In each direction, the tightest bound that is stated for the joint counts
-    (`resolve_effort_limit`).
+    """Return the effort limit of each joint: the tightest bound of URDF and MJCF in each direction.
 
     Args:
         mj_model: MuJoCo's model of the MJCF.
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints, in the order of ``convention`` and of the result.
-        original_limits: {joint: limit that the user requested, or limit of a motor that a servo
-            replaced}. If the models state the same bounds, up to rounding, the result contains this
-            limit, because it names its source exactly.
+        original_limits: {joint: limit from another source, for example requested by the user}. Used
+            instead of an equal limit of the models, because it names its source.
         null: {joint: force range of the MJCF that permits no force}, such as "0 0". MuJoCo ignores
             such a range.
     """
@@ -97,13 +93,10 @@ def efforts_of(
 
 
 def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
-    """Return diagnostics of questionable effort limits of joints.
+    """Return diagnostics of effort limits that are missing or inconsistent.
 
-    At most one diagnostic is returned for each of these findings, with all joints concerned:
-
-    - the URDF states no limit,
-    - the limits of two files differ,
-    - the limits of the two directions differ.
+    Missing limits are not stated by the URDF. Inconsistent limits differ between two files, or
+    between the two directions of a joint.
     """
     unstated = [
         limit.joint
@@ -138,10 +131,7 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 
 def describe_unstated_efforts(joints: Sequence[str]) -> Diagnostic:
-    """Create the message that no file states the torque limit of these joints.
-
-    The message states how to set a limit, in Python and on the command line.
-    """
+    """Create the message that no file states the torque limit of these joints."""
     return diagnose("torque-limits-unstated", joints=joints, count=len(joints))
 
 
@@ -155,9 +145,8 @@ _T = TypeVar("_T")
 
 
 _LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
-"""Limits of Pinocchio's model that may be infinite. Pinocchio's serialisation writes infinite
-values, but cannot read them. If a limit is not finite, the pickled robot contains these fields
-separately."""
+"""Limits of Pinocchio's model that may be infinite. A pickled robot contains infinite limits
+separately, because Pinocchio's serialisation cannot read infinite values."""
 
 _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
@@ -195,13 +184,10 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the published file for a modified copy of a robot, with the original robot stored.
-
-        The result stores the robot before its first modification as ``loaded``. If ``loaded`` is
-        already set, this object is returned unchanged.
+        """Return the published file for a modified copy of a robot.
 
         Args:
-            robot: Robot before the modification.
+            robot: Robot before the modification; becomes ``loaded``, if no earlier robot is stored.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 
@@ -239,9 +225,6 @@ def with_task_friction(
 ) -> Mapping[str, ContactParameters]:
     """Return contact parameters with the sliding friction that a task specifies for feet and hands.
 
-    The task specifies the friction of the separate ground planes that these feet and hands touch. A
-    contact with ``condim`` 1 stays frictionless.
-
     Args:
         contacts: {contact point: parameters of its contact with the ground}. Not changed.
         feet: {foot or hand: its contact points}.
@@ -249,8 +232,7 @@ def with_task_friction(
             settings, the friction of the ground remains.
 
     Returns:
-        {contact point: parameters}; ``contacts`` itself if it is empty, or the task specifies no
-        friction.
+        {contact point: parameters}.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -266,12 +248,12 @@ def _make_none() -> None:
 
 
 _DEFERRED_STAGES = "_deferred_stages"
-"""Name of the instance attribute that contains a function for the postponed preparation steps:
-servo tuning, rest pose and visual meshes (`defer_stages`)."""
+"""Name of the instance attribute for the function that runs the postponed preparation steps
+(`defer_stages`)."""
 
 _BEFORE_SERVOS = "_before_servos"
-"""Name of the instance attribute for `Robot.before_servos`. Until the first use of this property,
-the attribute contains a function that returns the robot in its start pose."""
+"""Name of the instance attribute for `Robot.before_servos`: the robot, or a function that returns
+it."""
 
 _stages_lock = Lock()
 """Lock for the replacement of the fields that the postponed preparation steps compute."""
@@ -366,15 +348,13 @@ class Robot(EngineModels):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def complete_stages(self) -> None:
-        """Run the preparation steps that are postponed to the first use of their results.
+        """Run the postponed preparation steps of the robot (`defer_stages`).
 
-        The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. If the steps
-        have been run, the method has no effect. If several threads need the steps at the same time,
-        each thread runs the steps, and the first result is used. (Waiting for another thread could
-        block both.)
+        If several threads call this method at the same time, each runs the steps, and the first
+        result is used. (Waiting for another thread could block both.)
 
         Raises:
-            ModelError: If MuJoCo rejects the robot with the additions of these steps.
+            ModelError: If MuJoCo rejects the robot with the additions of these steps, for example.
         """
         complete = vars(self).get(_DEFERRED_STAGES)
         if complete is None:
@@ -390,11 +370,9 @@ class Robot(EngineModels):
     def before_servos(self) -> Robot:
         """Robot for kinematics and statics, without the postponed servo tuning and visual meshes.
 
-        Use it to avoid the time of these steps: servos change neither configurations nor torques at
-        rest. The result has the start pose, the collision shapes, the contacts and the effort
-        limits of this robot. Its MuJoCo model lacks the postponed servos and visual meshes. The
-        result is this robot itself if nothing is postponed, or if `defer_stages` was called without
-        ``pose``.
+        Servos change neither configurations nor torques at rest. The result has the start pose,
+        collision shapes, contacts and effort limits of this robot. It is this robot itself if
+        nothing is postponed.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):
@@ -412,7 +390,6 @@ class Robot(EngineModels):
     def passive_joints(self) -> tuple[str, ...]:
         """Names of the passive joints, which no motor drives (`Description.passive_joints`).
 
-        The effort limit of such a joint is zero, and the MJCF has actuators at other joints only.
         Dependent joints of loops and couplings are not included.
         """
         return self.before_servos.description.passive_joints
@@ -511,10 +488,7 @@ class Robot(EngineModels):
 
     @cached_property
     def has_floor(self) -> bool:
-        """Whether the MJCF has a ground plane whose contact bits are not all zero.
-
-        The MJCF of an arm may have no ground plane.
-        """
+        """Whether the MJCF has a ground plane whose contact bits are not all zero."""
         model = self.before_servos.mj_model
         floor = ground_geom(model)
         if floor is None:
@@ -579,37 +553,24 @@ class Robot(EngineModels):
 
     @property
     def usual_weight(self) -> float:
-        """Weight [N] that scales relative errors: on Earth if gravity is zero.
-
-        Otherwise the weight in the gravity of the MJCF.
-        """
+        """Weight [N] that scales relative errors: on Earth if the gravity of the MJCF is zero."""
         return self.weight or self.total_mass * EARTH_GRAVITY
 
     @cached_property
     def structure(self) -> Structure:
-        """Pinocchio model with the velocity axes of qvel, and indices of joints, links and feet.
-
-        Computed once. All `Configuration` objects of the robot share this object.
-        """
+        """Pinocchio model with the velocity axes of qvel, and indices of joints, links and feet."""
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
     @cached_property
     def acts_at_rest(self) -> bool:
-        """Whether the MJCF may exert passive forces at rest, such as spring forces.
-
-        See the function `acts_at_rest` for the possible sources.
-        """
+        """Whether the MJCF may exert passive forces at rest, such as spring forces."""
         return acts_at_rest(self.before_servos.mj_model)
 
     @cached_property
     def closure(self) -> Closure | None:
         """Closed loops and joint couplings of the robot, from the equality constraints of the MJCF.
 
-        None in three cases (`find_closure`):
-
-        - no active equality constrains the robot's joints,
-        - the MJCF disables constraints or equalities,
-        - an equality couples a free base to the world.
+        None without active constraints, for example (`find_closure`).
         """
         robot = self.before_servos
         return find_closure(robot.mj_model, robot.mj_convention, self.joint_names)
@@ -638,11 +599,9 @@ class Robot(EngineModels):
     def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:
         """Return ``make(robot, *given)``, cached for the lifetime of the robot.
 
-        The result must not reference the robot, because a reference cycle would delay the release
-        of memory.
-
         Args:
-            make: Function of the robot and of the arguments ``given``.
+            make: Function of the robot and of the arguments ``given``. Its result must not
+                reference the robot: a reference cycle would delay the release of memory.
             given: Further arguments of ``make``; hashable. With ``make``, they are the key of the
                 cache.
         """
@@ -656,9 +615,8 @@ class Robot(EngineModels):
     def lower_limits(self) -> Array:
         """Lower joint limits (nu,) [rad, m] of ``pin_model``; -inf without a limit.
 
-        These are limits of the URDF. If the base is free, the preparation narrows them to the range
-        of the joint in the MJCF, and adds limits to continuous joints of robots with closed loops
-        or couplings.
+        These are limits of the URDF. The preparation may narrow them to the range of the joint in
+        the MJCF, or add limits to continuous joints.
         """
         return self._select_positions(self.pin_model.lowerPositionLimit, -np.inf)
 
@@ -700,9 +658,7 @@ class Robot(EngineModels):
     def effort_ranges(self) -> Array:
         """Minimum and maximum effort of each joint, shape (nu, 2) [N m, N].
 
-        Columns: the larger of the minima, and the smaller of the maxima, that URDF and MJCF state.
-        A limit requested by `with_efforts` replaces those of the files. A bound is infinite if no
-        limit is stated or requested. See `efforts` for the source of each limit.
+        Infinite without a limit. See `efforts` for the source of each limit.
         """
         ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
         ranges.flags.writeable = False
@@ -712,8 +668,8 @@ class Robot(EngineModels):
     def effort_limits(self) -> Array:
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). Values below
-        1e-6 (``MIN_EFFORT``) are set to 0, for example if both bounds have the same sign.
+        The value is min(-lower, upper) of the joint's effort range (`effort_ranges`); values below
+        1e-6 (``MIN_EFFORT``) are set to 0.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -730,13 +686,9 @@ class Robot(EngineModels):
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Select the joints' position limits (nu,) from a vector in the order of Pinocchio's q.
+        """Select the joints' position limits (nu,) [rad, m] from a vector like Pinocchio's q.
 
-        Absolute values from 1e9 up (``UNSTATED``) count as unlimited and become infinite.
-
-        Args:
-            values: Limits, shape (pin_model.nq,) [rad, m].
-            unbounded: Value for continuous joints, for which Pinocchio's model has no limit.
+        ``unbounded`` is the value for continuous joints, for which Pinocchio's model has no limit.
         """
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
@@ -746,8 +698,7 @@ class Robot(EngineModels):
         """Raise an error if a task fixes a part of the robot to the world by a weld or a grip.
 
         Args:
-            what: Name of the requested analysis, for the message. The analysis does not support
-                welds.
+            what: Name of the analysis that does not support welds, for the message.
 
         Raises:
             ConfigurationError: If the robot has welds or grips.
@@ -757,13 +708,10 @@ class Robot(EngineModels):
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Raise an error if loops, couplings, welds or grips constrain the robot.
-
-        Without these constraints, the robot is a free kinematic tree. Closed loops and joint
-        couplings are constraints of the MJCF, welds and grips are constraints of a task.
+        """Raise an error if loops, couplings, welds or grips constrain the robot's kinematic tree.
 
         Args:
-            what: Name of the requested analysis, for the message. The analysis requires a tree.
+            what: Name of the analysis that requires an unconstrained tree, for the message.
 
         Raises:
             ConfigurationError: If the robot has loops, couplings, welds or grips.
@@ -789,11 +737,10 @@ class Robot(EngineModels):
     def check_bodies(self) -> None:
         """Raise an error if a moving body has a negative mass or principal moment of inertia.
 
-        A negative moment within rounding is accepted. A robot that has passed is not checked again.
+        A negative moment within rounding is accepted.
 
         Raises:
-            ModelError: If a mass or moment is negative. The message contains the joint that moves
-                the body, except for a free base.
+            ModelError: If a mass or moment is negative.
         """
         self.compute_once(_check_bodies)
 
@@ -804,8 +751,7 @@ class Robot(EngineModels):
             foot: Name of the contact point.
 
         Raises:
-            UnknownNameError: If there is no such contact point; the message lists the existing
-                points.
+            UnknownNameError: If there is no such contact point.
         """
         if not isinstance(foot, str) or foot not in self.contact_frames:
             raise UnknownNameError(self.name, "foot", foot, self.contact_points)
@@ -815,7 +761,7 @@ class Robot(EngineModels):
         """Return the names of the contact points of a foot or hand.
 
         Raises:
-            UnknownNameError: If there is no such foot; the message lists the feet.
+            UnknownNameError: If there is no such foot.
         """
         if not isinstance(foot, str) or foot not in self.feet:
             raise UnknownNameError(self.name, "foot", foot, tuple(self.feet))
@@ -904,8 +850,7 @@ class Robot(EngineModels):
 
 
 _FIELD_NAMES = frozenset(field.name for field in fields(Robot))
-"""Names of the fields of `Robot`. Fields that are not in `_EARLY_FIELDS` may be computed at first
-use."""
+"""Names of the fields of `Robot`."""
 
 _EARLY_FIELDS = (
     *("name", "pin_model", "floating", "base", "mj_base", "joint_names", "pin_convention"),
@@ -921,11 +866,8 @@ def defer_stages(
 ) -> Robot:
     """Return a robot whose remaining preparation steps run at the first use of their results.
 
-    The steps are servo tuning, rest pose and visual meshes. The result takes the fields that these
-    steps do not change (`_EARLY_FIELDS`) from ``robot``. It takes all other fields from the
-    completed robot: the first access to such a field runs ``complete``. Pickling and copying run
-    ``complete`` as well. ``complete`` runs once, unless several threads need such a field at the
-    same time.
+    The steps are servo tuning, rest pose and visual meshes. The fields `_EARLY_FIELDS` are taken
+    from ``robot``. The first access to another field runs ``complete``.
 
     Args:
         robot: Robot before the remaining steps.
@@ -945,11 +887,7 @@ def defer_stages(
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:
-    """Return True if a MuJoCo model may exert passive forces, such as springs, at zero velocity.
-
-    Possible sources are springs of joints and tendons, gravity compensation, wind in a fluid,
-    flexible bodies, and plugins of bodies.
-    """
+    """Return True if a MuJoCo model may exert passive forces, such as springs, at zero velocity."""
     arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
     return (
         any(getattr(model, name).any() for name in (*arrays, "body_gravcomp"))
@@ -960,16 +898,12 @@ def acts_at_rest(model: mujoco.MjModel) -> bool:
 
 
 _NEGATIVE_MOMENT_RTOL = 1e-6
-"""Largest magnitude of a negative moment of inertia that is attributed to rounding, relative to the
-largest moment of the body [1]. If the magnitude is larger, the body is refused. Chosen, not
-tuned."""
+"""Upper bound of the magnitude of a negative moment of inertia that counts as rounding, relative to
+the largest moment of the body [1] (`_check_bodies`). Chosen, not tuned."""
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Raise a ModelError if a moving body of the URDF has a negative mass or moment of inertia.
-
-    `Robot.check_bodies` does not call this function again for a robot that has passed.
-    """
+    """Raise a ModelError if a body of the URDF has a negative mass or moment of inertia."""
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)
@@ -985,26 +919,23 @@ def _check_bodies(robot: Robot) -> None:
 
 
 _MAX_POOL_SIZE = 8
-"""Maximum number of unused objects (for example MuJoCo data) in the pool of all robots. If the pool
-has more objects, the least recently used object is dropped. Chosen, not tuned."""
+"""Maximum number of unused objects (for example MuJoCo data) in the pool of all robots (`borrow`).
+Chosen, not tuned."""
 
 _pool: list[tuple[Robot, object, Any]] = []
-"""(robot, function that created the object, unused object), for all robots (`borrow`). The pool is
-not an attribute of the robot: an object may reference its robot, and such a reference cycle would
-delay the release of memory."""
+"""(robot, function that created the object, unused object), for all robots (`borrow`). No attribute
+of the robot: a reference cycle would delay the release of memory."""
 
 _pool_lock = Lock()
-"""Lock of `_pool`: only one thread at a time may take objects from the pool or return objects."""
+"""Lock of `_pool`: a single thread at a time may take or return objects."""
 
 
 @contextmanager
 def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     """Context manager: borrow an object of a robot from a pool, for exclusive use. Thread-safe.
 
-    Use it for objects that are expensive to create, such as MuJoCo data. If the pool contains no
-    object for this robot and this function, ``make`` creates the object. At the end of the context,
-    the object returns to the pool. The pool keeps the eight last used objects of all robots
-    (`_MAX_POOL_SIZE`).
+    Use it for objects that are expensive to create, such as MuJoCo data. At the end of the context,
+    the object returns to the pool, which keeps a few recently used objects of all robots.
 
     Args:
         robot: The robot.

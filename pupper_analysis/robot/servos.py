@@ -86,8 +86,7 @@ class Servos:
         """Compute MuJoCo's ctrl that commands joint positions with feed-forward torques.
 
         The command of a joint servo is gear * (position + torque / kp). Further position servos,
-        for example on tendons, are commanded to exert no force (`make_neutral_commands`). All other
-        actuators are commanded 0.
+        for example on tendons, are commanded to exert no force.
 
         Args:
             robot: Robot with n joints (``robot.nu``).
@@ -142,7 +141,8 @@ def integrate_servo_damping(
         torques: Torques with the velocity at the start of each step, shape (n, nu) [N m, N].
         speeds: Speeds of the joints at the start of each step and at the end of the last step,
             shape (n + 1, nu) [rad/s, m/s].
-        ranges: Lower and upper torque of each servo, shape (nu, 2) [N m, N]; infinite without.
+        ranges: Lower and upper torque of each servo, shape (nu, 2) [N m, N]; infinite without a
+            limit.
     """
     integrators = mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if model.opt.integrator not in {integrator.value for integrator in integrators}:
@@ -161,9 +161,8 @@ Chosen, not tuned."""
 def make_position_commands(robot: Robot, positions: Array) -> Array:
     """Compute MuJoCo's ctrl with which the servos of the MJCF hold given joint positions.
 
-    Motors that are no position servos are commanded 0. Further position servos, for example on
-    tendons, are commanded to exert no force. Joints without motor are permitted, unlike in
-    `model_with_servos`.
+    Further position servos, for example on tendons, are commanded to exert no force. Other
+    actuators are commanded 0.
 
     Args:
         robot: Robot.
@@ -186,8 +185,8 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
     """Compute commands at which the position servos without another command exert no force.
 
-    These servos are not in ``known``; for example, they are on tendons or sites. The commands hold
-    at the given configuration, with zero velocity. The ctrl of all other actuators is 0.
+    The commands hold at the given configuration, with zero velocity. The ctrl of all other
+    actuators is 0.
 
     Args:
         model: MuJoCo model.
@@ -281,8 +280,7 @@ def write_position_servos(
     """Convert actuators of a model to position servos without filter, in place.
 
     Gears and ranges are kept. The activation states of removed filters remain in the model
-    (``na``), but are no longer assigned to an actuator. Otherwise the forces would depend on these
-    states instead of the controls.
+    (``na``), but are no longer assigned to an actuator.
 
     Args:
         model: MuJoCo model.
@@ -326,10 +324,7 @@ def _narrow_force_ranges(
 ) -> None:
     """Narrow the force ranges of actuators to the effort limits of their joints, in place.
 
-    Reason: MuJoCo does not bound a servo by the effort of a URDF, or by the former ctrlrange of a
-    motor. The new bounds are the effort limits divided by the gear. A new bound replaces an old
-    bound only if the new bound is narrower. A range is not written if a resulting bound is
-    infinite, or the gear is 0.
+    Reason: MuJoCo does not bound a servo by the effort of a URDF.
 
     Args:
         model: The model that is changed.
@@ -358,8 +353,7 @@ far above the gains of real machines, but small enough that simulations do not o
 
 MIN_STIFFNESS = 1e-9
 """Smallest accepted kp [N m/rad, N/m] of a motor; smaller values are refused. Commands contain the
-quotient torque / kp, which would overflow for much smaller values. The searches for the minimum
-stiffness of a stand also end at this value. Chosen, not tuned."""
+quotient torque / kp, which would overflow for much smaller values. Chosen, not tuned."""
 
 
 def resolve_servo_gains(
@@ -413,11 +407,8 @@ def resolve_servo_gains(
 def command_ranges(robot: Robot) -> Array:
     """Return the range to which MuJoCo clips each servo command, shape (nu, 2) [rad, m].
 
-    The range is the ``ctrlrange`` divided by the gear. The range is infinite if:
-
-    - the actuator has no limited ``ctrlrange``,
-    - the MJCF disables the flag ``clampctrl``,
-    - the joint has no motor, or its motor is no position servo in the MJCF.
+    The range is the ``ctrlrange`` divided by the gear. It is infinite if MuJoCo does not clip the
+    command, or the joint has no position servo in the MJCF.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
@@ -436,8 +427,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     """Return the joints that a position servo of the robot's MuJoCo model drives, with gains.
 
     Returns:
-        {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])}. Joints without position servo are
-        omitted.
+        {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])}.
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
@@ -491,14 +481,8 @@ def _read_actuator_gains(
     """Read the servo gains and gears of actuators, and find the position servos among them.
 
     Returns gain and damping at the joint [N m/rad, N m s/rad; N/m, N s/m], the gear, and a mask of
-    position servos; shape (n,) each.
-
-    An actuator is a position servo if, with a constant ctrl, ctrl / gear is the joint position
-    without force. All conditions:
-
-    - fixed gain and affine bias without constant term,
-    - no dynamics, or a filter; no delay,
-    - a positive gain that equals the stiffness of the bias.
+    position servos; shape (n,) each. The force of a position servo is zero if the joint is at rest
+    at ctrl / gear, for each constant ctrl.
     """
     gear = read_gears(model, actuators)
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -514,11 +498,7 @@ def _read_actuator_gains(
 
 
 def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
-    """Check a requested servo gain, and convert it to one value per joint, shape (size,).
-
-    Raises:
-        ConfigurationError: If the shape differs, or a number is not in [0, ``MAX_GAIN``].
-    """
+    """Convert a requested servo gain to shape (size,); ConfigurationError if it is not valid."""
     given = real_array(name, value)
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()
@@ -534,8 +514,7 @@ def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
 def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
     """Convert the name of an option's value, such as ``elliptic``, to MuJoCo's number.
 
-    Raises:
-        ConfigurationError: If the name is unknown; the message lists the known names.
+    An unknown name raises a ConfigurationError.
     """
     if name not in known:
         problem = diagnose("option-unknown", option=option, name=name, known=tuple(known))

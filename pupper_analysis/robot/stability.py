@@ -41,15 +41,14 @@ that count as the same mode [1]. The modes come from the spectra with the two fi
 steps. Chosen, not tuned."""
 
 _EQUAL_GROWTH_RTOL = 1e-3
-"""Largest relative difference between the growths per time step of two modes, with and without dry
-friction, with which dry friction does not affect the mode [1]. Chosen, not tuned: a joint that dry
-friction holds does not take part in a mode."""
+"""Upper bound of the relative difference between the growths per time step [1] of a mode with and a
+mode without dry friction that count as the same mode. Chosen, not tuned: a joint that dry friction
+holds does not take part in a mode."""
 
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
 differences. With the default of 1e-8, the solver sometimes ends an iteration earlier on one side of
-a difference; an element of the matrix then deviates by 0.03 (measured). `step_derivative` changes
-the model temporarily, because copying a humanoid with meshes would be slow."""
+a difference; an element of the matrix then deviates by 0.03 (measured)."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
@@ -113,15 +112,9 @@ def _difference_steps(
 ) -> Array:
     """Linearise a MuJoCo step by central differences of complete steps; overwrite ``matrix``.
 
-    ``matrix`` becomes the derivative of the next state with respect to the present state. This
-    function is used for the integrator RK4, which ``mjd_transitionFD`` does not support.
-
-    Args:
-        model: MuJoCo model.
-        data: Present state. It is not changed.
-        matrix: Square matrix that is overwritten, and returned. Rows and columns are in the tangent
-            space of (qpos, qvel, act): size 2 nv + na.
-        difference: Finite-difference step of each component [m, rad; m/s, rad/s; unit of act].
+    ``matrix`` becomes the derivative of the next state with respect to ``data``, in the tangent
+    space of (qpos, qvel, act), shape (2 nv + na, 2 nv + na). Reason: ``mjd_transitionFD`` does not
+    support the integrator RK4.
     """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
@@ -145,8 +138,7 @@ def _difference_steps(
 HOLD_DURATION = 12.0
 """Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted unless
 it oscillates, because MuJoCo's regularised friction always slips a little. At the payload limit of
-Pupper v3, for example, a deviation doubles in 30 s. Also the upper bound of the period of an
-oscillation (`Mode.shakes`)."""
+Pupper v3, for example, a deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
 """Default simulated time before a state is evaluated [s]. The time is long enough for contacts,
@@ -157,21 +149,18 @@ _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint position from a joint limit [rad, m]. If a joint is at most so far from its
-limit, the spectrum is computed twice: with the limit moved to this distance on either side
-(`_evaluate_at_limits`). Reason: centred differences across a limit mix two regimes. ANYmal at a
-knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
+"""Distance from a joint limit [rad, m] at which the spectrum of a joint near its limit is
+evaluated, on either side of the limit. Reason: centred differences across a limit mix two regimes.
+ANYmal at a knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
-[1/s]. A mode with this growth rate doubles in 1.9 hours. (|eigenvalue| - 1) / (time step) of a
-growing mode also exceeds this value. If the numerical error of the eigenvalue is larger, it
-replaces the bound. Chosen, not tuned."""
+[1/s], unless the numerical error of the eigenvalue is larger. A mode with this growth rate doubles
+in 1.9 hours. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
-``DIFFERENCE_STEP``. The value has a second use: a mode that does not grow is an oscillation only if
-absolute value and angle [rad] of its eigenvalue are both larger."""
+``DIFFERENCE_STEP``."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
@@ -180,18 +169,16 @@ this eigenvalue by sqrt(e). Chosen, not tuned."""
 
 _MAX_REST_SPEED = 0.1
 """Largest absolute element of qvel with which a state counts as at rest [m/s, rad/s]. Pupper v3
-still sags with up to 0.02 after the settling time. If the settled state is faster, a growing mode
-may have moved the robot out of its initial state. The initial state is then evaluated as well."""
+still sags with up to 0.02 after the settling time."""
 
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings of a mode within the settling time, above which the mode explains a motion
-out of the initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the initial state
-was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks on soft servos
-has doubling times from 1.5 to 25 s for the same rest position."""
+out of the initial state: 6 doublings turn 1 mm into 64 mm. Otherwise the initial state was no
+equilibrium, and its modes are meaningless."""
 
 _MIN_NAMED_SHARE = 0.5
-"""Amplitude of a joint in a mode, relative to the largest amplitude [1]. A message about the mode
-names a joint with this or a larger amplitude. Chosen, not tuned."""
+"""Lower bound of the amplitude of a joint that a message about a mode names, relative to the
+largest amplitude [1]. Chosen, not tuned."""
 
 _MAX_NAMED_JOINTS = 4
 """Maximum number of joints that a message about a mode names. Chosen, not tuned."""
@@ -234,10 +221,7 @@ class Mode(Result):
 
     @property
     def nudge_unit(self) -> str:
-        """Unit of ``nudge``, m or rad.
-
-        The unit is m if the position with the largest initial deviation is a translation.
-        """
+        """Unit of ``nudge``, m or rad."""
         return self._nudge_unit
 
     @property
@@ -259,8 +243,8 @@ class Mode(Result):
     def shakes(self) -> bool:
         """True if the mode counts as an oscillation.
 
-        Two conditions must hold. The phase advances by more than 1 rad within the time constant.
-        The period is shorter than 12 s (``HOLD_DURATION``), because slower modes count as creep.
+        Its phase then advances by more than 1 rad within the time constant, and its period is below
+        12 s (``HOLD_DURATION``): slower modes count as creep.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
@@ -268,11 +252,8 @@ class Mode(Result):
     def grows_within(self, duration: float) -> bool:
         """Return True if this mode prevents a robot from staying at rest for ``duration`` [s].
 
-        True in three cases:
-
-        - a sustained oscillation (``is_sustained``),
-        - a growing oscillation of any rate (``shakes``),
-        - another mode with a doubling time below the duration.
+        True for a sustained oscillation, a growing oscillation (``shakes``), or a doubling time
+        below ``duration``.
         """
         if self.doubling_time is None:
             return self.is_sustained
@@ -331,11 +312,9 @@ class Stability(Result):
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of all oscillations; 1 without oscillations.
+        """Smallest damping ratio of the oscillations; 1 without oscillations.
 
         Negative if an oscillation grows.
-
-        Oscillations are growing modes for which `Mode.shakes` is true, and ``least_damped``.
         """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
@@ -367,11 +346,9 @@ def step_stability(
     real eigenvalue, it buckles monotonically. With the time step h, the growth rate is
     ln|eigenvalue| / h [1/s].
 
-    While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. This
-    friction hides a mode until a push overcomes the friction. Therefore the spectrum without dry
-    friction is computed as well. The result includes its modes that oscillate, or grow within 12 s
-    (``HOLD_DURATION``, `Mode.grows_within`), marked by ``Mode.without_dry_friction``. The friction
-    of contacts is not changed.
+    While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction,
+    which hides modes until a push overcomes it. Therefore the spectrum without this friction is
+    computed as well; its additional modes are marked by ``Mode.without_dry_friction``.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     deviations, use a simulation.
@@ -403,14 +380,9 @@ def judge_settled(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute its stability as in `step_stability`.
 
-    The evaluated state is normally the state after settling. It is the initial state in three
-    cases:
-
-    - ``settle`` is at most half a time step.
-    - The simulation diverges, and MuJoCo resets the state.
-    - The robot still moves after settling, the initial state is at rest, and a growing mode
-      explains the motion: it doubles more than six times (``_MIN_THROWING_DOUBLINGS``) during
-      settling.
+    The evaluated state is normally the state after settling. It is the initial state if the
+    simulation diverges, or if a growing mode of the initial state explains that the robot moved
+    away, for example.
 
     Args:
         model: MuJoCo model; changed during the call, and restored.
@@ -441,14 +413,8 @@ def judge_settled(
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     """Evaluate the stability of a state with and without the dry friction of joints and tendons.
 
-    The result contains:
-
-    - the growing modes with dry friction
-    - the modes that grow within ``HOLD_DURATION`` only without dry friction
-    - the least damped mode: the one with the smaller damping ratio of both evaluations
-    - the other values of the evaluation with dry friction
-
-    The dry friction of ``model`` is set to zero temporarily, and restored.
+    The result of the evaluation with dry friction is extended by modes that grow without it. The
+    dry friction of ``model`` is set to zero temporarily.
     """
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
@@ -482,8 +448,7 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mode]:
     """Return the modes of a spectrum that another spectrum of the same state does not contain.
 
-    Modes are equal if their growths per step are equal within `_EQUAL_GROWTH_RTOL`. Each known mode
-    removes a single mode, if possible one with the same joints.
+    Modes are equal if their growths per step are equal within `_EQUAL_GROWTH_RTOL`.
     """
     further = list(modes)
     for mode in known:
@@ -499,21 +464,16 @@ def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mo
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Check by a second finite-difference step whether growing modes are numerical errors.
+    """Check growing modes with ``SECOND_STEP``, and set their ``repeated_at_second_step``.
 
-    The result has ``repeated_at_second_step`` set for each growing mode. A mode that disappears
-    with the step ``SECOND_STEP`` may be a numerical error. If `Stability.modes_growing_within`
-    returns no mode for ``found``, the second spectrum is not computed, and ``found`` is returned.
+    A mode that the second spectrum does not contain may be a numerical error.
     """
     if not found.modes_growing_within():
         return found
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
 
     def repeats(mode: Mode) -> bool:
-        """Return True if the second spectrum has a mode with nearly the same growth per step.
-
-        The growths may differ by at most ``_RATE_TOLERANCE``, relative to ``mode``.
-        """
+        """Return True if the second spectrum has a mode with nearly the same growth per step."""
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
         )
@@ -527,18 +487,9 @@ def _evaluate_at_limits(
 ) -> Stability:
     """Evaluate the eigenvalues of a MuJoCo step at a state in which joints may be at limits.
 
-    Finite differences across a joint limit are invalid. A limit begins to act when the joint is
-    ``margin`` away from the end of ``range``. If a joint is within `_LIMIT_DISTANCE` of this
-    position, its limit is moved temporarily. The spectrum is then evaluated twice: with the joint
-    inside of the limit by `_LIMIT_DISTANCE`, and beyond the limit by this distance.
-
-    Args:
-        model: MuJoCo model. Its joint ranges are changed and restored.
-        data: State.
-        difference: Finite-difference step.
-
-    Returns:
-        The evaluation with the larger spectral radius.
+    Finite differences across a joint limit are invalid. Limits near the present position are
+    therefore moved to either side temporarily. Returns the evaluation with the larger spectral
+    radius.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
@@ -604,10 +555,9 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio of the mode with the eigenvalue index ``mode``.
+        """Return the damping ratio -Re(s) / abs(s), s = ln(eigenvalue), of an eigenvalue's mode.
 
-        The ratio is ``-Re(s) / abs(s)`` with s = ln(eigenvalue): 1 for monotonic decay, 0 for an
-        undamped oscillation, negative for growth.
+        ``mode`` is the index of the eigenvalue.
         """
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
@@ -628,7 +578,7 @@ class _Modes:
         )
 
     def _mode_direction(self, mode: int) -> Array:
-        """Return the direction of a mode: real part of the scaled eigenvector, shape (2 nv + na,).
+        """Return the real part of an eigenvector, shape (2 nv + na,), for the direction of a mode.
 
         The eigenvector is divided by its largest position component (one of the first nv).
         """
@@ -637,10 +587,7 @@ class _Modes:
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)
 
     def _joint_motions(self, mode: int) -> dict[str, float]:
-        """Return how much each joint moves in a mode: relative amplitudes, without free joints.
-
-        Only the ratios of the amplitudes have a meaning: an eigenvector has no scale.
-        """
+        """Return {joint: relative amplitude in a mode}, without free joints."""
         model, moves = self._model, np.abs(self._vectors[: self._model.nv, mode])
         ends = [*model.jnt_dofadr[1:].tolist(), model.nv] if model.njnt else []
         return {
@@ -653,8 +600,7 @@ class _Modes:
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
     """Select the joints that move most, for a message; the largest motion comes first.
 
-    At most four names are returned (`_MAX_NAMED_JOINTS`). A joint is omitted if its motion is zero,
-    or less than half of the largest motion (`_MIN_NAMED_SHARE`).
+    Joints that move much less than the first are omitted.
 
     Args:
         shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]. Only the ratios

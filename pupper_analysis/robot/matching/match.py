@@ -119,17 +119,15 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """List the parts (subtrees) of a file that could be removed: the other file lacks their joints.
 
     The root of a part is the link that a missing joint moves, or a link above this link on a fixed
-    joint. Each alternative removes all parts at a parent joint, each at one of its possible roots;
-    `remove_parts` selects an alternative.
+    joint.
 
     Args:
         tree: Tree of the file with the parts.
         extra: Joints that the other file lacks.
 
     Returns:
-        Pairs (parent joint, alternatives). The parent joint is the nearest moving joint above the
-        parts, "" for the base. An alternative is a list of parts that are removed together; small
-        parts first.
+        [(parent joint, alternatives)], see `Removals`. The parent joint is the nearest moving joint
+        above the parts, "" for the base.
     """
     chains: dict[str, list[list[RemovablePart]]] = {}
     for name in tree.names:
@@ -164,10 +162,9 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link as a part that can be removed, because the other file lacks it.
+    """Return the subtree of a link as a removable part; None if the other file has joints of it.
 
-    None if the other file has a joint of the subtree. ``extra`` contains the joints that the other
-    file lacks.
+    ``extra`` contains the joints that the other file lacks.
     """
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
@@ -188,9 +185,8 @@ def remove_parts(
 ) -> list[Diagnostic]:
     """Remove the parts of each file that the other file lacks, in place, and report these parts.
 
-    For each body that carries such parts, the alternatives (which parts to remove, or none) are
-    compared by mass. The alternative is applied with which the mass of the body, including its
-    remaining parts, differs least from the mass in the other file before any removal.
+    For each body with such parts, the parts are removed with which the mass of the body differs
+    least from the mass in the other file before any removal. This may be no part.
 
     Args:
         trees: Trees of URDF and MJCF; modified.
@@ -273,12 +269,7 @@ class Match:
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
-        """Return two objects that find the file and line of values: for the URDF, and for the MJCF.
-
-        Args:
-            urdf: File of the URDF.
-            mjcf: File of the MJCF.
-        """
+        """Return two objects that find file and line of a value: in the URDF, and in the MJCF."""
         base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
         frames = self.robot.description.frames
         urdf_sources = UrdfSources(
@@ -312,16 +303,14 @@ def match_models(
 ) -> Match:
     """Match a URDF and an MJCF of the same robot, and build a robot with equal names from both.
 
-    Joints are matched by ``names``, by equal names, by names without affixes, and by structure.
-    Frames are matched by ``names`` and by equal names; `common_frames` defines frames. Massless
-    root links with a single fixed or floating joint are removed from the URDF (`strip_roots`).
     Joints that only one file contains are fixed at zero. If the base of the MJCF is fixed, the base
     of the URDF is fixed as well.
 
     Args:
         urdf: The URDF.
         mjcf: The MJCF.
-        names: {name in the URDF: name in the MJCF} of joints or frames whose names differ.
+        names: {name in the URDF: name in the MJCF} of joints or frames whose names differ. Other
+            joints are matched by name or structure, other frames by name.
         feet: Frames, as named in the MJCF, whose positions are compared; all common frames by
             default.
         complete: Whether the robot keeps the URDF's shapes, and parts that only one file contains.
@@ -330,9 +319,7 @@ def match_models(
             of the MJCF is used.
 
     Raises:
-        ModelError: If too few joints match, if two names are mapped to the same name, or if a file
-            cannot be analysed. With ``complete``, also if the URDF lacks joints of the MJCF, and
-            the MJCF has closed loops, or couplings with these joints.
+        ModelError: If too few joints match, or if a file cannot be analysed, for example.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     trees = _prepare_trees(urdf, mjcf, with_shapes=complete)
@@ -429,10 +416,9 @@ class _PreparedTrees(NamedTuple):
     def list_unmatched_joints(
         self, pairs: Mapping[str, str]
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the joints that only the URDF contains, and those that only the MJCF contains.
+        """Return the joints that only the URDF contains, and joints that only the MJCF contains.
 
-        Args:
-            pairs: {joint in the URDF: joint in the MJCF}.
+        ``pairs`` is {joint in the URDF: joint in the MJCF}.
         """
         partners = set(pairs.values())
         return (
@@ -442,15 +428,9 @@ class _PreparedTrees(NamedTuple):
 
 
 def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _PreparedTrees:
-    """Copy both files, and keep only the links, hinges and slides of the robot.
+    """Copy both files, reduced to the robot with its hinges and slides.
 
-    Args:
-        urdf: The URDF.
-        mjcf: The MJCF.
-        with_shapes: True to keep the shapes of the URDF.
-
-    Raises:
-        ModelError: If a file cannot be analysed.
+    ``with_shapes`` keeps the shapes of the URDF.
     """
     root = copy.deepcopy(urdf.root) if with_shapes else without_shapes(urdf.root)
     urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
@@ -479,11 +459,7 @@ def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _Pre
 
 
 def _choose_values_model(mjcf: MjcfFile, trees: _PreparedTrees) -> mujoco.MjModel:
-    """Select the compiled model with the MJCF's values: scene if the base was joined, else file.
-
-    `copy_unknown_values` changes the model. If the file states unknown values, the model of the
-    file is therefore copied.
-    """
+    """Return a compiled model of the MJCF that `copy_unknown_values` may change."""
     if trees.is_base_joined:
         return trees.scene_model
     return copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # a copy is slow
@@ -492,10 +468,7 @@ def _choose_values_model(mjcf: MjcfFile, trees: _PreparedTrees) -> mujoco.MjMode
 def _check_foot_frames(
     feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path
 ) -> None:
-    """Raise an UnknownNameError if a requested foot is not a frame of both files.
-
-    The keys of ``frames`` are the names of the common frames.
-    """
+    """Raise an UnknownNameError if a foot is not in ``frames``, the frames of both files."""
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf, "frame of both files (for a foot)", foot, frames)
@@ -504,10 +477,9 @@ def _check_foot_frames(
 def _build_in_mjcf_convention(
     root: etree._Element, description: Description, tolerances: Tolerances
 ) -> tuple[Robot, Conventions, list[Diagnostic]]:
-    """Build the robot; the URDF is converted to the joint zeros and base frame of the MJCF.
+    """Build the robot; its URDF is converted, in place, to the MJCF's joint zeros and base frame.
 
-    ``root`` is the root element of the URDF. It is modified if joint zeros or base frames of the
-    files differ. Returns the robot, these differences, and notes about a fixed base.
+    Returns the robot, the differences before the conversion, and notes about a fixed base.
     """
     robot = build_robot(description)
     conventions, notes = _compare_conventions(robot, tolerances)
@@ -521,11 +493,7 @@ def _build_in_mjcf_convention(
 def _compare_conventions(
     robot: Robot, tolerances: Tolerances
 ) -> tuple[Conventions, list[Diagnostic]]:
-    """Find differences of base frame and joint zeros between URDF and MJCF of a robot.
-
-    Returns:
-        The differences; diagnostics of the pose of a fixed base, empty for a free base.
-    """
+    """Return differences of base frame and joint zeros; diagnostics of a fixed base's pose."""
     urdf, mjcf = kinematic_trees(robot)
     if robot.floating:
         return find_conventions(urdf, mjcf, tolerances, fixed=False), []
@@ -567,11 +535,7 @@ def _check_mapping(
         mjcf: Joints, spec and file of the MJCF.
 
     Raises:
-        UnknownNameError: In one of three cases:
-
-            - The URDF has no joint or link with a name.
-            - The MJCF has no joint, site, body or geom with a name.
-            - A joint is mapped to an element other than a joint.
+        UnknownNameError: If the URDF or the MJCF has no joint or frame with a name.
         ModelError: If two names are mapped to the same name.
     """
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
@@ -597,18 +561,10 @@ def _unify_joints(
     only_urdf: Collection[str],
     only_mjcf: Collection[str],
 ) -> Mimics:
-    """Fix the joints that one file lacks, and give the URDF's joints the names of the MJCF.
+    """Fix the joints that one file lacks, and give URDF joints the names of the MJCF, in place.
 
-    Args:
-        root: Root element of the URDF, modified in place.
-        spec: Spec of the MJCF, modified in place.
-        pairs: {joint in the URDF: joint in the MJCF}.
-        only_urdf: Joints that the MJCF lacks, which become fixed joints.
-        only_mjcf: Joints that the URDF lacks, which are deleted.
-
-    Returns:
-        Mimic couplings of the URDF's matched joints, with the new names. All mimic couplings are
-        removed from the URDF.
+    The mimic couplings are removed from the URDF. Returns the couplings of matched joints, with the
+    new names. ``pairs`` is {joint in the URDF: joint in the MJCF}.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
@@ -679,8 +635,6 @@ def copy_unknown_values(
 ) -> list[Diagnostic]:
     """Copy values of the URDF to joints of an MJCF that states these values as unknown, in place.
 
-    An effort of the URDF is copied only if it is positive, because 0 means unspecified.
-
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
         spec: The MJCF; modified.
@@ -724,11 +678,8 @@ def delete_ball_joints(
 ) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Delete the ball joints of an MJCF, in place, because a URDF cannot contain them.
 
-    The bodies on deleted joints are compared in the zero pose. If joints are deleted, the keyframes
-    are deleted as well.
-
     Args:
-        spec: MJCF; modified.
+        spec: MJCF; modified. If ball joints are deleted, the keyframes are deleted as well.
         source: File of the MJCF, for messages.
 
     Returns:
@@ -758,18 +709,9 @@ def drop_other_objects(
 ) -> list[Diagnostic]:
     """Delete the scene objects, such as tables, that do not belong to the robot, in place.
 
-    The robot is the child body of the world with the largest number of joints. These other child
-    bodies of the world are deleted:
-
-    * bodies with joints;
-    * if the base is fixed: static bodies such as tables, which would count as part of the base.
-      Exception: the body or a descendant has the name of a link of the URDF;
-    * if the base is free: static bodies without a plane in the body or a descendant.
-
-    Limbs that are children of the world belong to the robot, because MuJoCo merges a fixed base
-    with the world. Limbs are identified by the joint names of the URDF. Mocap bodies without joints
-    are kept, but their masses are set to zero. Cameras and lights with a deleted body as target are
-    deleted too.
+    The robot is the child body of the world with the largest number of joints. MuJoCo's import of a
+    URDF merges a fixed base with the world: the limbs are then children of the world, identified by
+    the joint names of the URDF. The masses of kept mocap bodies are set to zero.
 
     Args:
         spec: Spec to modify.
@@ -835,11 +777,10 @@ def _has_plane(body: mujoco.MjsBody) -> bool:
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
-    """Find the robot's limbs among the children of the world, if the base is fused with the world.
+    """Return the children of the world that are limbs of the robot: they have joints of the URDF.
 
     MuJoCo's import of a URDF merges a fixed base with the world: the limbs of the robot are then
-    children of the world. The first body of a limb has a joint with the name of a URDF joint, with
-    or without prefixes and suffixes, and no free joint.
+    children of the world. Names of joints may differ by prefixes and suffixes.
 
     Args:
         spec: The MJCF.
@@ -859,8 +800,7 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
     """Return True if the base of the robot is fused with the world, so that no body is the base.
 
-    A joint of the robot then moves a child body of the world. MuJoCo's import of a URDF, for
-    example, fuses a fixed base with the world.
+    MuJoCo's import of a URDF, for example, fuses a fixed base with the world.
 
     Args:
         spec: The MJCF.
@@ -915,14 +855,9 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise an error if fixed joints would block other joints of the MJCF.
+    """Raise a ModelError if fixed joints would block closed loops or couplings of an MJCF.
 
-    The fixed joints are the joints that the URDF lacks. For example, a fixed rod would block the
-    ankle that the rod drives. All closed loops are refused, and couplings between a fixed joint and
-    another joint.
-
-    Raises:
-        ModelError: If the MJCF has such an active constraint, and joints are fixed.
+    For example, a fixed rod would block the ankle that the rod drives.
     """
     for equality in spec.equalities if fixed_joints else ():
         names = {equality.name1, equality.name2} - {""}
