@@ -37,17 +37,12 @@ Newton's method ends. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
 """Constraint violation [m, rad] above which an unloaded loop counts as open, and the configuration
-is rejected. Under load, a static deflection is accepted in addition (`_MAX_COMPLIANCE_FACTOR`).
-Chosen, not tuned."""
+is rejected. Under load, a static deflection is accepted in addition. Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
-"""Singular value of the constraint Jacobian, relative to the largest singular value, above which an
-equation, or the column of a joint, counts as independent. The redundant equation of a planar loop
-has a ratio of up to 1e-9 in files with rounded numbers. The value is also used as an absolute
-bound, below which entries of a constraint Jacobian and determinants
-(`Closure.has_reference_assembly`) count as zero. A configuration is singular if an eigenvalue of
-A^T K A, scaled to a unit diagonal, is below the square of this value. K contains the stiffnesses of
-the constraints, and A the columns of the dependent joints."""
+"""Lower bound of a singular value of the constraint Jacobian, relative to the largest singular
+value, above which an equation or a joint counts as independent [1]. The redundant equation of a
+planar loop has a ratio of up to 1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -67,23 +62,20 @@ step is small, because the stiffness of a soft constraint varies within a millim
 violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
-"""Factor of the accepted static deflection of a loop constraint [1]. `Closure.check` accepts a
-violation of `MAX_OPENING` plus this factor times the constraint force times the largest compliance
-of the constraint. The factor is larger than 1, because the force is computed for the closed loop,
-not for the deflected loop. Chosen, not tuned."""
+"""Factor of the static deflection of a loop constraint that `Closure.check` accepts [1]. It is
+larger than 1, because the force is computed for the closed loop, not for the deflected loop.
+Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
-"""Step weight [1] of joints that should stay in place when Newton's method closes loops. These are
-joints between base and feet, or joints with requested positions. Other joints have the weight 1.
-Chosen, not tuned."""
+"""Step weight [1] of joints that should stay in place when Newton's method closes loops, such as
+joints between base and feet. Chosen, not tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
 """MuJoCo's disable flags that are set in the copy of the model with which `Closure` evaluates the
-constraints. The equality constraints are then the only constraints, and MuJoCo computes neither
-actuator forces nor sensors."""
+constraints. The equality constraints are then the only constraints."""
 
 
 class Closure:
@@ -143,9 +135,8 @@ class Closure:
     def jacobian(self, qpos: Array) -> Array:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
-        Columns are in actuator order. The columns of joints outside of loops and couplings are
-        zero. While the loops are closed, the pose of the base does not affect the residuals, unless
-        `is_world_coupled` is true. The residuals of open loops rotate with the base.
+        Columns are in actuator order; the columns of joints outside of loops and couplings are
+        zero.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -172,9 +163,7 @@ class Closure:
     def load_transfer(self, qpos: Array) -> Array:
         """Return the matrix P that maps a joint load x to the torques P x of the loop constraints.
 
-        The motors exert the remaining load x - P x. At the dependent joints, the remaining load is
-        zero, because these joints have no motor. P x depends only on the load of the dependent
-        joints.
+        The motors exert the remaining load x - P x, which is zero at the dependent joints.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -265,13 +254,8 @@ class Closure:
                 deflections under a load. Default: 0.
 
         Returns:
-            Configuration, shape (nq,), with the base pose of ``qpos``. None in three cases:
-
-            - The iteration does not converge.
-            - The result has another assembly mode, for example crossed rods
-              (`has_reference_assembly`).
-            - ``give`` is None, and a redundant equation is violated by 1e-6 m or rad
-              (``MAX_OPENING``) or more.
+            Configuration, shape (nq,), with the base pose of ``qpos`` and the assembly mode of the
+            reference configuration; None if no such configuration is found.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None
@@ -282,11 +266,7 @@ class Closure:
         A four-bar linkage, for example, has two assembly modes: with and without crossed rods. The
         mode of a loop counts as different if det(A^T A_ref) < ``-_RANK_RTOL``. A is the Jacobian of
         the loop equations with respect to the dependent joints of the loop, A_ref its value in the
-        reference configuration.
-
-        The reference configuration is the first of qpos0 and the keyframes in which the loops are
-        closed. If there is none, it is qpos0 with loops closed by Newton's method, or qpos0 itself
-        if the method does not converge.
+        reference configuration: qpos0 or a keyframe, if its loops are closed.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -300,9 +280,7 @@ class Closure:
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
         """Close the loops by Newton's method as in `close_loops`, but accept any assembly mode.
 
-        Returns:
-            Configuration, shape (nq,). None if the iteration does not converge, or if, without
-            ``give``, a redundant equation is violated by ``MAX_OPENING`` or more.
+        Returns the configuration, shape (nq,), or None if the loops are not closed.
         """
         result = qpos.copy()
         joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
@@ -322,8 +300,6 @@ class Closure:
 
     def largest_violation(self, qpos: Array) -> float:
         """Return the largest absolute constraint violation of the loops and couplings [m or rad].
-
-        The result is 0 without constraints.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -350,8 +326,7 @@ class Closure:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
         The accepted violation of a constraint is ``MAX_OPENING`` + ``_MAX_COMPLIANCE_FACTOR`` *
-        force * compliance (1e-6 m or rad, and factor 2). The compliance is the largest that the
-        constraint can have.
+        force * compliance, with the largest compliance that the constraint can have.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -374,10 +349,7 @@ class Closure:
             )
 
     def step_weights(self, placing: IntArray) -> Array:
-        """Return joint weights with which `close_loops` moves given joints only a little, (nu,).
-
-        The weights are in actuator order. The given joints have the low weight 0.01
-        (``_FOOT_JOINT_MOBILITY``), other joints the weight 1.
+        """Return step weights (nu,) with which `close_loops` moves given joints only a little.
 
         Args:
             placing: Indices of the given joints, for example of the joints between base and feet.
@@ -425,13 +397,8 @@ class Closure:
     def _force_distribution(self, qpos: Array) -> Array:
         """Return the constraint forces (m, k) that carry a unit load on each of k dependent joints.
 
-        Of all forces that balance the load, the forces with minimum elastic energy are selected.
-
-        Args:
-            qpos: Configuration, shape (nq,).
-
-        Raises:
-            ConfigurationError: If the configuration is singular.
+        Of all forces that balance the load, the forces with minimum elastic energy are selected. A
+        singular configuration ``qpos``, shape (nq,), raises a ConfigurationError.
         """
         stiffness = 1 / self._evaluate_compliance(qpos).current_compliance()
         rows = self.jacobian(qpos)[:, self.dependent_joints]
@@ -447,15 +414,7 @@ class Closure:
         return distribution
 
     def _find_closed_start(self) -> Array:
-        """Find the reference configuration (nq,) of the loops, with closed loops if possible.
-
-        The result is the first of these:
-
-        - the first of qpos0 and the keyframes whose constraint violations are all below 1e-3 m or
-          rad (``_START_ATOL``)
-        - the configuration to which Newton's method from qpos0 converges
-        - qpos0
-        """
+        """Return the reference configuration (nq,), with closed loops if possible, else qpos0."""
         model, index = self._model, self._convention.qpos_index
         starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
         for start in starts:
@@ -465,11 +424,10 @@ class Closure:
         return starts[0] if closed is None else closed
 
     def _generic_jacobian(self) -> Array:
-        """Return the constraint Jacobian (m, nu) at a configuration without special symmetry.
+        """Return the constraint Jacobian (m, nu) at a generic pose, and set ``is_world_coupled``.
 
-        Its rank is the usual rank of the constraints: the configuration is random and near the
-        reference configuration, so that no straight leg makes it singular. The method also sets
-        ``is_world_coupled``.
+        The joint positions are random and near the reference configuration, so that no straight leg
+        makes the Jacobian singular.
         """
         qpos, size = self._reference_qpos.copy(), len(self._joint_names)
         qpos[self._num_coordinates - size :] += np.random.default_rng(0).uniform(-0.1, 0.1, size)
@@ -491,8 +449,7 @@ class Closure:
     def _independent_combinations(self, rows: Array) -> Array:
         """Return a matrix (r, m) of independent combinations of constraint rows (m, nu).
 
-        r is the rank of the rows, but at most the rank at the generic configuration
-        (`_generic_jacobian`).
+        r is the rank of the rows, but at most the rank of `_generic_jacobian`.
         """
         left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
         count = int(
@@ -504,10 +461,8 @@ class Closure:
     def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
         """Group the dependent joints that share constraint equations: one group per connected loop.
 
-        A group contains indices of elements of ``dependent_joints``.
-
-        Args:
-            rows: Jacobian (m, nu) of the constraints, a column for each of the nu joints.
+        A group contains indices of elements of ``dependent_joints``. ``rows`` is the Jacobian (m,
+        nu) of the constraints.
         """
         is_coupled = np.abs(rows[:, self.dependent_joints]) > _RANK_RTOL
         loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)
@@ -520,15 +475,10 @@ class Closure:
         return tuple(np.array(sorted(joints), dtype=np.int64) for joints, _ in loops)
 
     def _select_dependent_joints(self, rows: Array, used: IntArray) -> IntArray:
-        """Return the dependent joints: joints without actuator that the constraints determine.
+        """Return the indices of joints without actuator whose positions the constraints determine.
 
-        Joints are selected one after another, if their columns of the Jacobian are independent of
-        the selected columns. The order is: dependent joints of active joint couplings, then the
-        other joints from the last to the first.
-
-        Args:
-            rows: Jacobian (m, nu) of the constraints.
-            used: Indices of the joints that the constraints affect.
+        ``rows`` is the Jacobian (m, nu) of the constraints, ``used`` the indices of joints in
+        constraints.
         """
         undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
@@ -571,11 +521,8 @@ def find_closure(
         joint_names: Joints in actuator order.
 
     Returns:
-        The loops and couplings. None in three cases:
-
-        - No active equality constraint acts on a joint of the robot.
-        - A flag of the model disables constraints or equalities.
-        - A constraint couples a free base to the world, which is not supported.
+        The loops and couplings. None without active constraints of the robot's joints, for example,
+        or if a constraint couples a free base to the world, which is not supported.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

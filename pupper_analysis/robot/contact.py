@@ -52,15 +52,8 @@ class ContactParameters:
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
     """Compute MuJoCo's contact parameters for two geoms without a ``<pair>``.
 
-    - Different priorities: the geom with the higher priority determines all parameters except the
-      margin.
-    - Equal priorities: the larger condim, and the larger of each friction coefficient.
-    - Equal priorities: solref and solimp are means weighted by solmix. Exception: if the first
-      number of a solref is not positive, the smaller of each solref number is used.
-    - The margins are added.
-
-    The resulting solref is replaced by `effective_solref`. Source: MuJoCo documentation,
-    "Computation: Contact parameters".
+    Source of the rules: MuJoCo documentation, "Computation: Contact parameters". The resulting
+    solref is replaced by `effective_solref`.
 
     Args:
         model: MuJoCo model.
@@ -94,14 +87,13 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
 
 
 _COMBINED_FIELDS = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
-"""Parameters of geoms from which MuJoCo computes the parameters of a contact. With the prefix
-``geom_``, each is the name of an array of ``mjModel``."""
+"""Parameters of geoms from which MuJoCo computes the parameters of a contact, without the prefix
+``geom_`` of their arrays in ``mjModel``."""
 
 _DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
 )
-"""Model with a single plane that has MuJoCo's default contact parameters. `combine_geoms` uses it
-if no second geom is given."""
+"""Model with a single plane that has MuJoCo's default contact parameters."""
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
@@ -124,10 +116,9 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 
 
 def ground_geom(model: mujoco.MjModel) -> int | None:
-    """Return the id of the ground plane: a plane geom that is fixed to the world.
+    """Return the id of the ground plane, a plane geom fixed to the world; None without one.
 
-    Of several planes, the first plane with enabled contacts is returned. If all contacts are
-    disabled, the first plane is returned. None if there is no plane.
+    Of several planes, the first plane with enabled contacts is preferred.
     """
     fixed = model.body_weldid[model.geom_bodyid] == 0
     planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))
@@ -173,9 +164,7 @@ def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
 def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
     """Return the ids of the two bodies of each of n contacts, shape (n, 2).
 
-    A side of a contact that is a flexible body (``flex``) has no geom. Its id is the body of the
-    touched vertex, or of the first vertex of the touched element. For a flex that is interpolated
-    between nodes, its id is the body of the first node.
+    A flexible body (``flex``) has no geom; its id is the body of a vertex or node.
 
     Args:
         model: MuJoCo model.
@@ -192,15 +181,9 @@ def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[n
 
 
 def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -> int:
-    """Return the id of the body to which a touched vertex of a flex belongs.
+    """Return the id of a body of a touched flex: of the touched vertex, if possible.
 
-    If an element is touched, its first vertex counts. If the vertices are interpolated between
-    nodes, the result is the body of the first node.
-
-    Args:
-        model: MuJoCo model.
-        touch: Contact.
-        side: Side of the contact that is a flex, 0 or 1.
+    ``side`` is the side of the contact that is a flex, 0 or 1.
     """
     flex, vertex, element = (int(ids[side]) for ids in (touch.flex, touch.vert, touch.elem))
     if vertex < 0:  # the first vertex of the touched element
@@ -304,11 +287,10 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
         source: File of the model, for messages.
 
     Returns:
-        Id of the body, and position (3,) [m] of the frame in the body. A site has priority over a
-        body, and a body over a geom of the same name.
+        Id of the body, and position (3,) [m] of the frame in the body.
 
     Raises:
-        UnknownNameError: If there is no such frame; the message lists the sites.
+        UnknownNameError: If there is no such frame.
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, frame)
     if site >= 0:
@@ -392,20 +374,17 @@ def stand_height(
     """Compute the height [m] of the base above the ground in the stand of the default `StandTask`.
 
     In this stand, the lowest foot touches the ground. Distances are measured along the z axis of
-    the base. The height is 0 without feet. The foot positions are:
-
-    - Without ``foot_depth``: with the joint positions of the keyframe.
-    - With ``foot_depth``: at this distance below the hip (the first body of the leg), with the
-      joint positions of qpos0.
+    the base. The height is 0 without feet.
 
     Args:
         model: MuJoCo model.
         base: Name of the base body.
         centres: {contact point: (body id, position (3,) [m] in the body)}.
         radius: {contact point: radius [m]}.
-        keyframe: Configuration in MuJoCo's order. Only the last ``model.nq`` values are used,
-            because the keyframe may belong to the same robot with a free base.
-        foot_depth: Distance [m] of the centres of the feet below the hips, or None.
+        keyframe: Configuration in MuJoCo's order, used without ``foot_depth``. It may contain a
+            free base that the model has fixed.
+        foot_depth: Distance [m] of the centres of the feet below the hips (the first bodies of the
+            legs), or None.
     """
     data = mujoco.MjData(model)
     if foot_depth is None:

@@ -67,14 +67,11 @@ class EngineModels:
     def mj_spec(self) -> MujocoSpec:
         """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
-        The caller may change the spec, or attach it to another spec. The model
-        ``mj_spec().compile()`` is equivalent to ``mj_model``, but has no keyframes if the base is
-        fixed. The spec contains the paths of mesh files. Exceptions: if meshes are in memory
-        (assets of a given spec, or meshes converted from files such as COLLADA), the spec contains
-        all meshes; an ``MjModel`` has them as vertices.
+        The caller may change the spec, or attach it to another spec. Mesh files are referenced by
+        their paths, unless meshes are in memory.
 
         Raises:
-            InputError: If the spec must contain all meshes, and a mesh file cannot be read.
+            InputError: If a mesh file cannot be read.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
@@ -305,10 +302,9 @@ class EngineModels:
 
 
 def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
-    """Check a finite matrix (n, count), and return it; a vector (count,) becomes one row.
+    """Return a matrix (n, count); ConfigurationError if it is not valid.
 
-    Raises:
-        ConfigurationError: If the values have another shape, or are not finite real numbers.
+    A vector (count,) becomes one row.
     """
     matrix = np.atleast_2d(real_array(name, values))
     if matrix.ndim != 2 or matrix.shape[1] != count:
@@ -322,13 +318,7 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
 
 
 def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
-    """Return True if MuJoCo checks two geoms of the robot for contact.
-
-    A ``<pair>`` is always checked. Other geoms are not checked if `may_touch` excludes them
-    (contact bits, ``<exclude>``), or if their bodies are fixed to each other. Geoms of a body and
-    its parent are not checked either, unless the parent is fixed to the world, or the MJCF disables
-    this filter. Bodies that are fixed to each other count as one body.
-    """
+    """Return True if MuJoCo checks two geoms of the robot for contact."""
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:
             return True

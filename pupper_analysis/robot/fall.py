@@ -52,9 +52,8 @@ for a shorter time (`keyframe_duration`). After 5 s, a drop by centimetres has e
 failures are visible (a knee without torque: 2 cm/s after 2 s)."""
 
 _MAX_KEYFRAME_STEPS = 5000
-"""Maximum number of time steps of a run from a keyframe. If a file has short time steps, the
-simulated time is shortened to this number, but not below `_MIN_KEYFRAME_DURATION`. This bounds the
-computing time. Chosen, not tuned."""
+"""Maximum number of time steps of a run from a keyframe, unless the run would be shorter than
+`_MIN_KEYFRAME_DURATION`. This bounds the computing time. Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
 """Lower bound of the simulated time of a run from a keyframe [s]: a robot that topples lies on the
@@ -68,23 +67,21 @@ a robot by 20 m in 2 s.)"""
 NUDGE_SPEED = 1e-3
 """Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]. The nudge
 must upset unstable equilibria: some survive changes of 1e-9 and fall after changes of 1e-7. Stable
-stands return even after 1e-2. Also the largest difference of velocities with which two runs count
-as equal (`simulate_keyframe`)."""
+stands return even after 1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
 a free fall over 5 m takes 1 s."""
 
 _MAX_RUN_DISTANCE = 1e-4
-"""Tolerance with which two runs from the same keyframe count as equal: largest difference of a
-coordinate [m, rad], halfway through the runs. The second or third run then ends. The velocities
-must also be equal, within `NUDGE_SPEED`. Reason: if a nudge upsets a robot by the end of a run, the
+"""Largest difference of a coordinate [m, rad] with which two runs from the same keyframe count as
+equal, halfway through the runs. Reason: if a nudge upsets a robot by the end of a run, the
 difference grows exponentially from about 1e-4 to `FALLEN_TILT`. Halfway, the difference then
 exceeds 1e-3."""
 
 _SEARCH_MARGIN = 0.05
-"""Longest downward step [m] of the search for the ground below a robot (`initial_height`). Also the
-contact margin of the collision queries in this search. Chosen, not tuned."""
+"""Longest downward step [m] of the search for the ground below a robot (`initial_height`). Chosen,
+not tuned."""
 
 _CONTACT_DISTANCE = 1e-6
 """Distance between robot and ground [m] below which the search for the ground (`initial_height`)
@@ -92,8 +89,7 @@ ends. Chosen, not tuned."""
 
 _MIN_UPWARD_NORMAL = 0.1
 """Vertical component of a contact's unit normal [1] above which the contact counts as ground in the
-search below a robot. The normal of a wall has a smaller component. Chosen, not tuned.
-"""
+search below a robot. The normal of a wall has a smaller component. Chosen, not tuned."""
 
 
 _RESET_WARNINGS = slice(
@@ -107,7 +103,7 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return a nudge: small pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
     No absolute value exceeds 1e-3 m/s or rad/s (``NUDGE_SPEED``). The vector is random, so that it
-    excites all modes in spite of symmetry. The seed is constant, so that results are repeatable.
+    excites modes in spite of symmetry. The seed is constant, so that results are repeatable.
     """
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
@@ -116,8 +112,7 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 def keyframe_duration(model: mujoco.MjModel) -> float:
     """Return the simulated time [s] of a run from a keyframe, from 2 to 5 s.
 
-    Within these bounds, the result is the duration of 5000 time steps of the model
-    (`_MAX_KEYFRAME_STEPS`).
+    The time is shorter for a model with short time steps, to bound the computing time.
     """
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
@@ -158,10 +153,7 @@ class BodyMotion:
 
     @property
     def has_left_place(self) -> bool:
-        """True if the robot collapses only because its CoM moved too far horizontally.
-
-        `has_collapsed` defines the limit.
-        """
+        """True if the robot collapses only because its CoM moved too far horizontally."""
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
     @property
@@ -172,11 +164,7 @@ class BodyMotion:
         )
 
     def _has_collapsed(self, away: float) -> bool:
-        """Return True if this motion is a fall: too large a tilt, change of CoM height, or travel.
-
-        ``away`` is the horizontal distance of the CoM from its start [m]. The function
-        `has_collapsed` defines the limits.
-        """
+        """Return True if this motion, with the horizontal travel ``away`` [m], is a collapse."""
         size = self.height + max(self.clearance, 0.0) if self.lies else self.height
         return has_collapsed(self.lean, size - self.end_height, away, size)
 
@@ -190,15 +178,10 @@ def simulate_keyframe(
 ) -> tuple[BodyMotion, mujoco.MjData]:
     """Simulate a robot from a keyframe, up to three times, to test whether it stays in place.
 
-    Each run takes ``keyframe_duration``. A nudge is a small change of the velocities
-    (`nudge_velocity`). The first run starts with a nudge, the second with the opposite nudge,
+    The first run starts with a nudge (`nudge_velocity`), the second with the opposite nudge,
     because a robot may fall to one side only. The third run has no nudge. The result is the first
-    run in which the robot collapses, otherwise the first run.
-
-    The second and third run end halfway if their state equals the state of the first run: positions
-    within 1e-4 m or rad (`_MAX_RUN_DISTANCE`), velocities within 1e-3 m/s or rad/s (`NUDGE_SPEED`).
-    They then count as runs without a collapse. Models with actuator activations are always
-    simulated to the end.
+    run in which the robot collapses, otherwise the first run. A run that equals the first run
+    halfway is not completed.
 
     Args:
         model: MuJoCo model.
@@ -243,10 +226,9 @@ def simulate_keyframe(
 def _are_equal_states(
     model: mujoco.MjModel, first: tuple[Array, Array], second: tuple[Array, Array]
 ) -> bool:
-    """Return True if two runs are at nearly equal states (qpos, qvel), so that one may end.
+    """Return True if two states (qpos, qvel) are nearly equal; False if values are not finite.
 
-    The coordinates must be equal within `_MAX_RUN_DISTANCE`, the velocities within `NUDGE_SPEED`.
-    False for values that are not finite.
+    The bounds are `_MAX_RUN_DISTANCE` for positions, and `NUDGE_SPEED` for velocities.
     """
     distance = np.empty(model.nv)
     mujoco.mj_differentiatePos(model, distance, 1.0, first[0], second[0])
@@ -262,8 +244,6 @@ def simulate_held_keyframe(
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
     """Simulate a robot with a fixed base after a nudge (small velocities), to detect divergence.
-
-    The simulated time is ``keyframe_duration``.
 
     Args:
         model: MuJoCo model.
@@ -286,8 +266,7 @@ def simulate_held_keyframe(
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
     """Return True if MuJoCo has found numbers of a state that were not finite, or too large.
 
-    MuJoCo then resets the state, unless the MJCF disables ``autoreset``. The warning counters are
-    evaluated, because the simulation time does not show a reset in the first step.
+    MuJoCo then resets the state, unless the MJCF disables ``autoreset``.
     """
     return bool(count_resets(data).any())
 
@@ -295,8 +274,7 @@ def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
 def count_resets(data: mujoco.MjData) -> NDArray[np.int32]:
     """Return MuJoCo's counters of warnings about bad qpos, qvel and qacc, shape (3,).
 
-    The result is a view into ``data``: the values change while MuJoCo simulates. MuJoCo usually
-    resets the state if it increases one of these counters (`was_reset_by_mujoco`).
+    The result is a view into ``data``: the values change while MuJoCo simulates.
     """
     counters: NDArray[np.int32] = data.warning.number[_RESET_WARNINGS]
     return counters
@@ -367,13 +345,9 @@ def initial_height(
 
     The clearance is the vertical distance by which the robot can move downward to the ground.
 
-    Method: a copy of the robot is moved downward in steps, until its distance from the ground is
-    below 1 um (``_CONTACT_DISTANCE``). MuJoCo finds the contacts with fixed geoms within 5 cm
-    (``_SEARCH_MARGIN``). A contact counts as ground if the vertical component ``normal_z`` of its
-    unit normal exceeds 0.1 (``_MIN_UPWARD_NORMAL``). The step is ``min(distance / normal_z)`` over
-    these contacts (``distance * normal_z`` for a penetration), and at most 5 cm. Convex geoms do
-    not penetrate in such a step. The clearance is 0 if no ground is found within 5 m
-    (``MAX_CLEARANCE``).
+    Method: a copy of the robot is moved downward in steps of at most 5 cm (``_SEARCH_MARGIN``),
+    until its distance from the ground is below 1 um (``_CONTACT_DISTANCE``). A contact with a fixed
+    geom counts as ground if its normal points upward (``_MIN_UPWARD_NORMAL``).
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
@@ -441,11 +415,10 @@ def find_bodies_near_world(
 def _distance_above_ground(
     model: mujoco.MjModel, data: mujoco.MjData, base: int
 ) -> tuple[float, float]:
-    """Measure the vertical distance [m] between robot and ground, and the ground height z [m].
+    """Return the vertical distance between robot and ground, and the ground height z, both in m.
 
-    The ground height is measured at the nearest ground point. The distance is at most
-    ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground. Without a contact, the
-    distance is ``_SEARCH_MARGIN`` and the height 0.
+    The distance is at most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
+    Without a contact, the height is 0.
     """
     bodies = list_contact_bodies(model, data)
     fixed = model.body_weldid[bodies] == 0
@@ -465,10 +438,7 @@ def _distance_above_ground(
 
 
 def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask (ncon,) of the contacts with fixed bodies, such as the floor.
-
-    Contacts that exert no force, because they are in the gap beyond the margin, are excluded.
-    """
+    """Return a mask (ncon,) of the contacts with fixed bodies that can exert a force."""
     bodies = model.body_weldid[list_contact_bodies(model, data)]
     return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 
@@ -483,10 +453,9 @@ def find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]
 
 
 def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
-    """Return True if the robot lies on its trunk instead of standing on its feet.
+    """Return True if the robot lies on its trunk (base or hips), or no limb end touches the world.
 
-    True if the base or a hip (child of the base with children) touches the world. Also true if
-    bodies touch the world, but no limb end does. ``base`` is the id of the base body.
+    A robot that touches nothing does not lie. ``base`` is the id of the base body.
     """
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
@@ -504,8 +473,7 @@ def horizontal_distance(start: Array, end: Array) -> float:
 def is_lifted(leaning: float, lost: float, size: float) -> bool:
     """Return True if a robot is upright, and its CoM is far above the initial height.
 
-    Such a robot also counts as collapsed (`has_collapsed`). The usual cause is a constraint that
-    ties the robot to the world.
+    The usual cause is a constraint that ties the robot to the world.
 
     Args:
         leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT`` (0.5 rad).

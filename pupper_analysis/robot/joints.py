@@ -29,7 +29,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
-"""Motion types of a hinge, and of a slide, whose axis is at least 1 degree from each world axis
+"""Motion types of a hinge, and of a slide, whose axis is not parallel to a world axis
 (`joint_motions`)."""
 
 
@@ -52,20 +52,13 @@ def joint_motions(robot: Robot) -> dict[str, str]:
 
 
 def is_slide(robot: Robot, joint: str) -> bool:
-    """Return True if a joint is a slide.
-
-    The function does not trigger the postponed preparation of the robot, such as servo tuning (see
-    `Robot.before_servos`).
-    """
+    """Return True if a joint is a slide."""
     model = robot.before_servos.mj_model
     return bool(model.jnt_type[model.joint(joint).id] == JointKind.SLIDE)
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
-    """Name the motion about or along an axis (3,), such as ``pitch`` or ``along x``.
-
-    The motion is ``oblique`` if the axis is at least 1 degree from each world axis.
-    """
+    """Name the motion about or along an axis (3,), such as ``pitch`` or ``along x``."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
@@ -99,21 +92,15 @@ because users enter rounded positions. Chosen, not tuned."""
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
     """Check a requested posture, and expand its patterns to {joint: position [rad, m]}.
 
-    A posture may only contain joints that move no foot or hand.
-
     Args:
         robot: The robot.
         posture: {joint, or pattern such as ``*elbow*``: position [rad, m]}. If several patterns
             match a joint, the last counts.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: In one of three cases:
-
-            - A position is not valid.
-            - A joint moves a foot or hand.
-            - A joint belongs to a loop or coupling, and the posture lacks another joint of the
-              robot's loops and couplings, or does not close the loops.
+        UnknownNameError: If a pattern matches no joint.
+        ConfigurationError: If a position is not valid, for example, or a joint moves a foot or
+            hand.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = find_footless_joints(robot) if placed else ()
@@ -127,20 +114,14 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
 _MAX_POSTURE_VIOLATION = 1e-6
 """Largest constraint violation [rad, m] with which a requested posture counts as closing its loops
-and couplings. A posture with a larger violation is refused. Users enter positions with up to six
-decimals."""
+and couplings. Users enter positions with up to six decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of closed loops and couplings whose positions come from a posture.
+    """Return the joints of loops and couplings whose positions a posture determines.
 
-    Joints that move a foot or hand are omitted: the stance determines their positions. The posture
-    must contain all joints of loops and couplings, and violate no constraint by more than
-    `_MAX_POSTURE_VIOLATION`. Otherwise the result is empty.
-
-    Args:
-        robot: The robot.
-        placed: Posture, {joint: position [rad or m]}.
+    The result is empty if the posture does not close all loops. ``placed`` is {joint: position [rad
+    or m]}.
     """
     closure = robot.closure
     assert closure is not None
@@ -256,16 +237,14 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 _KEYFRAME_ROUNDING = 1e-3
 """Excess of a keyframe's joint position over the joint limit [rad, m] below which the excess is
-attributed to rounded numbers in files. If the excess is smaller, the limit replaces the position.
-Otherwise, the keyframe is the default posture only if the caller names it. Chosen, not tuned."""
+attributed to rounded numbers in files. Chosen, not tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:
     """Return the joint ranges that URDF and MJCF both permit, shape (nu, 2) [rad, m].
 
-    Columns: lower limit, upper limit; infinite if neither file limits the joint. If the ranges of
-    the files do not overlap, the result is a range of zero width at the larger of the two lower
-    limits.
+    Columns: lower limit, upper limit; infinite without a limit. If the ranges of the files do not
+    overlap, the result is a range of zero width.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -281,17 +260,8 @@ def joint_ranges(robot: Robot) -> Array:
 def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
     """Return the default posture of a robot with a fixed base, and the name of its keyframe.
 
-    The posture is the first of these:
-
-    1. The keyframe ``keyframe``, if given.
-    2. The keyframe ``home``, or the first keyframe if there is no ``home``, if the positions are
-       within the joint ranges, up to rounding.
-    3. The middle of each joint range. If a limit is infinite, the position in the range nearest to
-       zero.
-
-    A keyframe without qpos has the positions of the model (``qpos0``), as in MuJoCo, if it is given
-    as ``keyframe``; otherwise it is ignored. Positions of a keyframe that exceed a limit by less
-    than 1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped. Loops are not closed.
+    The posture is the keyframe ``keyframe``; else the keyframe ``home`` or the first keyframe, if
+    it is within the joint ranges; else the middle of the joint ranges. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.
@@ -377,9 +347,6 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
         robot: Robot.
         joints: Joints to which motors are assigned.
         argument: Name of the argument or option, for the message.
-
-    Raises:
-        ConfigurationError: If a joint is a slide.
     """
     slides = [joint for joint in joints if is_slide(robot, joint)]
     if slides:

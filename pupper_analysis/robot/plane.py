@@ -30,8 +30,8 @@ Position3 = tuple[float, float, float]
 """Point or vector (x, y, z), three floats."""
 
 MAX_FRICTION = 1e6
-"""Largest accepted friction coefficient [1]. Larger values are refused: they would have no other
-physical effect. Chosen, not tuned."""
+"""Largest accepted friction coefficient [1]. Chosen, not tuned: larger values would have no other
+physical effect."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,9 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of this plane by its normal: ``wall``, ``table`` or ``ceiling``.
+        """Kind of this plane: ``wall`` (normal -x), ``table`` (normal +z), ``ceiling`` (normal -z).
 
-        The normal of a wall is -x, of a table +z, of a ceiling -z (``PLANE_NORMALS``). Empty for
-        another normal.
+        Empty for another normal.
         """
         return next((name for name, out in PLANE_NORMALS.items() if out == self.normal), "")
 
@@ -97,19 +96,13 @@ class Plane:
     def contact_plane(self, _point: Position3) -> Plane:
         """Return the plane of a contact: this plane itself, at any contact point.
 
-        The method exists because `Slope.contact_plane` and `Bar.contact_plane` depend on a point.
-
         Args:
-            _point: Ignored.
+            _point: Ignored; `Slope.contact_plane` and `Bar.contact_plane` depend on it.
         """
         return self
 
     def with_parameter(self, number: float) -> Plane:
-        """Return the parallel plane whose ``parameter`` is ``number`` [m].
-
-        The parameter is the x of a wall, the z of a table or ceiling, or the offset n . p along the
-        normal n of another plane.
-        """
+        """Return the parallel plane whose ``parameter`` is ``number`` [m]."""
         offset, displacement = (
             self._parameter_sign * number,
             self._parameter_sign * (number - self.parameter),
@@ -200,8 +193,7 @@ class Bar:
         """Return a point (x, y, z) [m] above the axis of this bar, near a horizontal position [m].
 
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
-        perpendicular to the axis. The displacement is 1 m times the cosine of the bar's
-        inclination: zero for a vertical bar.
+        perpendicular to the axis, by 1 m times the cosine of the bar's inclination.
 
         Raises:
             ConfigurationError: If a coordinate exceeds `MAX_LENGTH`, as for a steep bar.
@@ -312,9 +304,6 @@ class Contact:
     def parameters(self) -> tuple[float, ...]:
         """Numbers that define the position or the angle of the plane or bar.
 
-        If a stand is out of reach, the search for the nearest reachable stand changes these
-        numbers.
-
         - Bar: x, y, z of its point [m].
         - Slope: its angle [rad].
         - Other plane: its ``parameter`` [m].
@@ -329,11 +318,7 @@ class Contact:
                 slope [rad], or the ``parameter`` of another plane [m].
 
         Raises:
-            ConfigurationError: In one of three cases:
-
-                - The plane is a bar, and ``numbers`` are not three valid coordinates.
-                - The plane is a slope, and the angle is not from 0 to pi.
-                - The position of another plane is not valid.
+            ConfigurationError: If the numbers are not valid, for example a slope angle above pi.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
@@ -435,7 +420,7 @@ class Weld:
 def _make_formatter(spec: str) -> Callable[..., str]:
     """Return a function that formats numbers with their unit.
 
-    If ``spec`` is a number format such as ``.4g``, lengths are in mm, and angles in deg. If it is
+    With a number format ``spec`` such as ``.4g``, lengths are in mm, and angles in deg. If it is
     empty, lengths are in m, and all digits are written.
     """
 
@@ -451,10 +436,7 @@ def _make_formatter(spec: str) -> Callable[..., str]:
 
 
 def _format_exact_angle(angle: float) -> str:
-    """Return the shortest text in degrees that is read as exactly this angle [rad].
-
-    If no such text exists, the text is in radians.
-    """
+    """Return the shortest text in degrees that is read as exactly this angle [rad], or radians."""
     candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
     radians_per_degree = UNIT_FACTORS["angle"]["deg"]
     return next(
@@ -477,7 +459,7 @@ def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Ite
 def contact_of(data: Any) -> Contact | Weld:
     """Convert plain data, for example from JSON, to a contact or weld.
 
-    A contact or weld is returned unchanged. A mapping without the key ``plane`` is a weld.
+    A mapping without the key ``plane`` is a weld.
 
     Raises:
         ConfigurationError: If the data are not valid.
@@ -506,8 +488,7 @@ PLANE_NORMALS: dict[str, Position3] = {
     "table": (0.0, 0.0, 1.0),
     "ceiling": (0.0, 0.0, -1.0),
 }
-"""{kind of plane: unit normal towards the robot, in the world frame}. A plane with another normal
-has no kind."""
+"""{kind of plane: unit normal towards the robot, in the world frame}."""
 
 
 def describe_surface(kind: str, foot: str) -> Diagnostic:
@@ -533,11 +514,7 @@ def slope_normal(angle: float, uphill: float) -> Position3:
 
 
 def _check_slope_angle(value: float) -> float:
-    """Check the angle between a sloped plane and the horizontal [rad], and return it as a float.
-
-    Raises:
-        ConfigurationError: If the angle is out of range, or no finite number.
-    """
+    """Return the angle [rad] of a slope to the horizontal; ConfigurationError if not valid."""
     name, low, high = "slope.angle", 0.0, math.pi
     angle = check_finite(name, value)
     if not low <= angle <= high:
@@ -553,11 +530,7 @@ def _check_slope_angle(value: float) -> float:
 
 
 def _check_friction(name: str, value: float | None) -> float | None:
-    """Check that a friction coefficient is from 0 to ``MAX_FRICTION``, or None; return it.
-
-    Raises:
-        ConfigurationError: If the coefficient is out of range, or no finite number.
-    """
+    """Return a friction coefficient, or None; ConfigurationError if it is not valid."""
     if value is None:
         return None
     friction = check_finite(name, value)
@@ -569,26 +542,13 @@ def _check_friction(name: str, value: float | None) -> float | None:
 
 
 def _check_direction(name: str, value: Any) -> Position3:
-    """Return the unit vector (x, y, z) of a vector (`check_direction`).
-
-    Args:
-        name: Name of the argument, for messages.
-        value: Vector.
-
-    Raises:
-        ConfigurationError: If the vector is zero, or is no vector of three finite numbers.
-    """
+    """Return the unit vector (x, y, z) of a vector; ConfigurationError if it is not valid."""
     x, y, z = check_direction(name, value).tolist()
     return x, y, z
 
 
 def _check_position(name: str, value: Any) -> Position3:
-    """Check a position (x, y, z) [m], and return it as floats.
-
-    Raises:
-        ConfigurationError: If ``value`` is no vector of three finite numbers, or a coordinate
-            exceeds `MAX_LENGTH`.
-    """
+    """Return a position (x, y, z) [m] as floats; ConfigurationError if it is not valid."""
     x, y, z = (
         check_length(name, coordinate) for coordinate in check_vector(name, value, 3).tolist()
     )

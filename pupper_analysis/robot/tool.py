@@ -36,8 +36,7 @@ from pupper_analysis.robot.robot import Robot
 
 _MIN_ARM_JOINTS = 3
 """Minimum number of joints that move a link with fingers, for the link to count as a hand (the
-default tool). The two joints of a free base in Pinocchio's model are included in this number.
-Chosen, not tuned."""
+default tool). A free base counts as two joints. Chosen, not tuned."""
 
 _MAX_FINGER_JOINTS = 4
 """Maximum number of joints of a finger. A branch of the joint tree with more joints is no finger.
@@ -134,30 +133,22 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     Args:
         robot: The robot.
         name: Name of a link of the URDF, or of a site, body or geom of the MJCF. By default, the
-            link at the end of the longest chain of joints, or of the first of several equally long
-            chains. If this chain ends in fingers, the default is the link to which the fingers are
-            attached.
+            link at the end of the longest chain of joints, or the link that carries the fingers at
+            this end.
 
     Raises:
         ConfigurationError: If an argument has another type.
-        UnknownNameError: If there is no such frame; the message lists links and sites.
+        UnknownNameError: If there is no such frame.
     """
     return _find_frame(robot, _find_end_link(robot) if name is None else name)[0]
 
 
 def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
-    """Find a named frame of a robot.
+    """Return the `Tool` at the origin of a named frame, and the rotation of the frame.
 
-    Args:
-        robot: The robot.
-        name: Name of a link of the URDF, or of a site, body or geom of the MJCF.
-
-    Returns:
-        Origin of the frame; rotation (3, 3) from the axes of the frame to the axes of the tool's
-        link. The frame of a mesh geom is the frame that MuJoCo's compiler computes.
-
-    Raises:
-        UnknownNameError: If there is no such frame; the message lists links and sites.
+    The frame is a link of the URDF, or a site, body or geom of the MJCF (for a mesh geom, the frame
+    that MuJoCo's compiler computes). The rotation (3, 3) is from the axes of the frame to the axes
+    of the tool's link. An unknown name raises an UnknownNameError.
     """
     if name in robot.structure.links:
         return Tool(name, name, np.zeros(3), _find_chain(robot, name)), np.eye(3)
@@ -181,24 +172,21 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
 
 MAX_DISTANCE_RATIO = 10.0
 """Largest distance of a point from the origin of its frame, relative to the robot's size
-(`measure_size`) [1]. A point that is farther away is rejected as a length in mm: above 1 % of the
-size, a coordinate in mm exceeds the bound. The error about an unreachable posture also compares the
-residual of a task with this bound. Chosen, not tuned: no payload is carried at a distance of ten
-sizes."""
+(`measure_size`) [1]. A point that is farther away is rejected, as a length in mm. Chosen, not
+tuned: no payload is carried at a distance of ten sizes."""
 
 
 def measure_size(robot: Robot) -> float:
     """Return the largest distance [m] of a point of the robot from the origin of its base.
 
     The joints are in the neutral configuration. The points are origins and CoMs of the moving
-    bodies, and the bounding spheres of the geoms of these bodies. The result is computed once for
-    each robot.
+    bodies, and the bounding spheres of the geoms of these bodies.
     """
     return robot.compute_once(_compute_size)
 
 
 def _compute_size(robot: Robot) -> float:
-    """Return the result of `measure_size`; zero for a robot with all points at the base."""
+    """Compute the size of a robot [m], which `measure_size` returns."""
     model, data = _compute_kinematics_with_visuals(robot)
     bodies = model.body_weldid > 0
     geoms = bodies[model.geom_bodyid]
@@ -222,21 +210,18 @@ def _compute_kinematics_with_visuals(robot: Robot) -> tuple[mujoco.MjModel, mujo
 def find_place(robot: Robot, point: FramePoint) -> Tool:
     """Convert a position on a robot to a `Tool`, which names the link of the position.
 
-    The `Tool` contains the URDF link of the point, the offset (3,) [m] in the link frame, and the
-    joints that move the point. No joint moves a point in the base frame.
-
     Args:
         robot: The robot.
         point: One of three forms:
 
             - (x, y, z) [m] in the base frame.
             - ``(frame, x, y, z)``: position [m] expressed in the frame of a link, site, body or
-              geom: from the origin of the frame, in the axes of the frame.
+            geom: from the origin of the frame, in the axes of the frame.
             - A `Tool`, which is returned unchanged.
 
     Raises:
-        ConfigurationError: If the coordinates are not three finite numbers, or too large; or if
-            the distance from the frame exceeds ``MAX_DISTANCE_RATIO`` sizes of the robot.
+        ConfigurationError: If the coordinates are not three finite numbers, or too large; or if the
+            distance from the frame exceeds ``MAX_DISTANCE_RATIO`` sizes of the robot.
         UnknownNameError: If the robot has no such frame, or no link with the name of the tool's
             link.
     """
@@ -301,13 +286,12 @@ def check_point(point: ArrayLike) -> Array:
 def _express_in_link(
     robot: Robot, body: int, position: Array, rotation: Array
 ) -> tuple[str, Array, Array]:
-    """Express the pose of a frame in the link that moves with a body.
+    """Express the neutral pose of a frame in the frame of the link that moves with a body.
 
     Args:
         robot: The robot.
         body: Body id of the MuJoCo model.
-        position: Origin of the frame in the world frame, shape (3,) [m], at the neutral
-            configuration.
+        position: Origin of the frame in the world frame, shape (3,) [m].
         rotation: Rotation from the axes of the frame to world axes, shape (3, 3).
 
     Returns:
@@ -319,11 +303,7 @@ def _express_in_link(
 
 
 def _find_carrying_link(robot: Robot, body: int) -> str:
-    """Find the URDF link that moves with an MJCF body, and return its name.
-
-    Of several links on the same joint, the first is returned. The result is the base if the body is
-    fixed to the world or to a free base.
-    """
+    """Return the name of the URDF link that moves with an MJCF body, or of the base."""
     model = robot.mj_model
     while body and not model.body_jntnum[body]:
         body = int(model.body_parentid[body])
@@ -360,8 +340,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 def _find_end_link(robot: Robot) -> str:
     """Find the default tool link: the end of the longest joint chain, or a hand with fingers.
 
-    Two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the chain count
-    as fingers. At least `_MIN_ARM_JOINTS` joints must move this link.
+    Two or more short branches on a link of the chain count as fingers (`_MAX_FINGER_JOINTS`).
     """
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
@@ -381,7 +360,7 @@ def _find_end_link(robot: Robot) -> str:
 MAX_MASS_RATIO = 20.0
 """Mass of a payload, relative to the mass of the robot [1], above which the loaded robot has a
 note. Chosen, not tuned: legged robots carry up to a few times their mass, and a mass in g is 1000
-times the mass in kg. The payload is not rejected, because searches for limits try large masses."""
+times the mass in kg."""
 
 _PAYLOAD_NAME = "payload"
 """Name of the link and of the body of a payload; underscores are appended if the name is in use."""
@@ -478,10 +457,8 @@ def _build_loaded_robot(
 ) -> Robot:
     """Build a robot with a payload, if possible without compiling the model again.
 
-    For the first two masses at a point, the models are compiled. The second model is compared byte
-    by byte with a copy of the first model whose payload mass is changed. If both are equal, the
-    models of further masses are such copies. If they differ, for example because MuJoCo
-    computes the damping of a servo from ``dampratio``, all models are compiled.
+    Reason: searches try many masses at a place. The model of the first mass is copied with another
+    mass, if such a copy of the second mass was equal to the compiled model.
 
     Args:
         robot: Robot without payload.
@@ -510,17 +487,10 @@ def _build_loaded_robot(
 
 
 def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjModel | None:
-    """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload's body.
+    """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload ``name``.
 
-    Constants that depend on the mass are computed again. These include ``meaninertia`` and
-    ``meanmass``, which ``mj_setConst`` does not change.
-
-    Returns:
-        The model. None in three cases:
-
-        - There is no body with the name.
-        - A number of the model is not valid (`find_invalid_number`).
-        - The file sets a lower bound of all masses (``boundmass``).
+    Constants that depend on the mass are computed again, also ``meaninertia`` and ``meanmass``,
+    which ``mj_setConst`` does not change. None if the copy would not be valid.
     """
     statistic = loaded.description.mjcf.stat
     body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)

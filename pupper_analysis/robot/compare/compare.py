@@ -76,8 +76,7 @@ from pupper_analysis.robot.shapes import may_touch
 CONTACT_HEIGHT_ATOL = 2e-4
 """Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m].
 Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
-Also an upper bound of the difference between the distances of two geoms from the shape in the URDF:
-below this bound, both geoms count as equally near. Chosen, not tuned."""
+Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
@@ -110,9 +109,7 @@ def compare_collisions(
     """Compare the height of the lowest collision shape of each foot, in a URDF and an MJCF.
 
     The robot is in the initial pose of the MJCF. A limb end that is about as low as the lowest limb
-    end counts as a foot. The feet of a robot with a fixed base are not compared. A difference is
-    reported if the lowest points differ by more than 0.2 mm (``CONTACT_HEIGHT_ATOL``), or if only
-    one file has a shape.
+    end counts as a foot. The feet of a robot with a fixed base are not compared.
 
     Args:
         matched: Matched joints, links and bodies of both files.
@@ -123,9 +120,8 @@ def compare_collisions(
             these joints are not compared.
 
     Returns:
-        Differences of feet; notes. If the files have different base frames or joint zeros, no feet
-        are compared, and a note reports this. There is no such note if the URDF has no collision
-        shape, or the MJCF has no compiled model, or no geom outside of the world body.
+        Differences of feet; notes. Feet are not compared if the files have different base frames or
+        joint zeros.
     """
     conventions = matched.conventions
     urdf_model = read_urdf_model(urdf)
@@ -166,19 +162,10 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> MovingShapes | None:
-    """Return the collision shapes that move with a joint, for a comparison of both files.
+    """Return the collision shapes of URDF and MJCF that move with a joint, in the world frame.
 
-    Args:
-        name: Joint.
-        matched: Matched files.
-        of_urdf: Model and file of the URDF.
-        of_mjcf: Model and file of the MJCF.
-        data: MuJoCo data with kinematics. The shapes are placed in its world frame.
-
-    Returns:
-        Shapes of the URDF, and shapes of the MJCF that can touch the world, each with its place in
-        the file. None if the shapes cannot be compared: a link or the extent of a shape is unknown,
-        or a shape of the URDF has no extent.
+    None if the shapes cannot be compared, for example because the extent of a mesh is unknown.
+    ``data`` contains MuJoCo's kinematics.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
@@ -225,10 +212,7 @@ def _collect_limb_shapes(
 
 
 def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the geoms that can touch a collidable geom of the world, in order of their ids.
-
-    If the world has no such geom, all collidable geoms are returned.
-    """
+    """Return the ids of geoms that can touch the world; all, if the world has no such geom."""
     ids = sorted(find_collidable_geoms(model))
     world_geoms = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
     if not world_geoms:
@@ -264,16 +248,9 @@ def _find_foot_joints(
 
 
 def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape) -> Place:
-    """Return the location in the MJCF at which the contacts of a foot are disabled.
+    """Return the location in the MJCF at which the contacts of a foot are disabled, or its body.
 
-    If a flag disables all contacts, the result is the location of the flag. Otherwise, the geom of
-    the foot that is nearest to the shape in the URDF is selected. The result is the location of the
-    geom's contact bits. If the foot has no geom, the result is the location of the body.
-
-    Args:
-        mjcf: The MJCF.
-        body: Body of the foot.
-        urdf_shape: Shape of the foot that touches in the URDF.
+    ``body`` is the body of the foot, ``urdf_shape`` the shape of the foot in the URDF.
     """
     model = mjcf.model
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
@@ -297,10 +274,7 @@ _DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
 def _compare_feet(
     feet: Mapping[str, MovingShapes], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
 ) -> Iterator[Difference]:
-    """Yield differences of the collision shapes of feet between URDF and MJCF.
-
-    Reported are a foot with shapes in one file only, and different heights of the lowest points.
-    """
+    """Yield feet with shapes in one file only, or with different heights of the lowest points."""
     for name, (urdf_shapes, mjcf_shapes) in feet.items():
         subject, sides = (
             ("joint", name),
@@ -374,8 +348,7 @@ def report_base_tilt(
         tolerances: Tolerances of the comparison.
 
     Returns:
-        Diagnostic. None if the angle is within the tolerance for rotations, if the base is free, or
-        if gravity is zero.
+        Diagnostic; None without a tilt beyond the tolerance for rotations.
     """
     robot = matched.robot
     if robot.floating:
@@ -615,17 +588,8 @@ def compare_files(
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
     """Find mistakes in a file, such as wrong units, that each explain several differences.
 
-    The first installed tool with a module ``causes`` finds the mistakes. Without such a tool, the
-    result is empty.
-
-    Args:
-        *of: Arguments of the tool's function ``find_causes``:
-
-            - the robot
-            - the tree of the MJCF in the URDF's link frames
-            - all differences
-            - the tolerances
-            - the bodies of the MJCF whose mass is computed from geoms
+    A tool with a module ``causes`` finds the mistakes; ``of`` contains its arguments: robot, tree
+    of the MJCF, differences, tolerances, and bodies of the MJCF whose mass is computed from geoms.
     """
     modules = (
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()
@@ -642,8 +606,7 @@ def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
 def _report_missing_base_mass(matched: Match) -> Iterator[Diagnostic]:
     """Yield a diagnostic if the MJCF lacks the mass of a base with legs.
 
-    A robot has legs if two or more joints have the name of a leg joint. The base of a robot without
-    legs (an arm) does not move, so that its mass has no effect.
+    The base of a robot without legs (an arm) does not move, so that its mass has no effect.
     """
     notes = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
     legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]
@@ -660,15 +623,7 @@ def _compare_ground_contact(
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the collision shapes of feet, unless a file was converted from another format.
 
-    Args:
-        matched: Matched files.
-        urdf: The URDF.
-        mjcf: The MJCF.
-        mjcf_model: The model read from the MJCF.
-        found: Other differences. Feet that these differences displace are not compared.
-
-    Returns:
-        Differences, and messages; both empty if a file was converted.
+    Feet that the differences ``found`` displace are not compared. Returns differences and notes.
     """
     if urdf.stands_for or mjcf.stands_for:
         return [], []
@@ -695,11 +650,7 @@ def _add_places(
     urdf: UrdfFile,
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
-    """Yield the differences with file and line of both elements added.
-
-    If a file was converted from another format, the messages contain the name of that format
-    instead of "the URDF" or "the MJCF".
-    """
+    """Yield the differences with file and line of both elements, and with format names."""
     format_names = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
@@ -716,11 +667,9 @@ def _add_places(
 
 
 def _explained_fraction(explanation: Explanation) -> float:
-    """Compute how much of the largest dynamic deviation the differences explain, from 0 to 1.
+    """Return the fraction 1 - residual / deviation that the differences explain, from 0 to 1.
 
-    The fraction is 1 - residual / deviation. The residual is the deviation after all differences
-    are removed. Both numbers are the largest of all quantities. If the deviation is at most 1e-9
-    (``MAX_RESIDUAL``), the result is 1, or 0 if the residual is larger.
+    Residual and deviation are the largest of all dynamic quantities.
     """
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)
@@ -739,11 +688,7 @@ def _report_name(urdf: str, mjcf: str) -> Difference:
 def _compare_servo_gains(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
 ) -> Iterator[Difference]:
-    """Yield the differences of servo gains between the two files.
-
-    A URDF has no servo gains. Gains are therefore compared only if the URDF was converted from
-    another format, and that file states gains.
-    """
+    """Yield the differences of servo gains, if the URDF was converted from a file with gains."""
     if urdf.gains is None:
         return
     mjcf_gains = list_position_servos(matched.robot) if mjcf.gains is None else mjcf.gains
@@ -771,9 +716,7 @@ def _compare_servo_gains(
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yield reasons, other than differences, for which URDF and MJCF do not agree.
 
-    - A deviation of the dynamics that the differences do not explain.
-    - Otherwise, if there is no mechanical difference: each quantity with a deviation above all
-      tolerances of `_DYNAMIC_KINDS`. Several small differences can cause such a deviation.
+    Examples are an unexplained deviation, and a large deviation from several small differences.
     """
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:
@@ -802,19 +745,15 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
 """Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances also
-bounds the relative deviation of each dynamic quantity. If all differences are within the
-tolerances, but a deviation exceeds this bound, the files do not agree (`_find_objections`)."""
+bounds the relative deviation of each dynamic quantity."""
 
 
 def find_first_difference(robot: Robot) -> Diagnostic | None:
     """Find the first difference of a robot's two files that affects dynamics or positions.
 
-    The difference affects mass matrix, gravity, or positions of joints and feet. Without such a
-    difference, the result is the first part of the robot that differs.
-
     Returns:
-        Difference. None if the files are equal, if they cannot be compared, or if one of both was
-        converted from the other.
+        Diagnostic of the difference, or of a part that only one file has. None if no difference is
+        found, or the files cannot be compared.
     """
     file = None if robot.published is None else robot.published.file
     if file is None or robot.description.converted:

@@ -241,12 +241,9 @@ class Difference(Stated, Result):
 
     @property
     def _relative_limit_difference(self) -> float:
-        """Difference between a joint's limits in URDF and MJCF, from 0 to 1; a sorting key.
+        """Relative difference of a joint's limits in URDF and MJCF, from 0 to 1; a sorting key.
 
-        - Position limits: relative to a full turn for a hinge, and to 1 m for a slide.
-        - Effort limits: relative to the larger value.
-        - 1 if a file has no limit.
-        - 0 for a difference of another kind.
+        Positions are relative to a full turn or 1 m, efforts to the larger value.
         """
         if self.kind not in LIMIT_KINDS:
             return 0.0
@@ -347,12 +344,8 @@ class RelativeError:
     def scale(self, name: str) -> float:
         """Return the scale of a quantity, by which its deviations are divided, in its unit.
 
-        The scale is the largest absolute value of the first model. If a value of the first model is
-        not finite, the second model is used. Lower bounds:
-
-        - gravity and bias forces, which may be nearly zero: 1e-3 g times the scale of the mass
-          matrix (g = 9.81 m/s^2);
-        - other quantities: 1e-300.
+        The scale is the largest absolute value of the first model, with a lower bound for gravity
+        and bias forces, which may be nearly zero.
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.
@@ -418,11 +411,7 @@ class RelativeError:
 
 
 def describe_kind(kind: str) -> str:
-    """Return a short English description of a kind of check result, for example ``joint``.
-
-    A kind without a description of its own, for example ``mass``, is described as a difference of
-    this kind.
-    """
+    """Return a short English description of a kind of check result, for example ``joint``."""
     key = _ABOUT_KEYS.get(kind, "about-difference")
     return fill_template(phrase(key, "en"), {"kind": kind}, "en")
 
@@ -498,15 +487,14 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 MIN_FACTOR = 10.0
 """Ratio of two numbers (MJCF / URDF) [1], above which a message states a factor ("20 times")
-instead of a percentage. Relative effects are stated as factors from this value on. Chosen, not
-tuned."""
+instead of a percentage. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
     """Describe the ratio between the numbers of MJCF and URDF, for a message.
 
-    The ratios 1000, 10, 1/10, 1/1000 and -1 are described as probable mistakes, for example grams
-    instead of kilograms.
+    Ratios such as 1000 or -1 are described as probable mistakes, for example grams instead of
+    kilograms.
 
     Args:
         urdf: Number of the URDF.
@@ -541,7 +529,7 @@ def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
         mjcf: Number of the MJCF.
 
     Returns:
-        Diagnostic. None for another ratio, if the first value is zero, or if a value is not finite.
+        Diagnostic, or None.
     """
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
@@ -645,8 +633,7 @@ def changes_between(
 ) -> Iterable[Change]:
     """Yield the differences of two multibody trees that exceed the tolerances, value by value.
 
-    Armatures are compared only between two files of the same format; the armature of a free base
-    without tolerance.
+    Armatures are compared only between two files of the same format.
 
     Args:
         one: First tree (URDF).
@@ -809,10 +796,7 @@ def _compare_joints(
 def _compare_joint_parameters(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
-    """Yield the differences of the scalar parameters of two joints.
-
-    Parameters that only one format supports are compared only between files of the same format.
-    """
+    """Yield the differences of the scalar parameters of two joints, such as limits and damping."""
     for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
         first, second = float(getattr(one, field)), float(getattr(two, field))
