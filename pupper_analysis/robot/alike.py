@@ -46,13 +46,8 @@ class Limb:
         """Return True if two limbs have equal joint types, and similar dimensions or masses.
 
         One of the two similarities is sufficient, because a single wrong value of a file affects
-        only masses or only dimensions.
-
-        - Dimensions are similar if all distances between joints differ by at most 0.05 times the
-          length of the limb, and all |cos| between successive axes by at most 0.05. The length is
-          the sum of the larger distances. If the length is 0, dimensions are not compared.
-        - Masses are similar if both limbs have the same number of bodies, and each mass differs by
-          at most 0.05 times the larger mass.
+        only masses or only dimensions. Dimensions are distances between joints, and angles between
+        axes.
 
         Args:
             other: Limb of the same robot.
@@ -80,8 +75,7 @@ class Limb:
 def list_limbs(robot: Robot) -> list[Limb]:
     """Return the limbs of a robot: the chains of moving bodies from the base to the limb ends.
 
-    A limb end is a moving body without moving descendants. A body that is fixed to a moving body
-    counts as part of the moving body.
+    A limb end is a moving body without moving descendants.
     """
     model, data = robot.mj_model, robot.compute_kinematics()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
@@ -114,12 +108,11 @@ def list_limbs(robot: Robot) -> list[Limb]:
 def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     """Find the corresponding joints of similar limbs, for example the knees of a quadruped.
 
-    Limbs are similar if `Limb.is_similar_to` holds. Corresponding joints have the same index,
-    counted from the base.
+    Corresponding joints have the same index, counted from the base.
 
     Returns:
-        {joint: corresponding joints of all similar limbs}. A joint is omitted if its limbs are
-        similar to no other limb, or if a similar limb contains the same joint.
+        {joint: corresponding joints of all similar limbs}. Joints without corresponding joints are
+        omitted.
     """
     model, limbs = robot.mj_model, list_limbs(robot)
     joints = [
@@ -143,8 +136,7 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report each limb without a foot, if at least half of the similar limbs have a foot.
 
-    The limb counts as one of its similar limbs. The result is empty if this package did not detect
-    the feet (no note ``feet-found``).
+    The result is empty if this package did not detect the feet (no note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()
@@ -205,9 +197,8 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 def name_joints(names: Sequence[str]) -> str:
     """Return one short name for several joints, for example ``leg_*_1``.
 
-    The common beginning and the common end of the names, cut at underscores, are joined by ``*``.
-    Names without common part are listed: two names, and the number of further names. A single name
-    is returned unchanged; no name gives an empty text.
+    The common beginning and end of the names, cut at underscores, are joined by ``*``. Names
+    without common part are listed or counted.
     """
     if len(names) <= 1:
         return "".join(names)

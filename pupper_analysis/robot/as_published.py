@@ -60,9 +60,8 @@ class ServosUsed:
 
 MIN_UNHELD_DISPLACEMENT = 0.05
 """Displacement [rad, m] above which a joint counts as displaced, in a simulation of a published
-file from its keyframe. A displaced joint without servo counts as not held (`OwnRun.unheld`): it has
-no stiffness, and usually moves to a stop. A displaced joint with servo may count as moved by its
-command (`JointOff.commanded_away`). Chosen, not tuned."""
+file from its keyframe. A displaced joint without stiffness usually moves to a stop. Chosen, not
+tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -82,11 +81,8 @@ with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v
 Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Displacement [rad, m] above which the posture is lost. For a robot with a fixed base, it is the
-displacement of a joint (`OwnRun.has_left_posture`, `PublishedRun.collapses`). For a lifted leg, it
-is the norm over the joints of the leg (`OwnRun.lifted_leg`). Also used for simulations of the
-prepared robot with a fixed base, and for the note on a keyframe that commands another posture.
-Chosen, not tuned."""
+"""Displacement [rad, m] above which a posture is lost: of a joint, or of a lifted leg (norm over
+its joints). Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):
@@ -120,11 +116,8 @@ class JointOff:
     def commanded_away(self) -> bool:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
-        Both conditions must hold; without a command, the result is False:
-
-        - The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
-        - The command lies in the direction of the displacement, and its distance from the initial
-          position exceeds half of the displacement.
+        The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``). The command lies in
+        its direction, and more than half as far from the initial position.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
@@ -160,15 +153,13 @@ lacks these changes, so its simulation may deviate from the computed equilibrium
 - other actuators are replaced by servos (``other-drive``)
 
 If the published robot does not collapse and all causes have these codes, the verdict reports the
-deviation, but is not FAILS.
-"""
+deviation, but is not FAILS."""
 
 
 MAX_OWN_TILT = math.radians(10.0)
 """Largest accepted tilt of the base [rad] at the end of a simulation of the published file from its
 keyframe (`BodyMotion.lean`). With a larger tilt, the run fails (`OwnRun.is_tilted`). Chosen, not
-tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
-"""
+tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1)."""
 
 MAX_OWN_TRAVEL_RATIO = 0.5
 """Largest accepted horizontal travel of a robot, relative to its initial CoM height [1], in a
@@ -238,9 +229,8 @@ class OwnRun(BodyMotion):
     def has_left_posture(self) -> bool:
         """True if a joint of a robot with a fixed base has moved far, without command.
 
-        Evaluated for the joint with the largest displacement: the displacement exceeds 0.5 rad or m
-        (``MIN_POSTURE_DEVIATION``), and the command does not explain the displacement
-        (`JointOff.commanded_away`).
+        The largest displacement exceeds 0.5 rad or m (``MIN_POSTURE_DEVIATION``), and the command
+        does not explain it.
         """
         worst = None if self.standing else self.worst
         return (
@@ -259,9 +249,9 @@ class OwnRun(BodyMotion):
 
     @property
     def is_tilted(self) -> bool:
-        """True if the base of a standing robot ends tilted by more than 10 deg.
+        """True if the base of a standing robot ends tilted by more than 10 deg (``MAX_OWN_TILT``).
 
-        The limit is ``MAX_OWN_TILT``. False if the simulation diverged.
+        False if the simulation diverged.
         """
         return self.standing and not self.diverged and self.lean > MAX_OWN_TILT
 
@@ -280,10 +270,7 @@ class OwnRun(BodyMotion):
 
     @property
     def falls(self) -> bool:
-        """True if the robot collapses (``collapses``), or a joint does not stay in place.
-
-        The joint conditions are ``has_left_posture``, and a joint in ``unheld``.
-        """
+        """True if the robot collapses (``collapses``), or a joint does not stay in place."""
         return self.collapses or self.has_left_posture or self.unheld is not None
 
     @property
@@ -385,8 +372,7 @@ class Published:
     def is_altered_only(self) -> bool:
         """True if only changes that this package makes on loading cause the deviation.
 
-        The published file then deviates from the computed equilibrium without a collapse. All
-        causes are changes such as replaced mesh feet or actuators (``PREPARATION_CODES``).
+        The published file then deviates from the computed equilibrium without a collapse.
         """
         codes = {cause.code for cause in self.causes}
         run = self.worst
@@ -396,8 +382,7 @@ class Published:
     def worst(self) -> PublishedRun | None:
         """Worst simulation that deviates from the computed equilibrium; None if none does.
 
-        A simulation with a collapse is worse than a simulation without a collapse. Otherwise, a
-        simulation with feed-forward is worse than a simulation without feed-forward.
+        A simulation with a collapse is worse than a simulation without a collapse.
         """
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

@@ -19,13 +19,11 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200
 """Maximum number of iterations of `GroundLaw.depth` between a lower and an upper bound of the
-penetration. Usually 5 Newton steps are sufficient. Bisection needs more iterations. Chosen, not
-tuned."""
+penetration. Usually 5 Newton steps are sufficient. Chosen, not tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
-"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. If these
-steps do not converge, the iteration with bounds follows. Usually two steps are sufficient. Chosen,
-not tuned."""
+"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. Usually two
+steps are sufficient. Chosen, not tuned."""
 
 _STEP_RTOL = 1e-9
 """Length of a Newton step, relative to the penetration plus the contact margin [1], at or below
@@ -161,9 +159,8 @@ class GroundLaw:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
-        penetration. The geometric mean of the bounds replaces a step in two cases: the step leaves
-        the bounds, or the previous step did not halve the residual. While the lower bound is zero,
-        half the upper bound replaces the geometric mean. With ``near``, up to four Newton steps
+        penetration. The geometric mean of the bounds replaces a step that leaves the bounds, or
+        that follows a step that did not halve the residual. With ``near``, up to four Newton steps
         without bounds are tried first.
 
         The iteration ends if the relative step is at most 1e-9 (`_STEP_RTOL`), if the relative
@@ -175,9 +172,8 @@ class GroundLaw:
                 none.
 
         Returns:
-            Penetration [m]. A positive force gives at least -margin. Another force gives at most
-            -margin, extrapolated with the initial stiffness. Ground without force (``solref`` of
-            zero) gives infinity for a positive force, otherwise -margin.
+            Penetration [m]; at most -margin without a positive force. Infinite for a positive force
+            on ground without contact force (``solref`` of zero).
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force

@@ -175,8 +175,7 @@ class PinocchioConvention:
     def velocity_map(self, qpos: Array) -> Array:
         """Return the matrix T, shape (model.nv, nv), that maps qvel to Pinocchio's v = T qvel.
 
-        T is orthogonal. With T also: qvel = T^T v, tau_pin = T tau, J = J_pin T and M = T^T M_pin
-        T.
+        T is orthogonal.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator
@@ -191,10 +190,9 @@ class PinocchioConvention:
         return result
 
     def acceleration_offset(self, qpos: Array, qvel: Array) -> Array:
-        """Return the term dT/dt qvel of Pinocchio's acceleration a = T qacc + dT/dt qvel.
+        """Return the term dT/dt qvel, shape (model.nv,), of Pinocchio's a = T qacc + dT/dt qvel.
 
-        T is the `velocity_map`. T changes only with the orientation of the base: the term is zero
-        for a fixed base. Shape (model.nv,).
+        T is the `velocity_map`. The term is zero for a fixed base.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator

@@ -20,16 +20,15 @@ from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 _LEVEL_ATOL = 1e-9
-"""Tolerance with which a floor counts as level at z = 0, and is not changed. In a spec, the
-distance from z = 0 [m] and the x and y components of the quaternion are compared with the
-tolerance. In a compiled model, the height [m] and 1 - cos(tilt) are compared. Chosen, not tuned."""
+"""Tolerance with which a floor counts as level at z = 0, and is not changed. It applies to the
+height [m], and to the x and y components of the quaternion, or to 1 - cos(tilt). Chosen, not tuned.
+"""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Find the floor of an MJCF: a plane geom of the world body.
+    """Return the floor of an MJCF: a plane geom of the world body; None without such a plane.
 
-    The first plane with enabled contacts counts; if all contacts are disabled, the first plane.
-    None if there is no plane.
+    Of several planes, the first plane with enabled contacts is preferred.
     """
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     planes = [geom for geom in spec.worldbody.geoms if geom.type == plane]
@@ -41,7 +40,6 @@ def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
     """Make a level floor the only level plane of the world body with contact bits, in place.
 
     The contact bits of the other level planes, at any height, are added to the bits of the floor.
-    The bits of these planes are then cleared; their ``<pair>`` elements are kept.
 
     Args:
         spec: MJCF to modify.
@@ -89,12 +87,11 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    - A level floor at z = 0 is kept, or replaced by an equal floor, for example if it is in a
-      ``<frame>``. A tilted, higher or lower floor, or a floor on another fixed body, is replaced by
-      a level floor at z = 0. A missing floor is added.
-    - If no plane can collide, the first plane of the world body is the floor, and is not changed.
-    - Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps
-      are part of the task. Level planes of the world body at z = 0 are excepted.
+    - A tilted, higher or lower floor is replaced by a level floor at z = 0. A missing floor is
+    added.
+    - If no plane can collide, a plane of the world body is the floor, and is not changed.
+    - Contacts of scenery (stairs, tables, walls) are disabled, because slopes and steps are part of
+    the task.
     - Contact parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
@@ -158,13 +155,8 @@ def _level_floor(
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Select the floor from planes; if none is level at z = 0, replace one by a level plane.
 
-    The first level plane is replaced, for example a plane at another height. If no plane is level,
-    the first plane is replaced. The list ``floors`` is reordered, so that the result is its first
-    element.
-
-    Returns:
-        The floor; a diagnostic with the tilt and height of the replaced plane, if tilt or height
-        was not zero.
+    The list ``floors`` is reordered, so that the floor is its first element. Returns the floor, and
+    a diagnostic if a tilted or raised plane was replaced.
     """
     level_index = next((i for i, floor in enumerate(floors) if _is_level_at_zero(floor)), None)
     if level_index is not None:
@@ -195,10 +187,7 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Measure the tilts of planes (as cosines), and the heights [m] of their origins above z = 0.
-
-    Both lists are read from the compiled model.
-    """
+    """Return the cosines of the tilts, and the heights [m], of planes in the compiled model."""
     numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
     copied = spec.copy()
     copied.compiler.discardvisual = False  # removing geoms would change their order
@@ -211,10 +200,7 @@ def _compiled_planes(
 
 
 def _disable_geoms(spec: mujoco.MjSpec, geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
-    """Disable the contacts of geoms, in place, and report each geom by name.
-
-    A geom without a name is reported by the name of its body, or, in the world body, by its type.
-    """
+    """Disable the contacts of geoms, in place, and report the geoms in a diagnostic."""
     names: list[str | Diagnostic] = []
     for geom in geoms:
         _disable_contacts(spec, geom)
@@ -227,9 +213,7 @@ def _disable_geoms(spec: mujoco.MjSpec, geoms: list[mujoco.MjsGeom]) -> list[Dia
 def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
     """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place.
 
-    Returns:
-        Notes on the replaced pairs, and on parameters of pairs that a geom cannot have; empty if
-        there are no such pairs.
+    Returns notes on the replaced pairs, and on parameters of pairs that a geom cannot have.
     """
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     used_bits = floor.contype | floor.conaffinity

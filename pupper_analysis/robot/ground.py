@@ -34,9 +34,8 @@ Point = tuple[float, float]
 
 
 _DEFAULT_ANGLE = 0.0
-"""Default of slope and uphill direction [rad]. If both fields are this object (``is``, not ``==``),
-and there are no steps, the constructor skips its checks. This saves time, because level ground is
-the usual case."""
+"""Default of slope and uphill direction [rad]. The constructor skips checks for this object
+(``is``, not ``==``), which saves time: level ground is the usual case."""
 
 
 class Step(NamedTuple):
@@ -127,8 +126,7 @@ class Ground:
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None for a foot on the floor, which has no entry in ``planes`` and
-            ``heights``.
+            "wall of left_palm". None for a foot on the floor.
         """
         if foot in self._planes:
             plane = self._planes[foot]
@@ -140,8 +138,7 @@ class Ground:
         """Return the unit normal of the ground under a foot, shape (3,), in the world frame.
 
         Args:
-            foot: Foot. A foot with a separate plane (``planes``) gives the normal of this plane.
-                Another foot, or None, gives the normal of the sloped ground.
+            foot: Foot, which may have a separate plane (``planes``). Default: the sloped ground.
         """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
@@ -151,17 +148,15 @@ class Ground:
         """Return the shortest rotation (3, 3) from the world's z to the normal under a foot.
 
         Args:
-            foot: Foot. A foot with a separate plane (``planes``) gives the normal of this plane.
-                Another foot, or None, gives the normal of the sloped ground.
+            foot: Foot, which may have a separate plane (``planes``). Default: the sloped ground.
         """
         return _align_z_with(self.normal(foot))
 
     def ground_point(self, foot: str, centre: Array) -> Array:
         """Return the ground point (3,) [m] under a foot, in the world frame.
 
-        For a foot with a separate plane (``planes``), the result is the point of this plane nearest
-        to the foot. Otherwise, the result is the point of the ground or step vertically below the
-        foot.
+        The point is vertically below the foot, or the nearest point of a separate plane
+        (``planes``).
 
         Args:
             foot: Foot.
@@ -178,19 +173,18 @@ class Ground:
 
         - Step with height h > 0: the box stands on the ground.
         - Step with height h < 0 (pit): the top of the box is the bottom of the pit, at height h.
-        - Separate plane: the top of the box is in the plane. The box is half as thick as wide.
+        - Separate plane: the top of the box is in the plane.
         - Bar: a cylinder with the radius and direction of the bar.
 
-        A box extends 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot. The
-        thickness of the box of a step is abs(h) times the cosine of the slope.
+        A box extends 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot.
 
         Args:
             places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points
                 of a flat foot are named ``foot/1``, ``foot/2`` ...
 
         Returns:
-            {foot: box or cylinder}. Feet without a contact point in ``places`` are omitted, and so
-            are feet on a step of height 0 without a separate plane.
+            {foot: box or cylinder}, for feet with a contact point in ``places``. A step of height 0
+            has no box.
 
         Raises:
             ConfigurationError: If ``places`` is no mapping with names as keys.
@@ -270,11 +264,7 @@ def _align_z_with(direction: Array) -> Array:
 
 
 def _check_slope(name: str, value: float) -> float:
-    """Check a slope angle [rad] in [0, pi/2), and return it as a float.
-
-    Raises:
-        ConfigurationError: If the angle is out of range, or no finite number.
-    """
+    """Return a slope angle [rad] in [0, pi/2) as a float; ConfigurationError if it is not valid."""
     angle = check_finite(name, value)
     if not 0 <= angle < math.pi / 2:
         written = suggest_degrees(angle, 0.0, math.pi / 2)
@@ -285,8 +275,7 @@ def _check_slope(name: str, value: float) -> float:
 
 _BAR_LENGTH_FACTOR = 3.0
 """Half length of the cylinder that represents a bar in MuJoCo's model, relative to the half width
-of a box for the same foot [1]. That half width is the reach of the contact points plus
-``STEP_HALF_WIDTH``. Chosen, not tuned: a foot must not reach the end of the bar."""
+of a box for the same foot [1]. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
 """Distance [m] by which the top of a step's box extends beyond the contact points of its foot. A

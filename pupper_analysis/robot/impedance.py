@@ -21,9 +21,8 @@ _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""{type of an equality constraint: number of its scalar equations}. All equations of a constraint
-of these types share one impedance, which depends on the norm of their violations. In other types,
-each equation has a separate impedance."""
+"""{type of an equality constraint: number of its scalar equations}, for types whose equations share
+one impedance, which depends on the norm of their violations."""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
@@ -58,9 +57,8 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
     """Return the solref that MuJoCo applies, which may be the default instead of the stated one.
 
-    Two positive values are time constant and damping ratio. Two values that are not positive are
-    the negative stiffness and the negative damping. If exactly one value is positive, MuJoCo warns,
-    and applies its default. MuJoCo's lower bound of the time constant (``refsafe``) is not applied.
+    MuJoCo applies its default if exactly one of the two values is positive. MuJoCo's lower bound of
+    the time constant (``refsafe``) is not applied.
 
     Source: getsolparam in MuJoCo's ``engine_core_constraint.c``.
 
@@ -68,7 +66,7 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
         solref: Two numbers, as in the MJCF.
 
     Returns:
-        Time constant [s] and damping ratio [1]; or -stiffness and -damping.
+        Time constant [s] and damping ratio [1], if positive; otherwise -stiffness and -damping.
     """
     first, second = (float(value) for value in solref)
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
@@ -141,8 +139,7 @@ class EqualityCompliance:
     def max_compliance(self) -> Array:
         """Return the largest compliance of each of m scalar equations, shape (m,) [m/N, rad/(N m)].
 
-        The compliance of a MuJoCo equality constraint depends on its violation (``solimp``). The
-        result is the maximum over all violations.
+        The result is the maximum over all violations.
         """
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:
@@ -169,8 +166,7 @@ def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     """Return the smallest violation x [m, rad] that satisfies x = ``force`` (1 - d(x)) / d(x)^2.
 
     d is the impedance. ``force`` is the constraint force times the compliance for (1 - d) / d^2 =
-    1, so that its unit is m or rad. If the stiffness falls with the violation, a fixed-point
-    iteration rises to the smallest solution. Otherwise the solution is bisected.
+    1, so that its unit is m or rad.
     """
     low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
     if low < high:
@@ -192,9 +188,7 @@ def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
 def _compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
     """Return (1 - d) / d^2, to which the compliance of a soft constraint at rest is proportional.
 
-    Args:
-        solimp: Parameters from ``clip_solimp``, which determine the impedance d.
-        violation: Violation of the constraint [m, rad].
+    d is the impedance at a violation [m, rad] with the parameters ``solimp`` (``clip_solimp``).
     """
     d, _ = solimp_impedance(solimp, violation)
     return (1 - d) / d**2

@@ -18,14 +18,16 @@ def make_mujoco_spec(
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
     """Copy the MJCF of a description, and prepare the copy for a free or a fixed base.
 
-    - ``fixed_base`` true: free joints and keyframes are removed. If a free joint was removed, the
-      ground no longer collides.
-    - ``fixed_base`` false: a robot with a free joint and without a floor gets a floor.
+    Args:
+        description: Contents of the URDF and the MJCF.
+        fixed_base: Whether free joints and keyframes are removed. If a free joint was removed, the
+            ground no longer collides. If False, a missing floor of a robot with a free joint is
+            added.
 
     Returns:
-        Spec; qpos; notes on the changes. qpos belongs to the keyframe ``home``, otherwise to the
-        first keyframe. It is in MuJoCo's order, and includes the coordinates of a removed free
-        joint. It is empty if the MJCF states no keyframe, or the keyframe no qpos.
+        Spec; qpos of the keyframe ``home`` or of the first keyframe; notes on the changes. qpos is
+        in MuJoCo's order, includes the coordinates of a removed free joint, and is empty if the
+        MJCF states none.
     """
     notes = []
     spec = description.mjcf.copy()

@@ -53,12 +53,9 @@ def shapes_of(
 ) -> tuple[CarriedShape, ...]:
     """Return the collision shapes of the robot's bodies, in the frames of the URDF's links.
 
-    The order is the order of the geom ids. Feet and the shapes of a fixed base are included. If the
-    base of the MJCF is the world body, its shapes are all shapes that are fixed in the world,
-    except planes and height fields.
-
-    The pose of a shape in its link is computed with all joint positions zero, because both models
-    then have the same link poses.
+    The order is the order of the geom ids. Feet and the shapes of a fixed base are included. The
+    pose of a shape in its link is computed with all joint positions zero, because both models then
+    have the same link poses.
 
     Args:
         model: MuJoCo's model of the MJCF.
@@ -114,8 +111,7 @@ def shapes_of(
 def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
     """Return True if a geom that is fixed in the world is part of the robot's fixed base.
 
-    The geom must belong to the body ``base`` or to a descendant. If ``base`` is the world body,
-    planes and height fields are excluded: they are parts of the surroundings.
+    Planes and height fields of the world body are parts of the surroundings.
     """
     body = int(model.geom_bodyid[geom])
     while body not in (base, 0):
@@ -161,9 +157,8 @@ class _LinkFinder:
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
         """Return the link of the URDF that corresponds to a body of the MJCF, and its world pose.
 
-        The link moves with the same joint as the body. A link with the name of the body has
-        priority, otherwise the first link that this joint moves. The pose is evaluated with all
-        joint positions zero.
+        The link moves with the same joint as the body, and has the name of the body if possible.
+        The pose is evaluated with all joint positions zero.
 
         Args:
             body: Name of the body.
@@ -180,9 +175,7 @@ class _LinkFinder:
 def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
     """Return True if contact bits, pairs and exclusions let MuJoCo check two geoms for contact.
 
-    This is the case if a ``<pair>`` contains both geoms. Otherwise the contact bits (``contype``,
-    ``conaffinity``) must match, and the MJCF must not exclude the two bodies. MuJoCo's filter of
-    parent and child bodies is ignored.
+    MuJoCo's filter of parent and child bodies is ignored.
 
     Args:
         model: MuJoCo model.

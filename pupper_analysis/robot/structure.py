@@ -220,13 +220,10 @@ class Structure:
 def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
     """Return a Pinocchio model whose velocities have the axes of MuJoCo's qvel.
 
-    Kinematics, inertias, frames and gravity are copied; armature, damping, friction and limits are
-    not.
-
     A free flyer becomes a translation joint (velocity in world axes) and a spherical joint
-    (velocity in body axes), as in MuJoCo's free joint. Results of Pinocchio then need no rotation
-    of axes. The joints are in actuator order, as far as Pinocchio's depth-first order permits. The
-    quaternion in q is (x, y, z, w).
+    (velocity in body axes), as in MuJoCo's free joint. The joints are in actuator order, as far as
+    Pinocchio's depth-first order permits. The quaternion in q is (x, y, z, w). Armature, damping,
+    friction and limits are not copied.
 
     Args:
         model: Model of the robot; a free base is a free flyer.
@@ -256,9 +253,7 @@ def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.M
 def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Iterator[int]:
     """Yield joint indices in depth-first order, as Pinocchio requires; siblings as preferred.
 
-    Args:
-        model: Pinocchio model.
-        preferred_order: Joint indices. A joint that is not in the list precedes its siblings.
+    ``preferred_order`` contains joint indices.
     """
     rank = {joint: index for index, joint in enumerate(preferred_order)}
     children: dict[int, list[int]] = {}

@@ -18,8 +18,8 @@ SUPPORTED_EQUALITIES = frozenset(
         mujoco.mjtEq.mjEQ_TENDON,
     }
 )
-"""Types of equality constraints that computed stances satisfy. Exception: if a constraint couples a
-free base to the world, stances ignore all equality constraints (`find_closure`)."""
+"""Types of equality constraints that computed stances satisfy, unless a constraint couples a free
+base to the world (`find_closure`)."""
 
 _LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
@@ -28,10 +28,7 @@ _LIMIT_DISABLING_BITS = (
 
 
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the types of active equality constraints that the stance solver never satisfies.
-
-    Supported types are not reported, even if a constraint between a free base and the world makes
-    the stance solver ignore all equality constraints (`find_closure`).
+    """Report the types of active equality constraints that the stance solver does not support.
 
     Constraints of flexible bodies (``flex``), for example, act in MuJoCo's simulation only.
 
@@ -50,11 +47,7 @@ def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the tendons with a limited length, because the stance solver ignores the limits.
-
-    The result is empty if the MJCF disables limits or constraints: MuJoCo then ignores the limits,
-    too.
-    """
+    """Report the tendons with a limited length, because the stance solver ignores the limits."""
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():
         lower, upper = model.tendon_range[tendon].tolist()

@@ -33,20 +33,11 @@ from pupper_analysis.robot.robot import Robot, Touching
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
     """Add the ground and the welds of a stand task to a robot's MuJoCo model; return a copy.
 
-    The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
-    the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
-    own, the parameters come from `Robot.contacts`. Other level planes of the world body no
-    longer collide (`merge_planes`).
-
-    These collisions are disabled:
-
-    - between a foot on a step and the floor: in a pit, the foot is below the floor; on a low step,
-      the foot may penetrate to the floor;
-    - between a sole and its box, because MuJoCo would place the contacts at other points; the sole
-      collides with a plane on top of the box, which no other foot touches;
-    - between the shapes of a hand and its plane; only the contact sphere of the hand collides;
-    - between a welded part and all of these geoms;
-    - between the geom of a grip and all parts.
+    The floor is tilted. A box is added for each step, and a cylinder for each bar, with the contact
+    parameters of the floor or of the task. Collisions that the task does not intend are disabled,
+    for example between a foot on a step and the floor: in a pit, the foot is below the floor. A
+    sole collides with a plane on top of its box, because MuJoCo would place the contacts with the
+    box at other points.
 
     Welds to the world are inactive until ``close_welds``. On level ground without welds and grips,
     the result is ``robot`` itself.
@@ -100,8 +91,8 @@ def close_welds(
 ) -> None:
     """Activate the welds and grips of a task in a MuJoCo model at a configuration, in place.
 
-    MuJoCo's constraints are soft, and deflect under load by nanometres. The target pose of each
-    weld or grip is offset by this deflection, so that the configuration is an equilibrium.
+    MuJoCo's constraints are soft. The target pose of each weld or grip is offset by its deflection
+    under load, so that the configuration is an equilibrium.
 
     Args:
         robot: Result of ``build_on_ground``.
@@ -165,8 +156,8 @@ def find_touched_surface(
         body: Name of the body.
 
     Returns:
-        Kind of the surface, with its foot or hand, such as "wall of left_palm". None if the body
-        touches another geom of the world body, such as the floor, or no step, plane or bar.
+        Kind of the surface, with its foot or hand, such as "wall of left_palm". None for another
+        surface, such as the floor.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -182,15 +173,9 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Name the kind of a surface that a task has added: step, bar, wall, table or ceiling.
+    """Name the kind of a surface of a task: step, bar, wall, table or ceiling; "" for another kind.
 
-    A cylinder is a "bar". A plane with the normal of the ground, or without a ground, is a "step".
-    The kind of another plane follows from its normal (``PLANE_NORMALS``); "" if no kind has this
-    normal.
-
-    Args:
-        model: Model with the ground of a task.
-        geom: Id of the geom.
+    ``geom`` is the id of the geom of the surface.
     """
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER.value:
         return "bar"
@@ -256,17 +241,8 @@ def _add_ground(
 ) -> None:
     """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
 
-    Other level planes of the world no longer collide (`merge_planes`).
-
-    Args:
-        robot: Robot.
-        spec: MJCF of the robot, which is changed.
-        ground: Ground.
-        places: {contact point: centre (3,) [m] of its sphere on rigid ground, in the world frame},
-            from which the steps are computed.
-
-    Raises:
-        ModelError: If the MJCF has not enough unused bits of ``contype``.
+    ``places`` is {contact point: centre (3,) [m] of its sphere on rigid ground, in the world
+    frame}. Too few unused bits of ``contype`` raise a ModelError.
     """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
     merge_planes(spec, floor)
@@ -313,14 +289,7 @@ def _add_ground(
 
 
 def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
-    """Set the contact parameters of a geom, in place.
-
-    Args:
-        geom: Geom to modify.
-        parameters: New parameters; the margin is not set.
-        priority: Priority of the geom. In a contact with a geom of lower priority, MuJoCo uses only
-            these parameters. Margins are added nevertheless.
-    """
+    """Set the priority and the contact parameters of a geom, without the margin, in place."""
     geom.priority, geom.condim = priority, parameters.condim
     geom.friction = np.take(parameters.friction, (0, 2, 3))
     geom.solref, geom.solimp = parameters.solref, parameters.solimp
@@ -345,7 +314,7 @@ def _separate_from_floor(
     Args:
         robot: Robot.
         spec: Spec to modify.
-        floor: Floor of the spec; its contacts with all other geoms remain.
+        floor: Floor of the spec.
         feet: Feet that must not collide with the floor.
         alone: Feet that get a separate contact bit, for a geom that no other foot touches.
 

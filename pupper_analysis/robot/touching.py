@@ -37,8 +37,7 @@ from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_place, find_tool
 
 _CACHE_SIZE = 8
-"""Maximum number of cached robots with contacts. If there are more, the least recently used robot
-is dropped. Chosen, not tuned."""
+"""Maximum number of cached robots with contacts. Chosen, not tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
@@ -51,33 +50,26 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     """Prepare a robot for the contacts of a stand task: contact points, friction and welds.
 
     - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
-      with its plane. The spheres of welded or gripping hands do not collide.
-    - If the plane of a contact without grip has a friction coefficient, the contact has this
-      coefficient.
+    with its plane. The spheres of welded or gripping hands do not collide.
+    - The friction coefficient of a plane, if stated, becomes the coefficient of a contact without
+    grip.
     - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
-      it.
+    it.
 
-    The contacts replace the contacts of an earlier task. The result is ``robot`` itself if no
-    change is required, for example if neither ``robot`` nor the task has contacts.
+    The contacts replace the contacts of an earlier task.
 
     Args:
         robot: Robot, which may already be the result of this function.
         contacts: {foot, or other link, site, body or geom: contact} of a task.
 
+    Returns:
+        Robot with the contacts; ``robot`` itself if no change is required.
+
     Raises:
         UnknownNameError: If there is no such foot or frame.
-        ConfigurationError: For each of these conflicts:
-
-            * a named frame moves with a foot, but is not the foot;
-            * options for hands are used for a foot or base: ``offset`` or ``radius`` in the contact
-              of a foot, ``place`` or ``offset`` in the weld of a foot or of the base;
-            * a foot with several contact points has a contact with a bar, or a grip;
-            * a contact other than a weld is on the base;
-            * two named parts other than feet move with the same joint, or both with the base, and
-              one of them is welded or grips;
-            * the point ``offset`` is too far from the frame of a hand (`find_place`);
-            * a fixed base cannot be made free;
-            * the robot was changed after it got other contacts.
+        ConfigurationError: If a contact conflicts with the robot or with another contact. For
+            example, a foot with several contact points cannot grip or touch a bar; a contact of a
+            foot cannot have an ``offset``; the base can only be welded.
         ModelError: If the model with the contacts cannot be built.
     """
     if not contacts and not robot.touching:
@@ -109,10 +101,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
     """Convert a contact or weld of a task to the contact settings of the robot part.
 
-    Args:
-        name: Name of the part, for messages.
-        contact: Contact or weld of the part.
-        foot: True for a foot, False for a hand or the base.
+    ``foot`` is True for a foot, False for a hand or the base.
     """
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
@@ -128,13 +117,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
-    """Raise a ConfigurationError if arguments that require a hand are given for another part.
-
-    Args:
-        name: Name of the part, for the message.
-        is_hand: Whether the part is a hand.
-        arguments: Names of the arguments that require a hand, for the message.
-    """
+    """Raise a ConfigurationError that ``arguments`` require a hand, if the part is no hand."""
     if not is_hand:
         raise ConfigurationError(
             "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)
@@ -143,20 +126,11 @@ def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
 
 @lru_cache(maxsize=_CACHE_SIZE)
 def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
-    """Build a robot with the hands, welds and grips of a task; `_CACHE_SIZE` results are cached.
-
-    A hand is a part of the robot that touches a surface of the task and is not a foot.
+    """Build a robot with the hands, welds and grips of a task (cached).
 
     Raises:
         UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: In one of these cases:
-
-            - Two named parts other than feet move with the same joint, or both with the base, and
-              one of them is welded or grips.
-            - A part that is fixed to the base has a contact other than a weld, or a weld with an
-              offset.
-            - A hand moves with a foot.
-            - A part of a fixed base is welded, and this base cannot be made free.
+        ConfigurationError: If contacts conflict, for example if a hand moves with a foot.
         ModelError: If the model with the contacts cannot be built.
     """
     tools = {
@@ -194,8 +168,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 def _find_frame(robot: Robot, name: str) -> Tool:
     """Find a frame of the robot by name; ``base`` is the base if no frame has this name.
 
-    Raises:
-        UnknownNameError: If the robot has no such frame.
+    An unknown name raises an UnknownNameError.
     """
     try:
         return find_tool(robot, name)
@@ -212,12 +185,10 @@ def _make_base_free(robot: Robot) -> Robot:
     """Replace the fixed base of a robot by a free base, which a weld can hold; return a copy.
 
     If the robot has no feet, ``home`` is the default posture of the fixed robot
-    (`default_positions`), with loops closed if possible. If the file has no floor, a floor without
-    collisions is added.
+    (`default_positions`), with loops closed if possible.
 
     Raises:
-        ConfigurationError: If the file has no base body to make free, the bodies above the base
-            have geoms, or the base has no mass or moment of inertia.
+        ConfigurationError: If the base cannot be made free, for example because it has no mass.
         ModelError: If the model with a free base cannot be built.
     """
     description, model = robot.description, robot.mj_model
@@ -263,11 +234,9 @@ def _make_base_free(robot: Robot) -> Robot:
 def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     """Add a contact point for each hand to URDF and MJCF of a robot; return a copy.
 
-    A hand is a part of the robot that touches a surface of the task and is not a foot.
-
     Raises:
         UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: If a hand moves with a foot, or with the base.
+        ConfigurationError: If a hand moves with a foot, or with the base, for example.
         ModelError: If the model with the contact points cannot be built.
     """
     (urdf, mjcf), description = robot.description.trees(), robot.description
@@ -316,20 +285,20 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of a small sphere at the contact point of a hand. It is used to compute the depth of
-the point inside the collision shapes, because the collision library (coal) requires a body with a
-volume. A point counts as inside a shape if its depth is larger. Chosen, not tuned."""
+"""Radius [m] of a small sphere with which the depth of a hand's contact point inside the collision
+shapes is computed, because the collision library (coal) requires a body with a volume. Chosen, not
+tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Default radius [m] of the contact sphere of a hand (a touching part other than a foot). It is
-used if the centre of the sphere is not inside a collision shape of the hand. Chosen, not tuned."""
+"""Radius [m] of the contact sphere of a hand whose centre is outside of the collision shapes of the
+hand. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
     """Return the radius [m] of the largest sphere around a point that fits into a collision shape.
 
-    ``tool`` is the point. Shapes of the links that move with the point are examined. If the point
-    is not inside such a shape, the result is ``_DEFAULT_BALL_RADIUS``.
+    Shapes of the links that move with the point are examined. If the point ``tool`` is not inside
+    such a shape, the result is ``_DEFAULT_BALL_RADIUS``.
     """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.update(robot.neutral())

@@ -48,9 +48,8 @@ from pupper_analysis.robot.robot import Robot
 
 MAX_RESIDUAL = 1e-9
 """Largest accepted residual: deviation between the models after all found differences are removed,
-relative to the scale of the quantity [1]. Up to this value, the differences explain the whole
-deviation (``complete``). A total deviation up to this value counts as none (``explained``). Two
-engines in double precision agree to about 1e-13. For accelerations see `_compute_residual`."""
+relative to the scale of the quantity [1]. Two engines in double precision agree to about 1e-13. For
+accelerations see `_compute_residual`."""
 
 _NUM_STATES = 10
 """Number of random states at which the effect of each difference between two files is evaluated.
@@ -70,22 +69,18 @@ def explain_differences(
     """Find the differences between URDF and MJCF of a robot, and their effects on the dynamics.
 
     1. Values of both trees are compared body by body, with the tolerances. The effect of a
-       different value is evaluated by applying this difference alone to the URDF's model.
+    different value is evaluated by applying this difference alone to the URDF's model.
     2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated by
-       enabling it in a MuJoCo model without the other listed elements.
+    enabling it in a MuJoCo model without the other listed elements.
     3. All differences of values are applied to the URDF's model. It must behave as the MJCF without
-       the listed elements. The deviation is the residual.
-
-    Equalities of the MJCF that are equivalent to a mimic joint of the URDF are not listed, and are
-    disabled in all evaluations. Other mimic joints, and suspicious armatures
-    (`armature_differences`), are differences as well.
+    the listed elements. The deviation is the residual.
 
     Args:
         robot: The robot.
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
         reference: Compiled model of the unmodified MJCF, with names; by default the MuJoCo model of
             the robot.
-        mimics: Mimic joints of the URDF.
+        mimics: Mimic joints of the URDF. Equivalent equalities of the MJCF are no differences.
         alignment: Joint tree of the MJCF, expressed in the link frames of the URDF; computed by
             default.
         conventions: Original base frame and joint zeros of the URDF, relative to the MJCF. Required
@@ -153,13 +148,10 @@ def _compute_residual(
 ) -> dict[str, float]:
     """Compute the residual: {quantity: relative deviation that no found difference explains}.
 
-    Deviations are relative to the scale of the quantity (`RelativeError.scale`).
-
     The rounding error of accelerations grows with the condition number of the mass matrix (1e8 for
-    a link of 1e-6 kg at the end of an arm). Therefore the forces M (a1 - a2) are also compared
-    (backward error of the linear solver). If their deviation is at most ``MAX_RESIDUAL`` of the
-    largest force, this deviation replaces a larger deviation of the accelerations. A missing force
-    exceeds this bound.
+    a link of 1e-6 kg at the end of an arm). Therefore the deviation of the forces M (a1 - a2)
+    replaces a larger deviation of the accelerations, if it is a rounding error (backward error of
+    the linear solver).
 
     Args:
         relative_error: Scales of the quantities.
@@ -180,12 +172,7 @@ def _compute_residual(
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Express the multibody tree of a robot's MJCF in the link frames of the URDF, to compare both.
-
-    Args:
-        robot: Robot.
-        tolerances: Tolerances of the comparison.
-    """
+    """Express the multibody tree of a robot's MJCF in the link frames of its URDF."""
     urdf, mjcf = kinematic_trees(robot)
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -218,12 +205,9 @@ def armature_differences(
 ) -> Iterator[Difference]:
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    A URDF cannot specify armature, so only two cases are suspicious:
-
-    - An armature of the free joint. It usually comes from a default class, and adds inertia without
-      weight to the base.
-    - Different armatures of a joint and its mirror image on the other side of the robot, unless the
-      motors seem to be identified individually (`find_unlike_pairs`).
+    - An armature of the free joint usually comes from a default class, and adds inertia without
+    weight to the base.
+    - Armatures of a joint and its mirror image on the other side of the robot usually agree.
 
     Args:
         values: Multibody tree with the armatures of the MJCF.
@@ -275,9 +259,8 @@ def _report_copied_values(
 ) -> Iterator[Diagnostic]:
     """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
 
-    The parameters are armature, damping and dry friction, if a copied value is not zero. A
-    diagnostic contains minimum, maximum and number of joints. Hinges and slides have separate
-    diagnostics, because their units differ. ``copied`` is {parameter: joints}.
+    ``copied`` is {parameter: joints}. Hinges and slides have separate diagnostics, because their
+    units differ.
     """
     for kind, slides in product(_COPIED_CODES, (False, True)):
         joints = [values.joints[name] for name in copied.get(kind, ())]

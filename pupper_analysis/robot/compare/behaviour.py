@@ -111,8 +111,7 @@ def offsets_in_world(
 ) -> Array:
     """Rotate one vector per joint from the axes of the joint's body to world axes.
 
-    `MujocoBehaviour` adds these vectors to MuJoCo's joint anchors. The vector of a hinge is
-    projected onto the joint axis.
+    The vector of a hinge is projected onto the joint axis.
 
     Args:
         model: MuJoCo model.
@@ -133,8 +132,7 @@ def offsets_in_world(
 def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
     """Return a mask (nbody,) that separates the robot's bodies from other objects of the MJCF.
 
-    If the base is fixed, all static bodies belong to the robot, as in `pinocchio_from_mujoco`. The
-    mask is False for bodies that ``robot.mj_model`` does not contain.
+    If the base is fixed, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.
     """
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
@@ -208,10 +206,9 @@ limits. Chosen, not tuned."""
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
-    - Joint positions: uniform within the limits of the URDF, and within 1000 rad or m; +-pi [rad,
-      m] replaces a missing limit. A lower limit above the upper limit is exchanged with it.
-    - Torques: uniform within the effort limits, and within 1e6 N m or N; +-1 [N m, N] replaces a
-      missing limit.
+    - Joint positions: uniform within the limits of the URDF; +-pi [rad, m] replaces a missing
+    limit.
+    - Torques: uniform within the effort limits; +-1 [N m, N] replaces a missing limit.
     - Velocities: normally distributed with a standard deviation of 1 [m/s, rad/s].
     - Free base: any orientation, position within +-1 m in each coordinate.
 
@@ -245,11 +242,8 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
 MAX_PINOCCHIO_NV: Final = 200
 """Largest number of degrees of freedom (nv) of a robot that is also compared in Pinocchio; bounds
-the memory. With more degrees of freedom, the number of states may also be reduced
-(`affordable_states`).
-
-Pinocchio's data contain four tensors of second derivatives (nv, nv, nv) that are not needed here.
-The tensors take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000."""
+the memory. Pinocchio's data contain four tensors of second derivatives (nv, nv, nv) that are not
+needed here. The tensors take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000."""
 
 _MAX_STATE_BYTES: Final = 80e6
 """Maximum memory of the mass matrices of all states in an evaluation of a large robot [bytes]. The
@@ -257,8 +251,8 @@ bound limits the number of states: 106 states for 306 degrees of freedom, 10 sta
 Chosen, not tuned."""
 
 _MIN_STATES: Final = 2
-"""Smallest number of random states to which the comparison of a large robot is limited; a smaller
-requested number is kept. A single state might be singular. Chosen, not tuned."""
+"""Lower bound of the limited number of random states of a large robot; a single state might be
+singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
@@ -272,8 +266,8 @@ def is_large(robot: Robot) -> bool:
 def affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
-    For a large robot (`is_large`), the number is limited so that the mass matrices of all states
-    take at most 80 MB (`_MAX_STATE_BYTES`). The limit is never below 2 states (`_MIN_STATES`).
+    For a large robot (`is_large`), the mass matrices of all states should take at most 80 MB
+    (`_MAX_STATE_BYTES`).
 
     Args:
         robot: The robot.

@@ -49,8 +49,6 @@ class MjcfOnlyEffect(Stated):
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
         """Disable this element of the MJCF in a compiled model, or restore its values, in place.
 
-        Nothing changes if ``slots`` is empty.
-
         Args:
             model: Model from `make_passive_model`; modified.
             like: Model whose values are copied to enable the element; None disables the element.
@@ -66,11 +64,8 @@ class MjcfOnlyEffect(Stated):
 def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model without contacts, limits, dry friction and actuator commands.
 
-    - Disabled: contacts, joint and tendon limits, dry friction, and actuator forces, including the
-      stiffness and damping of servos (``kp``, ``kv``).
-    - Kept: the attributes ``armature`` and ``damping`` of actuators, gravity compensation through
-      actuators, and enabled DC motors without a controller, whose back-EMF brakes without a
-      command.
+    Servos exert no force. Terms of actuators that act without a command are kept: armature,
+    damping, gravity compensation, and the back-EMF of DC motors without a controller.
 
     The integrator is Euler, because the accelerations of MuJoCo's integrator ``discrete`` depend on
     the time step.
@@ -89,10 +84,7 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator exerts a force without a command: a DC motor that brakes.
-
-    True for an enabled DC motor without a controller, because its back-EMF brakes. False for
-    servos, because `make_passive_model` disables servos.
+    """Return True if an actuator is an enabled DC motor without a controller: its back-EMF brakes.
 
     Args:
         model: MuJoCo model.
@@ -178,9 +170,6 @@ class NamedModel:
     def name(self, kind: str, index: int) -> str:
         """Return the name of an element of this MJCF; without a name, the id: ``#3``.
 
-        A body or joint without a name has the generated name in `Reference.names`, if that model
-        differs from the MJCF.
-
         Args:
             kind: Type of the element in lower case, for example ``joint`` or ``tendon``.
             index: Id of the element.
@@ -238,8 +227,8 @@ def _make_effect(
         prefix: Prefix of the arrays of ``mjModel``, for example ``jnt``.
         index: Row or rows of the element in the arrays.
         numbers: {array without prefix: value} of the entries that are set to zero to disable the
-            element. Exception: ``frictionloss``, which `make_passive_model` disables.
-        beside: {attribute: value} of further values for the message; they are not set to zero.
+            element, except ``frictionloss``.
+        beside: {attribute: value} of further values for the message.
     """
     value = {**numbers, **(beside or {})}
     stated = [
@@ -326,7 +315,7 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield actuators with armature, damping or back-EMF, which a URDF cannot specify.
 
     Armature and linear damping of an actuator at a single joint are omitted, because they count as
-    armature and damping of the joint. Back-EMF is the braking of DC motors without controller.
+    armature and damping of the joint.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.

@@ -23,9 +23,8 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
 """Lower bound of the decrease of the deviation between two trees [bits, see
-`measure_deviation_bits`] by a candidate frame of a body. A candidate with a smaller or equal
-decrease does not replace the best previous frame. The same bound applies to the rotation of all
-frames (`align_frames`). It excludes rounding errors. Chosen, not tuned."""
+`measure_deviation_bits`] with which a candidate frame of a body replaces the best previous frame.
+It excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +51,8 @@ def align_frames(
     """Express the tree ``second`` in link frames as near as possible to those of ``first``.
 
     A link frame may have any position along a hinge axis, and any orientation, without changing the
-    robot. The frames that minimise the deviation are selected joint by joint. The alignment uses a
-    hundredth of the tolerances: with the full tolerances, it could distribute a difference over
-    several values that are each within the tolerance.
+    robot. The alignment uses a hundredth of the tolerances: with the full tolerances, it could
+    distribute a difference over several values that are each within the tolerance.
 
     Args:
         second: Tree whose link frames are transformed.
@@ -95,7 +93,7 @@ def _align_by_cost(
         tolerances: Tolerances of the comparison.
         fixed: Slides whose origin must not be moved.
         names: Joints whose frames are transformed.
-        as_the_first: If True, each frame is rotated to its orientation in ``first`` at zero angles,
+        as_the_first: If True, frames are rotated to their orientation in ``first`` at zero angles,
             even if this increases the deviation.
     """
     result, moved = second, {}
@@ -147,9 +145,8 @@ def measure_joint_deviation(
 ) -> float:
     """Return the deviation of a joint and its body between two trees, in bits.
 
-    The result is the sum of log2(1 + deviation / tolerance) (`measure_deviation_bits`) over the
-    compared quantities: the joint, the body that it moves, the frames on this body, and the
-    placements of the child joints.
+    The result is the sum of the `measure_deviation_bits` of the joint, the body that it moves, the
+    frames on this body, and the placements of the child joints.
 
     Args:
         first: First tree.
@@ -169,8 +166,8 @@ def measure_tree_deviation(
 ) -> float:
     """Return the summed deviation of all joints, moved bodies and frames of two trees, in bits.
 
-    Frames on the base, or on different bodies in both trees, are not included. A deviation counts
-    log2(1 + deviation / tolerance) bits (`measure_deviation_bits`).
+    Frames on the base, or on different bodies in both trees, are not included. For bits see
+    `measure_deviation_bits`.
 
     Args:
         first: First tree.
@@ -183,10 +180,7 @@ def measure_tree_deviation(
 def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Sum the deviations of a joint, its body and its frames [bits, see `measure_deviation_bits`].
-
-    Child joints are not included.
-    """
+    """Return the deviation of a joint, its body and its frames between two trees, in bits."""
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
         angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
@@ -203,8 +197,7 @@ def _joint_bits(
 def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
     """Return the deviation of CoM and inertia between two bodies, in bits.
 
-    A deviation counts log2(1 + deviation / tolerance) bits (`measure_deviation_bits`). The result
-    is 0 if a body has no mass.
+    For bits see `measure_deviation_bits`. The result is 0 if a body has no mass.
 
     Args:
         first: Body of the first tree.
@@ -220,10 +213,7 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
 
 
 def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
-    """Measure the deviation between two joint frames: the sum for position and rotation [bits].
-
-    `measure_deviation_bits` converts each to log2(1 + deviation / tolerance), 0 within tolerance.
-    """
+    """Return the deviation of position and rotation between two joint frames, in bits."""
     distance = float(np.linalg.norm(second.position - first.position))
     angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
     return measure_deviation_bits(distance, tolerances.position) + measure_deviation_bits(
@@ -239,10 +229,7 @@ def angle_between(first: Array, second: Array) -> float:
 def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
     """Yield rotations (3, 3) of a body frame of the second tree that may match the first tree.
 
-    1. The identity.
-    2. The rotation of the frame to its orientation in the first tree.
-    3. If the limits of a hinge indicate another zero angle: the second rotation, followed by this
-       angle.
+    The first is the identity, the second rotates the frame to its orientation in the first tree.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     yield np.eye(3)
@@ -288,14 +275,8 @@ def _candidate_steps(
 ) -> Iterator[Array]:
     """Yield candidate displacements (3,) [m] of a joint's origin in the tree ``second``.
 
-    Displacements are expressed in the axes of the body that the joint moves. The first displacement
-    is zero. Further displacements are computed from two vectors. d is the vector from the joint's
-    origin in ``second`` to its origin in ``first``. m is the median difference between the
-    positions of the points on the body in both trees, second minus first (`_matching_points`).
-
-    - Hinge: the components of d and m along the axis.
-    - Slide: d, m, and the part of d perpendicular to the axis. With ``still``, no further
-      displacement.
+    Displacements are expressed in the axes of the body that the joint moves. The first is zero.
+    ``still`` keeps the origin of a slide in place.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

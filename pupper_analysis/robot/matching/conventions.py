@@ -38,14 +38,13 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] by an
-assumed displacement of the base frame. The size of the displacement [bits] counts as deviation. A
-displacement that explains the whole deviation is accepted if the decrease is larger. A displacement
-that leaves a total below 60 % of the deviation is accepted, too. Chosen, not tuned."""
+"""Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] with
+which a displacement of the base frame that explains the whole deviation is accepted. The size of
+the displacement counts as deviation. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the
-two base frames. Further joints are not tried, to bound the computing time. Chosen, not tuned."""
+two base frames, to bound the computing time. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +82,8 @@ def find_conventions(
         first: Tree of the URDF, expressed in its base frame.
         second: Tree of the MJCF, expressed in its base frame.
         tolerances: Tolerances of the comparison.
-        fixed: Whether the base is fixed. The frame of a fixed base is no property of the robot. A
-            rotation by quarter turns that explains the whole deviation is then accepted, even if
-            this deviation is small.
+        fixed: Whether the base is fixed. The frame of a fixed base is no property of the robot, so
+            that quarter turns are accepted more easily.
     """
     base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
@@ -110,12 +108,8 @@ def _is_base_frame_confirmed(
 ) -> bool:
     """Return True if a displaced base frame cannot be confused with a displaced joint zero.
 
-    If a single joint is on the base, both have the same effect. The base frame is confirmed in
-    three cases:
-
-    - Several joints are on the base.
-    - Both files state the mass of the base.
-    - The limits of the single joint are equal in both files, and less than a full turn apart.
+    If a single joint is on the base, both have the same effect. The masses of the base, or the
+    limits of the joint, may then confirm the base frame.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
@@ -134,13 +128,10 @@ def _is_base_frame_confirmed(
 def _find_zero_offset(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Find how far the zero of a joint differs: q in ``first`` minus q in ``second`` [rad, m].
+    """Return the offset of a joint's zero: q in ``first`` minus q in ``second`` [rad, m].
 
-    The result is 0 in three cases:
-
-    - The offset is within the tolerance.
-    - Type, axis or frame of the joint differ in another way.
-    - A limit is finite, and the limits of both files do not differ by the offset.
+    The result is 0 if the offset is within the tolerance, or not confirmed by the joint's axis,
+    frame and limits.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     axis_angle = angle_between(first_joint.axis, second_joint.axis)
@@ -200,18 +191,8 @@ def _find_base_pose(
 ) -> pin.SE3 | None:
     """Find a pose of the first tree's base frame in the second that explains the deviation.
 
-    For a ``fixed`` base, a rotation that exchanges axes is also accepted, if it removes the whole
-    deviation.
-
-    Returns:
-        Pose. None in each of these cases:
-
-        - No joint is on the base, or the joints on the base do not correspond.
-        - A joint and its body agree in both trees: the base frames are equal.
-        - Exchanged names of limbs explain the deviation: the joints on the base coincide under
-          other names, the base bodies are equal, and the pose would make the base bodies differ.
-          (A half turn about x exchanges left and right, too.)
-        - No pose decreases the deviation enough.
+    None if no pose explains the deviation, or if names of limbs may be exchanged instead: a half
+    turn about x exchanges left and right, too.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
@@ -262,17 +243,8 @@ def _find_pose_of_joints(
 
     Only positions and axes of the joints are compared, because masses and inertias of the bodies
     may differ with any base frame. The pose is fitted by least squares to the joint positions and
-    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922). If all joint positions and axes are
-    on one line, as those of two hip pitch joints, the rotation about the line is that of the joint
-    frames, which must then agree as well.
-
-    Returns:
-        Pose. None in each of these cases:
-
-        - The base frames are equal.
-        - Fewer than two joints are on the base, or all have the same position.
-        - All joint positions and axes are on one line, and on the same line without a pose.
-        - A joint deviates by more than the tolerances.
+    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922). None if no such pose is found, or
+    the base frames are equal.
     """
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
@@ -321,11 +293,9 @@ def _do_joints_coincide(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Requirements of `_find_pose_of_joints`. `_MIN_JOINTS_OF_POSE` is the minimum number of joints on
-the base: two joints with axes determine ten numbers, a pose has six. `_MIN_SPREAD` is a lower bound
-of the spread of the joint positions [m], the largest range of their coordinates along an axis of
-the base. Otherwise no pose is determined. It also bounds the spread (RMS) of the fitted points
-along their second principal axis [m], below which these points are on a line. Chosen, not tuned."""
+"""Requirements of `_find_pose_of_joints`: minimum number of joints on the base (two joints with axes
+determine ten numbers, a pose has six), and lower bound of the spread of points [m]. Chosen, not
+tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
@@ -338,10 +308,7 @@ def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array
 def _base_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
-    """Measure the deviations of the base, and of each joint on the base, between two trees [bits].
-
-    Deviations are in bits: log2(1 + size / tolerance), 0 within the tolerance.
-    """
+    """Return the deviation of the base, and of each joint on the base, between two trees [bits]."""
     body = measure_body_deviation(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)
     second = align_frames(second, first, tolerances, only=names).values
@@ -356,10 +323,8 @@ def _is_axis_permutation(rotation: Array) -> bool:
 def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
     """Yield candidate poses of the first tree's base frame in the second tree's base frame.
 
-    The first candidates give a joint on the base the same placement in both trees, for up to
-    `_MAX_JOINTS_TRIED` joints. Further candidates are the 24 rotations by quarter turns, each with
-    two translations: zero, and the translation with which the mean joint positions are equal. The
-    mean includes the CoM of the base if both files state its mass.
+    Candidates give a joint on the base the same placement in both trees, or are rotated by quarter
+    turns.
     """
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:

@@ -48,9 +48,6 @@ def match_joints(
 ) -> Pairs:
     """Match the joints of a URDF and an MJCF by request, by name, and by structure.
 
-    The order is: requested pairs, equal names, names that are equal without prefixes and suffixes,
-    structure.
-
     Args:
         root: Root element of the URDF.
         tree: Tree of the MJCF.
@@ -60,9 +57,7 @@ def match_joints(
             names, for example of frames, are ignored.
 
     Raises:
-        ModelError: If Pinocchio cannot read the URDF, or no joint is matched. Also if fewer than
-            half of the joints of the smaller file are matched, unless ``wanted`` contains all
-            matched pairs.
+        ModelError: If too few joints are matched, or Pinocchio cannot read the URDF.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
@@ -114,10 +109,7 @@ def match_joints(
 
 
 def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
-    """Return a diagnostic with an option ``--map URDF_JOINT=CANDIDATE`` for each candidate.
-
-    Candidates are joints of the MJCF that may correspond to the joint of the URDF.
-    """
+    """Return a diagnostic with an option ``--map URDF_JOINT=CANDIDATE`` for each candidate."""
     options = [f"--map {urdf_joint}={candidate}" for candidate in candidates]
     return diagnose("ways-to-map", subject=("joint", urdf_joint), options=options)
 
@@ -132,9 +124,8 @@ def match_without_affixes(
 ) -> dict[str, str]:
     """Match names that are equal except for prefixes (``panda_``) and suffixes (``_joint``).
 
-    Words with which most names of a file begin or end are removed, and so are words such as
-    ``joint``. Upper and lower case, and separators, are ignored. Names match if the remaining words
-    are equal, and unique among the unmatched names of each file.
+    Upper and lower case, and separators, are ignored. Names match if the remaining words are equal,
+    and unique among the unmatched names of each file.
 
     Args:
         mine: Names in the URDF.
@@ -151,14 +142,9 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Reduce unmatched names to the words that remain without common prefix and suffix.
+    """Return {words without common prefix and suffix: name}, for names with unique words.
 
-    Args:
-        names: Unmatched names.
-        every: All names of the file, which determine prefix and suffix.
-
-    Returns:
-        {remaining words: name}. Names whose remaining words are not unique are omitted.
+    ``every`` contains all names of the file, which determine prefix and suffix.
     """
     words = {name: _split_words(name) for name in every}
     affixes = [
@@ -179,10 +165,9 @@ def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str,
 
 
 def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
-    """Find the common prefix of names: the words with which at least 60 % of the names start.
+    """Return the first words that at least 60 % of the names, and at least two, have in common.
 
-    At least two names must start with the sequence. A name is counted only if a further word
-    follows the sequence.
+    A name that consists of these words alone is not counted.
     """
     prefix: list[str] = []
     while True:
@@ -221,11 +206,12 @@ def common_frames(
 
     A frame is a link on a fixed joint in the URDF, and a site, or a body without joints, in the
     MJCF. The bodies of a fixed base are excluded, because each file may choose the frame of the
-    base freely. With ``fusestatic``, all bodies are excluded, because MuJoCo merges fixed bodies.
+    base freely.
 
     Args:
         root: Root element of the URDF.
-        spec: The MJCF.
+        spec: The MJCF. With ``fusestatic``, its bodies are no frames, because MuJoCo merges fixed
+            bodies.
         names: {link in the URDF: name in the MJCF} of frames whose names differ.
 
     Returns:
@@ -277,9 +263,9 @@ class Guess:
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    If ``pairs`` is empty, the matches are uncertain: if the base frames of the files are rotated
-    relative to each other, each leg may be matched with a wrong leg. In this case, all matches are
-    returned as candidates (`Guess.choices`) if a joint of the smaller file remains unmatched.
+    If ``pairs`` is empty, and the base frames of the files are rotated relative to each other, each
+    leg may be matched with a wrong leg. Uncertain matches are returned as candidates
+    (`Guess.choices`).
 
     Args:
         urdf: Tree of the URDF.
@@ -303,12 +289,8 @@ def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match unmatched joints of two trees at zero angles, from the base outwards.
 
-    Two joints match under four conditions:
-
-    - Their parents match.
-    - Their axes are parallel (`_MIN_AXIS_COSINE`).
-    - Their distance is small (`_MAX_RELATIVE_DISTANCE`).
-    - Each of both joints is more than twice as far from any other candidate.
+    Joints match if their parents match, their axes are parallel, and no other candidate is
+    similarly near. Ambiguous joints are returned as `Guess.choices`.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)

@@ -208,8 +208,7 @@ class MjcfSources:
         """Return the file and line of a body's ``<inertial>`` in the MJCF.
 
         Args:
-            kind: ``"mass"``, ``"com"`` or ``"inertia"``. Ignored, because ``<inertial>`` states all
-                three.
+            kind: Ignored, because ``<inertial>`` states mass, CoM and inertia.
             name: Name of the body.
         """
         del kind
@@ -230,15 +229,8 @@ def _locate_value(
 ) -> Place:
     """Return the location of the attribute that sets a kind of value in an MJCF.
 
-    Elements are searched in order. Candidates without ``child`` are searched for the attribute. If
-    no candidate has the attribute, the result is the first candidate that exists in the file. If no
-    candidate exists, the result has no line.
-
-    Args:
-        file: The MJCF.
-        kind: Kind of the value.
-        candidates: (tag, name, child) of elements that may set the value; child is the tag of a
-            descendant, or None.
+    Without such an attribute, the result is an element in ``candidates``: (tag, name, tag of a
+    descendant or None) of elements that may set the value.
     """
     attribute = BY_KIND.get(kind)
     words = attribute.mjcf if attribute is not None else (kind,) if kind == "axis" else ()

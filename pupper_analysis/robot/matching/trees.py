@@ -138,8 +138,7 @@ class Reference:
     def convention(self) -> MujocoConvention:
         """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of ``model``.
 
-        The model may contain other bodies with joints, such as objects of a scene. Actuators are
-        not indexed: ``actuator_index`` is -1 for each joint.
+        Actuators are not indexed: ``actuator_index`` is -1 for each joint.
         """
         model, joints = self.model, self.joints()
         num_free = len(joints) - len(self.joint_names)
@@ -156,10 +155,7 @@ class Reference:
         )
 
     def bodies(self) -> set[int]:
-        """Return the ids of all bodies of the robot in the compiled MJCF, without other objects.
-
-        The result contains each kinematic tree with the base or a joint of the robot.
-        """
+        """Return the ids of the bodies in kinematic trees with the robot's base or joints."""
         model = self.model
         robot_bodies = {self.names.body(self.base).id}
         robot_bodies |= {int(model.jnt_bodyid[joint]) for joint in self.joints()}
@@ -182,9 +178,8 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Return a URDF without massless root links that have a single fixed or floating joint.
 
-    If the MJCF has a fixed base, all such links are removed. If the MJCF has a free base, links are
-    removed up to a floating joint, if any. The number of further removed links minimises the sum of
-    the distances [m] between joints with equal names in both files.
+    If the MJCF has a free base, the number of removed links minimises the sum of the distances [m]
+    between joints with equal names in both files.
 
     Args:
         root: Root element of the URDF; not modified.
@@ -236,8 +231,7 @@ def strip_roots(
 def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
     """Remove the inertias of a URDF's base and of links fixed to the base, in place.
 
-    Use this function if the MJCF has no base body, and therefore no mass of the base. The mass of a
-    fixed base has no effect.
+    Use this function if the MJCF has no base body, and therefore no mass of the base.
 
     Args:
         root: Root element of the URDF; modified.
@@ -261,8 +255,6 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
 
 def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Fix the floating and planar joints of a URDF, in place; list all movable joints by type.
-
-    Hinges and slides stay movable.
 
     Args:
         root: Root element of the URDF; modified.
