@@ -293,9 +293,9 @@ def _do_joints_coincide(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Requirements of `_find_pose_of_joints`: minimum number of joints on the base (two joints with axes
-determine ten numbers, a pose has six), and lower bound of the spread of points [m]. Chosen, not
-tuned."""
+"""Requirements of `_find_pose_of_joints`: minimum number of joints on the base (two joints with
+axes determine ten numbers, a pose has six), and lower bound of the spread of points [m]. Chosen,
+not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
