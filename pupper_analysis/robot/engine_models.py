@@ -148,7 +148,7 @@ class EngineModels:
     def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
         """Convert Pinocchio's q and v to qpos and qvel (MuJoCo's convention).
 
-        This is the inverse of `to_pinocchio`.
+        This is the inverse of `to_pinocchio`, up to full turns of continuous joints.
 
         Args:
             q: Pinocchio's configuration, shape (pin_model.nq,).
@@ -318,7 +318,7 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
 
 
 def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
-    """Return True if MuJoCo checks two geoms of the robot for contact."""
+    """Return True if MuJoCo, with contacts enabled, checks two geoms of the robot for contact."""
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:
             return True

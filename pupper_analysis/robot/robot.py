@@ -903,7 +903,7 @@ the largest moment of the body [1] (`_check_bodies`). Chosen, not tuned."""
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Raise a ModelError if a body of the URDF has a negative mass or moment of inertia."""
+    """Raise a ModelError if a moving body has a negative mass or moment of inertia."""
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)

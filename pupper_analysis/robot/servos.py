@@ -78,7 +78,8 @@ class Servos:
     def is_implicit(self) -> bool:
         """True for the integrators ``implicit`` and ``implicitfast``.
 
-        With these, the damping of a servo depends on the velocity after the time step.
+        With these, the damping of a servo that does not saturate depends on the velocity after the
+        time step.
         """
         return self.integrator.startswith("implicit")
 

@@ -33,11 +33,11 @@ from pupper_analysis.robot.robot import Robot, Touching
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
     """Add the ground and the welds of a stand task to a robot's MuJoCo model; return a copy.
 
-    The floor is tilted. A box is added for each step, and a cylinder for each bar, with the contact
-    parameters of the floor or of the task. Collisions that the task does not intend are disabled,
-    for example between a foot on a step and the floor: in a pit, the foot is below the floor. A
-    sole collides with a plane on top of its box, because MuJoCo would place the contacts with the
-    box at other points.
+    The floor is tilted. A box is added for each step or plane, and a cylinder for each bar, with
+    the contact parameters of the floor or of the task. Collisions that the task does not intend are
+    disabled, for example between a foot on a step and the floor: in a pit, the foot is below the
+    floor. A sole collides with a plane on top of its box, because MuJoCo would place the contacts
+    with the box at other points.
 
     Welds to the world are inactive until ``close_welds``. On level ground without welds and grips,
     the result is ``robot`` itself.

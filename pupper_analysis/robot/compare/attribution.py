@@ -69,9 +69,9 @@ def explain_differences(
     """Find the differences between URDF and MJCF of a robot, and their effects on the dynamics.
 
     1. Values of both trees are compared body by body, with the tolerances. The effect of a
-    different value is evaluated by applying this difference alone to the URDF's model.
-    2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated by
-    enabling it in a MuJoCo model without the other listed elements.
+    difference on the dynamics is evaluated by applying this difference alone to the URDF's model.
+    2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated, if
+    possible, by enabling it in a MuJoCo model without the other listed elements.
     3. All differences of values are applied to the URDF's model. It must behave as the MJCF without
     the listed elements. The deviation is the residual.
 

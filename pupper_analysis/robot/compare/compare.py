@@ -164,8 +164,9 @@ def _collect_limb_shapes(
 ) -> MovingShapes | None:
     """Return the collision shapes of URDF and MJCF that move with a joint, in the world frame.
 
-    None if the shapes cannot be compared, for example because the extent of a mesh is unknown.
-    ``data`` contains MuJoCo's kinematics.
+    Shapes of the MJCF that cannot touch the world are omitted. None if the shapes cannot be
+    compared, for example because the extent of a mesh is unknown. ``data`` contains MuJoCo's
+    kinematics.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
@@ -650,7 +651,10 @@ def _add_places(
     urdf: UrdfFile,
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
-    """Yield the differences with file and line of both elements, and with format names."""
+    """Yield the differences with file and line of both elements.
+
+    Messages name the original format of a converted file instead of "the URDF" or "the MJCF".
+    """
     format_names = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
@@ -749,7 +753,7 @@ bounds the relative deviation of each dynamic quantity."""
 
 
 def find_first_difference(robot: Robot) -> Diagnostic | None:
-    """Find the first difference of a robot's two files that affects dynamics or positions.
+    """Find the first difference of a robot's two files that affects inertia, gravity or positions.
 
     Returns:
         Diagnostic of the difference, or of a part that only one file has. None if no difference is

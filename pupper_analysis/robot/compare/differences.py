@@ -219,7 +219,7 @@ class Difference(Stated, Result):
         """Largest effects of the difference on the dynamics, as fractions of each quantity [1].
 
         The first number is the largest effect on mass matrix, gravity, and positions of joints and
-        feet. The second number is the largest effect on any compared quantity. 0 means no effect.
+        feet. The second number is the largest effect on any compared quantity.
         """
         main = [self.effects[name].relative for name in _MAIN_QUANTITIES if name in self.effects]
         all_effects = [effect.relative for effect in self.effects.values()]
@@ -344,8 +344,8 @@ class RelativeError:
     def scale(self, name: str) -> float:
         """Return the scale of a quantity, by which its deviations are divided, in its unit.
 
-        The scale is the largest absolute value of the first model, with a lower bound for gravity
-        and bias forces, which may be nearly zero.
+        The scale is the largest absolute value of the first model (of the second model if a value
+        is not finite), with a lower bound for gravity and bias forces, which may be nearly zero.
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.

@@ -178,7 +178,7 @@ class NamedModel:
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 
     def joint_name(self, joint: int) -> str:
-        """Return the name of a joint; for the free joint of the base, the name of the base.
+        """Return the name of a joint; for a free joint, the name of the base.
 
         Args:
             joint: Id of the joint.
