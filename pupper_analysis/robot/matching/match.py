@@ -855,7 +855,7 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise a ModelError if fixed joints would block closed loops or couplings of an MJCF.
+    """Raise a ModelError if fixed joints may block closed loops or couplings of an MJCF.
 
     For example, a fixed rod would block the ankle that the rod drives.
     """
