@@ -88,10 +88,10 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
     - A tilted, higher or lower floor is replaced by a level floor at z = 0. A missing floor is
-    added.
+      added.
     - If no plane can collide, a plane of the world body is the floor, and is not changed.
     - Contacts of scenery (stairs, tables, walls) are disabled, because slopes and steps are part of
-    the task.
+      the task.
     - Contact parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:

@@ -216,7 +216,7 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
 
             - (x, y, z) [m] in the base frame.
             - ``(frame, x, y, z)``: position [m] expressed in the frame of a link, site, body or
-            geom: from the origin of the frame, in the axes of the frame.
+              geom: from the origin of the frame, in the axes of the frame.
             - A `Tool`, which is returned unchanged.
 
     Raises:

@@ -50,11 +50,11 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     """Prepare a robot for the contacts of a stand task: contact points, friction and welds.
 
     - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
-    with its plane. The spheres of welded or gripping hands do not collide.
+      with its plane. The spheres of welded or gripping hands do not collide.
     - The friction coefficient of a plane, if stated, becomes the coefficient of a contact without
-    grip.
+      grip.
     - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
-    it.
+      it.
 
     The contacts replace the contacts of an earlier task.
 

@@ -69,11 +69,12 @@ def explain_differences(
     """Find the differences between URDF and MJCF of a robot, and their effects on the dynamics.
 
     1. Values of both trees are compared body by body, with the tolerances. The effect of a
-    difference on the dynamics is evaluated by applying this difference alone to the URDF's model.
+       difference on the dynamics is evaluated by applying this difference alone to the URDF's
+       model.
     2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated, if
-    possible, by enabling it in a MuJoCo model without the other listed elements.
+       possible, by enabling it in a MuJoCo model without the other listed elements.
     3. All differences of values are applied to the URDF's model. It must behave as the MJCF without
-    the listed elements. The deviation is the residual.
+       the listed elements. The deviation is the residual.
 
     Args:
         robot: The robot.
@@ -206,7 +207,7 @@ def armature_differences(
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
     - An armature of the free joint usually comes from a default class, and adds inertia without
-    weight to the base.
+      weight to the base.
     - Armatures of a joint and its mirror image on the other side of the robot usually agree.
 
     Args:
