@@ -70,11 +70,9 @@ def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[Val
 def _make_urdf_repair(
     robot: UrdfModel, tag: str, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> Iterator[ValueRepair]:
-    """Yield a repair that sets attributes of an existing element of a URDF; at most one.
+    """Yield at most one repair that sets existing attributes of an element of a URDF.
 
-    The changed element is the first at the path ``child`` below the link or joint with the name
-    ``name``; ``tag`` is ``link`` or ``joint``. Nothing is yielded if the name is not unique, the
-    element is missing, an attribute is missing, or the values are equal.
+    The element is at the path ``child`` below the link or joint (``tag``) with the name ``name``.
     """
     element = _find_unique_child(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):
@@ -87,10 +85,7 @@ def _make_urdf_repair(
 def _make_change(
     robot: UrdfModel, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> ValueRepair | None:
-    """Return the change of an element below a link of a URDF; None if all values are already equal.
-
-    The element may be missing in the file; the repair then adds the element.
-    """
+    """Return the change of an element below a link of a URDF; None if the values are equal."""
     element = _find_unique_child(robot, "link", name, child)
     old = {word: "" if element is None else str(element.get(word) or "") for word in new}
     if old == dict(new):
@@ -132,13 +127,7 @@ def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterato
 
 
 def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a servo's command range in degrees: the range of the joint.
-
-    Nothing is proposed for a servo with a gear other than 1, or with a gain other than the
-    stiffness: the command is then not a joint position. Nothing is proposed either if the servo has
-    no name, or if the number of <position> and <general> elements with this name and a range is not
-    1.
-    """
+    """Yield the repair of a servo's command range in degrees: the range of the joint."""
     if not isinstance(robot, MjcfModel) or robot.mj_model is None:
         return
     model = robot.mj_model
@@ -177,11 +166,9 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of different masses of two mirrored links of a URDF (`_repair_number`).
+    """Yield repairs of the different masses of two mirrored links of a URDF.
 
-    The inertia tensor is scaled with the mass if two conditions hold. The principal moments of both
-    links have the same ratio as the masses (`_MOMENT_RTOL`). This ratio is above sqrt(10) or below
-    1 / sqrt(10).
+    The inertia tensor is scaled with the mass if it probably contains the same factor.
     """
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
@@ -215,13 +202,12 @@ def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 _MOMENT_RTOL = 0.05
 """Relative tolerance of the test whether the moments of inertia of two mirrored links have the
-ratio of the masses. Within the tolerance, a repair of the mass also scales the tensor. Chosen, not
-tuned.
+ratio of the masses; a repair of the mass then may also scale the tensor. Chosen, not tuned.
 """
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of different efforts of two mirrored URDF joints (`_repair_number`)."""
+    """Yield repairs of the different efforts of two mirrored joints of a URDF."""
     if isinstance(robot, UrdfModel) and found.message.code == "mirror-effort":
         partner = str(found.message.values["other"])
         efforts = {
@@ -242,14 +228,7 @@ def _repair_number(
 ) -> Iterator[ValueRepair]:
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
-    - There are at least `MIN_SIBLINGS` other limbs, and all have equal numbers: the partner that
-      deviates from this number gets the number of the other partner. If both partners or neither
-      deviate, there is no repair.
-    - Fewer other limbs, or not all numbers equal: there are two candidates, in which either partner
-      gets the number of the other.
-
-    Only positive numbers are proposed, and only if the file states the number of both partners and
-    their names are unique.
+    A partner gets the number of the other partner; other limbs may decide which partner is wrong.
 
     Args:
         robot: Model of the URDF.
@@ -257,7 +236,7 @@ def _repair_number(
         tag: Tag of the partners.
         child: Path to the element with the number.
         attribute: Attribute with the number.
-        values: {name: number} of all links or all joints.
+        values: {name: number} of links or joints.
     """
     kind = strip_sides(pair[0])
     others = [
@@ -284,15 +263,9 @@ def _repair_number(
 
 
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the possible repairs of an inertia tensor of a URDF.
+    """Yield repairs of the inertia tensor of a URDF link.
 
-    The first method with a result decides:
-
-    - `_mirror_tensor` proposes a tensor. The repair is this tensor. Exception: if a single tensor
-      of `_move_decimal_points` agrees with the proposal within `_MIRROR_RTOL`, the repair only
-      moves this decimal point.
-    - All physically possible tensors in which the decimal point of a single moment is moved.
-    - The tensor of the solid shapes (`_fill_shapes`).
+    The tensor is mirrored, gets another decimal point, or is computed from the shapes.
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -315,10 +288,7 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
 
-    The first method with a result decides: `_mirror_tensor`; `_reorder_moments`, for a finding
-    about a wrong axis; the tensor of the solid shapes (`_fill_shapes`). Physically impossible
-    tensors are repaired for other rules. Nothing is proposed if the masses of both sides differ by
-    more than 1 %, since the mass may be wrong.
+    Nothing is proposed if the masses of both sides differ, since the mass may be wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
@@ -335,16 +305,14 @@ def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterat
 
 MIN_MOMENT_RATIO = 1.1
 """Smallest ratio between two moments of the box around the shapes with which the order of these
-moments decides the order of the stated moments. Chosen, not tuned."""
+moments decides the order of the stated moments. Chosen, not tuned.
+"""
 
 
 def _reorder_moments(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the nearly diagonal tensor of a link with its moments in the order of the shapes.
 
-    The largest stated moment belongs to the axis about which a solid box around the shapes has the
-    largest moment. The shapes include those of links that are fixed to the link. Two nearly equal
-    moments of the box (`MIN_MOMENT_RATIO`) give a further candidate, unless the corresponding
-    stated moments are equal. Nothing is proposed for a turned inertial frame.
+    Two nearly equal moments of the box around the shapes may give a further candidate.
     """
     link = robot.links[name]
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
@@ -382,12 +350,7 @@ as possible: rounding of printed numbers. Chosen, not tuned."""
 def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the tensor of the solid shapes of a link, with the stated mass and a uniform density.
 
-    The shapes are the collision shapes, or without collision shapes the visual shapes. The convex
-    hull replaces the solid of an open mesh. A CoM that is missing or far outside of the shapes
-    (`_MAX_OUTSIDE`) is replaced, too. Nothing is proposed, for example, for a link with a shape of
-    unknown size, without mass or <inertial>, or with an impossible density; nor for a link whose
-    CoM would move to shapes that are farther from all its joints and frames than their extent: such
-    a mesh is in another frame.
+    A CoM that is missing or far outside of the shapes is replaced, too.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if (
@@ -448,25 +411,19 @@ the shapes. At a larger distance the CoM is replaced together with the tensor. C
 
 
 _MIRROR_RTOL = 0.02
-"""Relative tolerance between a moment with moved decimal point and the same moment of the mirror
-image of the tensor on the other side. If exactly one moved decimal point is within the tolerance,
-only this repair is proposed. Chosen, not tuned.
+"""Relative tolerance between a moment with moved decimal point and the same moment of the mirrored
+tensor of the other side, to confirm the moved decimal point. Chosen, not tuned.
 """
 
 
 MAX_DECIMAL_SHIFT = 6
 """Largest number of places by which a repair moves the decimal point of a moment of inertia or a
-mass. Chosen: a larger factor, such as 1e9 for g mm^2, is a wrong unit, and concerns all moments of
-a tensor instead of a single moment.
+mass. Chosen: a larger factor, such as 1e9 for g mm^2, is rather a wrong unit.
 """
 
 
 def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield repairs of a nearly diagonal tensor: a single moment is multiplied by a power of ten.
-
-    All stated moments must be positive. Only tensors that satisfy the triangle inequality are
-    yielded.
-    """
+    """Yield repairs of a nearly diagonal tensor: one moment is multiplied by a power of ten."""
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
     words = ("ixx", "iyy", "izz")
     if element is None or any(element.get(word) is None for word in words):
@@ -487,13 +444,9 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
 
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
+    """Yield the repair of a link's inertia tensor: the mirrored tensor of the other side.
 
-    The twin is the corresponding link on the other side. If the other limbs state equal tensors,
-    and all limbs state equal inertial frames (`_find_common_attributes`), the common tensor is
-    copied instead. Nothing is yielded, for example, if there is no twin, or if the twin's tensor is
-    physically impossible. The same applies if the result equals the stated tensor, or if the masses
-    differ by more than 1 %.
+    If the other limbs are copies of the same part, their tensor is copied instead.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
@@ -510,9 +463,9 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[str, str] | None:
     """Return the mirror image of the tensor of ``twin`` as {attribute of <inertia>: text}.
 
-    The tensor [kg m^2] is for ``link``, the link on the other side, in the axes of the inertial
-    frame of ``link``. None if the robot has no mirror plane, or if the tensor of ``twin`` is
-    missing or physically impossible.
+    The tensor [kg m^2] is in the axes of the inertial frame of ``link``, the link on the other
+    side.
+    None if the mirror image is unknown or physically impossible.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
@@ -548,9 +501,7 @@ def _find_common_attributes(
         own: Whether the element of the link ``name`` must have the common attributes, too.
 
     Returns:
-        {attribute: text}. A missing ``xyz`` or ``rpy`` of an <origin> is returned as zeros. None if
-        there are fewer than `MIN_SIBLINGS` + 1 other limbs, including the limb on the other side.
-        None also if a link lacks the element, or if the numbers of the links differ.
+        {attribute: text}. None if the links differ, or there are too few other limbs.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -601,9 +552,7 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
-    A link without <mass> gets the CoM and the tensor as well. If all other limbs have equal values
-    (`_find_common_attributes`), mass, CoM and tensor are copied from the other limbs. Otherwise CoM
-    and tensor are mirror images of the values on the other side.
+    A link without <mass> gets the CoM and the tensor as well.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -657,17 +606,7 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 
 
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
-
-    If the finding is a CoM outside the shapes, and the CoM is probably in mm
-    (`_read_com_in_metres`), it is converted to m instead. If all other
-    limbs state one and the same origin (`_find_common_attributes`), its xyz is copied. If the
-    finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
-    repaired, by a comparison with the other limbs: the link that deviates from them; both links if
-    there are too few other limbs, or these differ; none if both links or neither deviate.
-    Coordinates that agree with
-    the mirror image are not changed (`_replace_deviating_coordinates`).
-    """
+    """Yield repairs of a URDF link's CoM: mm converted to m, or from the corresponding links."""
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link is None:
@@ -704,8 +643,6 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 def _replace_deviating_coordinates(link: Link, image: Array) -> str:
     """Format the CoM of a link with its deviating coordinates replaced by those of ``image``.
 
-    The fewest coordinates are replaced that put the CoM within `get_com_tolerance` of ``image``.
-
     Args:
         link: Link whose CoM deviates.
         image: Mirror image of the partner's CoM in the frame of the link, shape (3,) [m].
@@ -721,12 +658,9 @@ def _replace_deviating_coordinates(link: Link, image: Array) -> str:
 
 
 def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the CoM of a finding in m if the stated CoM is in mm: a thousandth is in the hull.
+    """Yield the repair of a CoM that is probably in mm: the CoM in m.
 
-    The convex hull is that of the shapes, frames and child joints. A thousandth of the CoM must be
-    inside, or outside by at most 5 % of the extent of the hull. The stated CoM must be outside by
-    more than `_MIN_MM_OFFSET` times this extent. Nothing is yielded if the size of a shape is
-    unknown.
+    A thousandth of the CoM must be in or near the convex hull of shapes, frames and child joints.
     """
     link = robot.links[found.name]
     element = _find_unique_child(robot, "link", link.name, "inertial/origin")
@@ -746,7 +680,8 @@ def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[Value
 
 _MIN_MM_OFFSET = 5.0
 """Distance of a CoM from the convex hull of shapes, frames and child joints, relative to the
-extent of the hull, above which the CoM may be in mm. Chosen, not tuned."""
+extent of the hull, above which the CoM may be in mm. Chosen, not tuned.
+"""
 
 MAX_DENSITY_RATIO = 3.0
 """Largest ratio between the density of a repaired link and the median density of the other links,
@@ -758,13 +693,7 @@ differ by powers of ten is within this bound.
 def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield repairs of the mass of a URDF link that is too dense.
 
-    A candidate is the mass divided by a power of ten. If the link on the other side has less than
-    half the mass, the candidate must agree with the mass of that link within 1 %. Otherwise the
-    density must be within a factor `MAX_DENSITY_RATIO` of the median of the other links. If the
-    tensor fits the stated mass (`_fits_shapes`), the tensor is divided as well.
-
-    Another candidate is the volume times the median density, with the stated tensor. This candidate
-    requires a known median, a density below ten times `MAX_DENSITY`, and no mass of fixed links.
+    Candidates are the mass divided by a power of ten, and the mass with the density of other links.
     """
     link = robot.links.get(found.name)
     if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
@@ -816,10 +745,7 @@ def _fits_shapes(robot: RobotModel, link: Link) -> bool:
 
 
 def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
-    """Multiply all entries of a link's <inertia> by a factor: {attribute: new text}.
-
-    Empty if the link has no <inertia>, or the name is not unique.
-    """
+    """Multiply the entries of a link's <inertia> by a factor: {attribute: new text}."""
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
     return {
         word: _format_converted(factor * float(str(element.get(word))))
@@ -829,12 +755,7 @@ def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
 
 
 def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of missing mesh files of a URDF: existing files with similar names.
-
-    If all names contain backslashes, and files exist with slashes instead, these are proposed.
-    Otherwise, `_list_similar_files` defines which names are similar; nothing is proposed if the
-    finding names several files, or if another link uses the missing file, too.
-    """
+    """Yield the repairs of missing mesh files of a URDF: existing files with similar names."""
     if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
         return
     names = found.message.values["meshes"]
@@ -880,13 +801,7 @@ def _list_mesh_elements(link: etree._Element, filename: str) -> list[str]:
 
 
 def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
-    """Return the paths of existing files with names similar to a missing file, ``prefix + name``.
-
-    The search ends at the first step with a result. Step 1: the file without the last suffix of
-    ``name``. Step 2: files whose names differ in upper and lower case only. Step 3: files with the
-    same stem, regardless of case. The result is empty if the folder is not known. The folder of a
-    package is known if another mesh with the same prefix is found.
-    """
+    """Return the paths of existing files with names similar to a missing file ``prefix + name``."""
     stem = name.rpartition(".")[0]
     if stem and robot.file.resolve_mesh(prefix + stem) is not None:
         return [prefix + stem]
@@ -909,7 +824,7 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
 
 
 def _repair_axis_length(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a URDF axis that is not a unit vector: the same direction."""
+    """Yield the repair of a URDF axis that is not a unit vector: the normalized axis."""
     if isinstance(robot, UrdfModel):
         axis = robot.joints[found.name].raw_axis
         new = {"xyz": _format_vector(axis / float(np.linalg.norm(axis)))}
@@ -927,10 +842,7 @@ def _repair_mimic(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepai
 
 
 def _repair_joint_type(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a fixed joint of a URDF: the type of the left or right partner.
-
-    Nothing is proposed if a type other than ``continuous`` would need a missing <limit>.
-    """
+    """Yield the repair of a fixed joint of a URDF: the type of the left or right partner."""
     partner = str(found.message.values["other"])
     if not isinstance(robot, UrdfModel):
         return
@@ -943,12 +855,7 @@ def _repair_joint_type(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _repair_mirrored_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repairs of tensors that differ from side to side: mirror images (`_mirror_tensor`).
-
-    `select_deviating_pairs` selects the wrong side: the magnitudes of the entries are compared, in
-    the link frame, with other limbs. If there are too few other limbs, or they differ from each
-    other, both links are candidates.
-    """
+    """Yield the repairs of a URDF link's tensor that differs from side to side: mirror images."""
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link is None or twin is None:
@@ -970,8 +877,7 @@ def _repair_mirrored_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[
 def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of a URDF axis of zeros: the axes of corresponding joints of other limbs.
 
-    Each axis is copied as expressed in the frame of the other joint; equal axes are proposed once.
-    Joints without <axis> are left out.
+    Each axis is copied as expressed in the frame of the other joint.
     """
     if not isinstance(robot, UrdfModel) or found.name not in robot.joints:
         return
@@ -988,7 +894,7 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a joint axis that is reversed in a left-right pair: the negated axis.
+    """Yield the repair of a reversed axis in a left-right pair of URDF joints: the negated axis.
 
     If the finding leaves open which joint of the pair is wrong, both joints are candidates.
     """
@@ -1009,16 +915,9 @@ def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a joint origin: the mirror image of the partner joint's origin.
+    """Yield the repair of a URDF joint origin: the mirror image of the partner joint's origin.
 
-    - At least `MIN_SIBLINGS` joints of other limbs have origins with equal absolute coordinates:
-      the joint that deviates from these coordinates is repaired. If both joints or neither deviate,
-      there is no repair.
-    - Fewer joints in other limbs, or different origins: both joints are candidates.
-
-    There is no repair if both positions are mirror images within `POSITION_TOLERANCE`. Then the
-    shapes or the axis are wrong, not the origin. If the rotation of a joint nearer to the base
-    explains the displacement (`_turn_ancestors`), this rotation is repaired instead.
+    If the rotation of a joint nearer to the base explains the displacement, it is repaired instead.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -1064,13 +963,7 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
 def _turn_ancestors(
     robot: UrdfModel, mirror: MirrorPlane, name: str, partner: str
 ) -> list[ValueRepair]:
-    """List the rotations of joint origins that explain why two joints are no mirror images.
-
-    For each joint above ``name`` or ``partner``, the rotation is replaced by the rotation of its
-    own partner, with the signs of a mirror image or without. A repair puts all pairs of links below
-    this joint at mirrored positions. If there are at least `MIN_SIBLINGS` joints of other limbs, a
-    side whose roll, pitch and yaw equal those of the first such joint, up to signs, is not
-    repaired.
+    """Return the new rotation of an ancestor that would make two joints mirror images.
 
     Args:
         robot: Model of a URDF.
@@ -1079,8 +972,8 @@ def _turn_ancestors(
         partner: Corresponding joint on the other side.
 
     Returns:
-        Repairs of the ancestor that is nearest to the base; one, or a candidate for each side.
-        Empty if no rotation explains the displacement.
+        Repairs of a single ancestor; one, or a candidate for each side. Empty if no rotation of an
+        ancestor explains the displacement.
     """
     joints = robot.file.tree.joints
     for below, beside in ((name, partner), (partner, name)):
@@ -1126,10 +1019,7 @@ def _list_joints_above(robot: UrdfModel, name: str) -> Iterator[str]:
 def _turn_joint(
     robot: UrdfModel, mirror: MirrorPlane, name: str, twin: str
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of a joint's rotation that mirrors the positions of paired links below.
-
-    At most one repair is yielded. There must be at least two pairs of links.
-    """
+    """Yield at most one repair: a joint rotation that mirrors the positions of the links below."""
     joint, links = robot.file.tree.joints[name], robot.links
     child = robot.joints[name].child
     base = links[robot.joints[name].parent].pose
@@ -1159,11 +1049,7 @@ def _turn_joint(
 def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of a missing or displaced collision shape of a URDF link.
 
-    A missing shape is copied from the corresponding link of another limb. Of a displaced shape only
-    the origin is copied. The other link must have the same visual shapes with the same origins, and
-    a single collision shape. Without such a link, a displaced shape gets the origin of the link's
-    only visual shape, if both shapes have the same mesh. Nothing is proposed for a link without
-    visual shapes or with several collision shapes.
+    Shape or origin are copied from a link of another limb, or from the visual shape.
     """
     link = robot.file.tree.links.get(found.name) if isinstance(robot, UrdfModel) else None
     if not isinstance(robot, UrdfModel) or link is None:
@@ -1210,8 +1096,7 @@ def _add_shape(
 ) -> None:
     """Add to ``candidates`` the repair that copies a collision shape from ``example`` to a link.
 
-    If the link ``name`` has a collision shape, the repair only copies the origin. An equal repair
-    is not added twice.
+    If the link ``name`` has a collision shape, the repair only copies the origin.
     """
     origin, geometry = example.find("origin"), example.find("geometry")
     texts = {"xyz": "0 0 0", "rpy": "0 0 0"}

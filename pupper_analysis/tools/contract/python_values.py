@@ -29,14 +29,15 @@ from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MAX_VALUES, LocatedValue, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
-"""Largest size [bit] of an integer that an operation or a function of Python may return in the
-evaluation of a source; a larger result counts as unknown. Larger integers would grow without bound
-in a loop. Chosen, not tuned."""
+"""Largest size [bit] of an integer in the evaluation of a source; a larger result counts as
+unknown.
+Larger integers would grow without bound in a loop. Chosen, not tuned.
+"""
 
 MAX_CALL_DEPTH: Final = 40
-"""Largest depth of nested calls in the evaluation of a source. A deeper call counts as unknown, and
-is not searched for changes of values. Chosen, not tuned, so that Python's own recursion limit is
-not reached."""
+"""Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.
+Chosen, not tuned, so that Python's own recursion limit is not reached.
+"""
 
 
 @dataclass(eq=False)
@@ -237,9 +238,7 @@ _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 """Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
-"""Names of functions that convert their argument to a list. A list is copied, a table becomes the
-list of its keys, and any other argument is returned unchanged.
-"""
+"""Names of functions that convert their argument to a list."""
 _TABLE_CONSTRUCTORS: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
 """Calls that merge tables and keyword arguments into one table."""
 _COPY_FUNCTIONS: Final = ("copy", "deepcopy", "replace")
@@ -286,7 +285,7 @@ class Evaluator:
 
         Raises:
             InputError: If the file cannot be read.
-            ModelError: If the file cannot be parsed, or more than `MAX_VALUES` steps are needed.
+            ModelError: If the file cannot be parsed, or its evaluation takes too many steps.
         """
         if not path.is_absolute():  # show relative paths if the request was relative
             self.shown = Path.cwd()
@@ -314,7 +313,7 @@ class Evaluator:
 
         Raises:
             InputError: If the file cannot be read.
-            ModelError: If the file cannot be parsed, or more than `MAX_VALUES` steps are needed.
+            ModelError: If the file cannot be parsed, or its evaluation takes too many steps.
         """
         result = self.load_module(path)
         for statement in ast.parse(read_text(path)).body:
@@ -365,9 +364,6 @@ class Evaluator:
         """Assign the result of an operation such as ``x += 1`` to the target ``x``.
 
         A list is changed in place: other names of the same list have the new content.
-
-        Raises:
-            NotConstantError: If the new content of a list is unknown, or the target is a table.
         """
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
@@ -399,10 +395,7 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Raise the signal that ends the body of the next ``try`` statement with handlers.
-
-        Without such a statement, the signal ends the function or module.
-        """
+        """Raise the signal of a ``raise`` statement, up to the next ``try`` with handlers."""
         raise _RaiseSignal
 
     def _run_break(self, *_: object) -> None:
@@ -436,9 +429,8 @@ class Evaluator:
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
         """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.
 
-        Exception handlers are not evaluated. If the body or ``else`` raises, all values that the
-        handlers assign become unknown. If a ``try`` has no handlers, the exception is raised again
-        after ``finally``. The variables after ``as`` in a ``with`` statement are unknown.
+        Exception handlers are not evaluated; if the body raises, the values that they assign are
+        unknown.
         """
         handlers = getattr(statement, "handlers", ())
         for item in getattr(statement, "items", ()):
@@ -543,12 +535,7 @@ class Evaluator:
         return None
 
     def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
-        """Set all values that a statement may change to unknown values.
-
-        The values are those of names, attributes and items that the statement assigns or deletes,
-        and the objects that `_list_changes` returns. The names of functions, classes and imports
-        are included if the scope contains them already.
-        """
+        """Set the values that a statement may change to unknown values."""
         for content, key, lost in [*self._list_changes([statement], scope, {}, set())]:
             if key is not None:
                 with suppress(NotConstantError):
@@ -592,7 +579,7 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """List the lists, tables and fields that statements may change; nothing is changed here.
+        """Yield the lists, tables and fields that statements may change; nothing is changed here.
 
         Args:
             body: Statements.
@@ -741,9 +728,10 @@ class Evaluator:
         scope: Scope,
         origins: dict[str, list[LocatedValue]],
     ) -> list[LocatedValue]:
-        """Return the items with a key or index in the lists and tables of an expression.
+        """Return the items with a key or index in the values of an expression; all if ``key`` is
+        None.
 
-        All items if ``key`` is None. The expression is not evaluated (`_find_values`).
+        The values are the lists and tables to which the expression may refer.
         """
         result: list[LocatedValue] = []
         for owner in self._find_values(expression, scope, origins):
@@ -772,7 +760,10 @@ class Evaluator:
         changing: set[str],
         origins: dict[str, list[LocatedValue]],
     ) -> Iterator[tuple[Any, Any]]:
-        """Yield the lists and tables that a call of a method changes, each with its key or None."""
+        """Yield the lists and tables that a call of a method may change, each with its key.
+
+        The key is None if any item may change.
+        """
         if not isinstance(call.func, ast.Attribute):
             return
         name = call.func.attr
@@ -856,12 +847,10 @@ class Evaluator:
     def _assign_target(self, to: ast.expr, value: LocatedValue, scope: Scope) -> None:
         """Assign a value to a name, to several names, to an attribute or to an item.
 
-        ``to`` is the target of the assignment. Nothing is assigned to an item of a value that is
-        neither a list nor a table.
+        ``to`` is the target of the assignment.
 
         Raises:
-            NotConstantError: If the target is of another kind, the value does not fit the target,
-                or a key is unknown.
+            NotConstantError: If the value does not fit the target, for example.
         """
         match to:
             case ast.Name():
@@ -888,8 +877,7 @@ class Evaluator:
     def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, LocatedValue]:
         """Return the fields {name: value} of an object or class, for an assignment to an attribute.
 
-        For other values, the result is a new, empty table. If the owner is an unknown attribute of
-        another object, this attribute becomes an object with the returned fields.
+        For values without fields, the result is a new, empty table.
         """
         owner = self.evaluate(node, scope).value
         result = owner if isinstance(owner, InstanceValue | ClassValue) else InstanceValue("")
@@ -909,7 +897,7 @@ class Evaluator:
         expression.
 
         Raises:
-            ModelError: If more than `MAX_VALUES` steps are needed.
+            ModelError: If the evaluation of all files takes more than `MAX_VALUES` steps.
         """
         self._count_step(expression, scope)
         try:
@@ -987,7 +975,7 @@ class Evaluator:
         Tables and objects in the value are returned unchanged: their contents keep the locations.
 
         Raises:
-            NotConstantError: If a value is unknown, or more than `MAX_VALUES` steps were needed.
+            NotConstantError: If a value is unknown, for example.
         """
         self.steps += 1
         if isinstance(node.value, UnknownValue) or self.steps > MAX_VALUES:
@@ -1066,8 +1054,7 @@ class Evaluator:
         """Return an element or slice of a list or table.
 
         Raises:
-            NotConstantError: If the owner is neither or has no such element, an index is not
-                constant or not valid, or the result is too large.
+            NotConstantError: If there is no such element, for example.
         """
         owner = self.evaluate(expression.value, scope).value
         if not isinstance(owner, list | dict):
@@ -1084,7 +1071,7 @@ class Evaluator:
         """Return the result of a binary operation on numbers, lists or texts.
 
         Raises:
-            NotConstantError: If an operand is unknown, or the operation is not supported.
+            NotConstantError: If an operand is unknown, for example.
         """
         left, right = (
             self.evaluate(operand, scope).value for operand in (expression.left, expression.right)
@@ -1105,8 +1092,7 @@ class Evaluator:
         """Return the result of ``not``, or a number with sign.
 
         Raises:
-            NotConstantError: For example, if the operand is unknown, the operator is ``~``, or a
-                sign precedes anything but a number.
+            NotConstantError: If the operand is unknown, for example.
         """
         if isinstance(expression.op, ast.Not):
             return not self._is_true(self.evaluate(expression.operand, scope))
@@ -1128,8 +1114,8 @@ class Evaluator:
         """Return the result of a single comparison.
 
         Raises:
-            NotConstantError: If a value is unknown, several comparisons are chained, or a table
-                with possible unknown keys lacks the tested key.
+            NotConstantError: If a value is unknown, or several comparisons are chained, for
+                example.
         """
         if len(expression.ops) > 1:
             raise NotConstantError
@@ -1184,12 +1170,7 @@ class Evaluator:
     # Calls.
 
     def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
-        """Return the result of a call.
-
-        Functions and classes of evaluated files are evaluated by `call`. Methods of lists and
-        tables are called if they are in `_ALLOWED_METHODS`. All other calls are treated as calls of
-        a library (`_call_library`). Methods of texts are not supported.
-        """
+        """Return the result of a call of a function, class or method."""
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, LocatedValue] = {}
         for keyword in expression.keywords:
@@ -1255,10 +1236,7 @@ class Evaluator:
         return InstanceValue(name, {**keywords, **more})
 
     def _make_field_default(self, keywords: dict[str, LocatedValue]) -> Any:
-        """Return the default value of a dataclass field, from the arguments of ``field(...)``.
-
-        Args:
-            keywords: Keyword arguments; ``default_factory`` precedes ``default``.
+        """Return the default value of a dataclass field, from the keywords of ``field(...)``.
 
         Raises:
             NotConstantError: If there is no constant default value.
@@ -1307,8 +1285,7 @@ class Evaluator:
         """Evaluate the call of a function or class of an evaluated file.
 
         Raises:
-            NotConstantError: If calls are nested deeper than `MAX_CALL_DEPTH`, or the function
-                raises.
+            NotConstantError: If the function raises, or calls are nested too deep, for example.
         """
         if isinstance(called, ClassValue):
             return self._make_instance(called, arguments, keywords)
@@ -1352,9 +1329,7 @@ class Evaluator:
     ) -> LocatedValue:
         """Make an instance of a class with fresh copies of the default values.
 
-        ``__init__`` is evaluated with the arguments. If this is not possible, the attributes that
-        it assigns are unknown. In a class without ``__init__``, as in a dataclass, the arguments
-        become fields, then ``__post_init__`` is evaluated.
+        ``__init__`` and ``__post_init__`` are evaluated, if possible.
         """
         result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
         start = of.fields.get("__init__")
@@ -1380,7 +1355,7 @@ class Evaluator:
         """Return a deep copy of a value, with changed fields, as ``dataclasses.replace``.
 
         Args:
-            value: Value; its copied objects are added to the evaluation steps.
+            value: Value.
             keywords: {field: new value}; ignored for a value without fields.
         """
         memo: dict[int, Any] = {}
@@ -1429,10 +1404,7 @@ def _list_defined_names(node: ast.AST) -> list[str]:
 
 
 def _list_search_folders(path: Path) -> Iterator[Path]:
-    """Yield the folders above a file up to the top folder of the project or package.
-
-    At least the two nearest folders are yielded.
-    """
+    """Yield the folders above a file up to about the top folder of the project or package."""
     project = [
         folder
         for folder in path.parents

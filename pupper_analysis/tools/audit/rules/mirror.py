@@ -75,20 +75,15 @@ class MirrorPlane:
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
     """Find the plane between left and right, in which link pairs are mirror images.
 
-    Each candidate plane is normal to an axis of the base, and contains the origin of the base or
-    the median of the pairs' midpoints. The plane that mirrors most pairs is selected. All joint
-    positions are zero.
+    The plane is normal to an axis of the base. All joint positions are zero.
 
     Args:
         robot: Model of the robot.
         tolerance: Largest distance between a link and the mirror image of the partner [m].
 
     Returns:
-        The selected plane if at least a third of the pairs are mirror images on different sides.
-        Otherwise, the plane that `_find_plane_of_displaced_limb` finds. Otherwise, for a planar
-        robot, the plane in which the robot moves: both links of each pair
-        have the same position, and all hinges are parallel to an axis of the base. None in all
-        other cases, and for a robot without pairs.
+        The plane; None if the positions of the left-right pairs of links do not define a plane. For
+        a planar robot, the plane in which the robot moves.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -116,11 +111,9 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 def _find_plane_of_displaced_limb(
     robot: RobotModel, pairs: list[tuple[str, str]], tolerance: float
 ) -> MirrorPlane | None:
-    """Return the plane of a robot on which one joint displaces a whole limb; None for another.
+    """Return the mirror plane of a robot with one displaced limb; None for other robots.
 
-    The vectors from the parent links to the links must be mirror images in all pairs except one.
-    The positions along the normal axis must be on different sides, with equal middles, in all
-    pairs. At least `MIN_RELATIVE_PAIRS` mirrored vectors must be longer than ``tolerance``.
+    The vectors from the parent links to the links are mirror images in all pairs except one.
     """
 
     def list_vectors(names: list[str]) -> Array:
@@ -155,8 +148,7 @@ plane of a robot with a displaced limb is derived. Chosen, not tuned."""
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
-    The plane contains the median of the links' positions along this axis. None if the robot has no
-    hinges, or the hinges are not all parallel to the same axis of the base.
+    None if the robot has no hinges, or the hinges are not parallel to an axis of the base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -168,7 +160,7 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 MIN_PLANAR_COSINE = 0.9999
 """Lower bound of the absolute cosine between each hinge axis and the same axis of the base. Above
-the bound the robot counts as planar, and this axis is the normal of the plane. Chosen, not tuned.
+the bound the robot counts as planar. Chosen, not tuned.
 """
 
 
@@ -181,8 +173,7 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
 )
 """Largest differences between left and right that are not reported. In this order: positions [m],
 masses (relative), CoM [m] (plus 1 % of the distance from the origin of the base), inertia (relative
-to the largest entry), joint limits [rad or m]. In `find_copied_links`, predictions of offsets, CoMs
-and inertias that differ by no more count as equal. Chosen, not tuned.
+to the largest entry), joint limits [rad or m]. Chosen, not tuned.
 """
 
 
@@ -198,17 +189,12 @@ between the predictions of both hypotheses. Chosen, not tuned."""
 def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
     """Return the names of the links of limbs that are moved copies of the partner's limb.
 
-    A limb is a left-right pair of links with all pairs that descend from it. Terms of a limb are
-    the offset between two joints, CoM minus joint, and inertia about the CoM. Let R1, R2 be the
-    rotations of two partners' frames, and S the reflection. A copy predicts R2 R1^T d for the
-    offset d of the first limb, a mirror image predicts S d. Both predictions of most terms are
-    equal, since most parts are symmetric; such terms are ignored.
-
-    A limb is a copy if at least `MIN_COPIED_TERMS` terms agree with the copy only, and fewer with
-    the mirror image only. Inertials alone do not decide against the joints: of the offsets between
-    joints, more must agree with the copy only than with the mirror image only, unless both numbers
-    are zero. A limb is no copy if a limb with the same name apart from the sides, such as another
-    leg, has more terms that agree with the mirror image only than with the copy only.
+    Let R1, R2 be the rotations of two partners' frames, and S the reflection. A copy predicts
+    R2 R1^T d for a vector d of the first limb, a mirror image predicts S d. A limb is a copy if at
+    least `MIN_COPIED_TERMS` terms (offsets between joints, CoMs, inertias) agree with the copy
+    only,
+    and fewer with the mirror image only. Some limbs are excluded, for example if another limb with
+    the same name apart from the sides is rather a mirror image.
     """
     limbs: dict[str, list[tuple[Link, Link]]] = {}
     roots: dict[tuple[str, str], str] = {}
@@ -289,8 +275,7 @@ def _compare_hypotheses(
             predictions count as equal.
 
     Returns:
-        (1, 0) for a copy, (0, 1) for a mirror image. (0, 0) if the predictions are equal, or
-        neither is within `HYPOTHESIS_RATIO` of the distance.
+        (1, 0) for a copy, (0, 1) for a mirror image, (0, 0) if undecided.
     """
     predictions = [
         matrix @ first if first.ndim == 1 else matrix @ first @ matrix.T
@@ -304,7 +289,7 @@ def _compare_hypotheses(
 
 
 def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
-    """Yield the left-right pairs of links (`find_mirror_pairs`)."""
+    """Yield the left-right pairs of links."""
     for first_name, second_name in find_mirror_pairs(robot.links):
         yield robot.links[first_name], robot.links[second_name]
 
@@ -322,9 +307,7 @@ def _find_displaced_bodies(
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
     """Find links whose position is not the mirror image of the partner; return names and pairs.
 
-    A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
-    skipped if the first link neither moves nor has mass, and has no "foot" in the name. A choice of
-    frames (`_is_choice_of_frame`) is no displacement. Copied limbs are skipped.
+    The returned pairs are displaced, but have no displaced ancestor.
     """
     copied = find_copied_links(robot, mirror)
     displaced: set[str] = set()
@@ -351,8 +334,7 @@ def _measure_asymmetry(mirror: MirrorPlane, first: Array, second: Array) -> floa
 def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, second: Link) -> bool:
     """Return True if only the frames of two hinges are displaced along the axis, not the links.
 
-    The position of a hinge's frame along the axis has no effect on the motion. The CoMs of both
-    links, and the joints of all moving children that are left-right pairs, must be mirror images.
+    The position of a hinge's frame along the axis has no effect on the motion.
     """
     if not all(
         len(link.joints) == 1 and link.joints[0].kind == HINGE_JOINT for link in (first, second)
@@ -388,10 +370,9 @@ def get_com_tolerance(com: Array) -> float:
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield the mirror plane and both links of each left-right pair of links at mirrored positions.
+    """Yield (mirror plane, link, partner) of left-right pairs of links at mirrored positions.
 
-    Pairs are skipped if a child is displaced (`_find_displaced_bodies`), or if the first link has
-    less than 1e-4 of the robot's mass. Nothing is yielded if the robot has no mirror plane.
+    Links of negligible mass are left out.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -412,7 +393,7 @@ _Part = TypeVar("_Part", Link, Joint)
 def _omit_copied_limbs(
     robot: RobotModel, pairs: Iterable[tuple[MirrorPlane, _Part, _Part]]
 ) -> Iterator[tuple[MirrorPlane, _Part, _Part]]:
-    """Yield the pairs of links or joints that belong to no copied limb (`find_copied_links`)."""
+    """Yield the pairs of links or joints that belong to no copied limb."""
     copied: frozenset[str] | None = None
     for mirror, first, second in pairs:
         copied = find_copied_links(robot, mirror) if copied is None else copied
@@ -423,10 +404,9 @@ def _omit_copied_limbs(
 def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
-    """Yield the mirror plane and (link, inertial) of both links of `_list_pairs_in_place`.
+    """Yield (mirror plane, (link, inertial), (partner, inertial)) of pairs at mirrored positions.
 
-    Pairs of copied limbs and of copied links (`_is_turned_copy`), and pairs in which a link has no
-    inertial, are left out.
+    Copied limbs and links are left out.
     """
     for mirror, first, second in _omit_copied_limbs(robot, _list_pairs_in_place(robot)):
         if first.inertial is None or second.inertial is None:
@@ -438,8 +418,7 @@ def _list_inertial_pairs(
 def _is_turned_copy(robot: RobotModel, first: Link, second: Link) -> bool:
     """Return True if two links of a URDF are the same part, mounted in another orientation.
 
-    Mass, CoM, tensor and visual meshes are equal in the frames of both links, and the frames have
-    different orientations: the drives of ANYmal's knees are turned by 180 degrees, not mirrored.
+    For example, the drives of ANYmal's knees are turned by 180 degrees, not mirrored.
     """
     if not isinstance(robot, UrdfModel) or first.inertial is None or second.inertial is None:
         return False
@@ -469,7 +448,7 @@ def _masses_agree(first: Link, second: Link) -> bool:
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find joints or fixed links that are more than 1 mm from the mirror image of the partner.
 
-    If several pairs of a chain are displaced, only the pair nearest to the base is reported.
+    Of several displaced pairs of a chain, the pair nearest to the base is reported.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -494,8 +473,7 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is WARNING. The severity is ERROR if both masses are positive and the ratio of the
-    larger to the smaller mass is at least `IMPOSSIBLE_MASS_RATIO`.
+    The severity is ERROR if the masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`.
     """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
@@ -520,8 +498,7 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    Pairs at displaced positions and copied limbs, for example, are left out
-    (`_list_inertial_pairs`). The tolerance is that of `get_com_tolerance`.
+    Pairs at displaced positions and copied limbs, for example, are left out.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
@@ -542,12 +519,10 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
-    I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection. A
-    pair is reported if the magnitude of an entry of S I S - I' exceeds 10 % of the largest entry of
-    both. If twice the rounding of the written digits is larger than 10 %, this tolerance is used
-    instead, up to 50 %. A pair is also reported if I' has products of inertia of the wrong sign
-    (`_has_wrong_sign`). The message states the entry with the largest difference. Pairs with
-    different masses, and those that `_list_inertial_pairs` leaves out, are not compared.
+    I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection.
+    An
+    entry of S I S - I' may have up to 10 % of the largest entry, or more if the written digits are
+    rounded. Products of inertia of the wrong sign are reported, too.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -588,8 +563,7 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
     """Return True if two inertias differ only in the sign of one or three products of inertia.
 
     With two opposite signs the result is False: such a part is not mirrored, but turned by 180
-    degrees. The result is also False if a product of ``image`` is at most ``MIN_PRODUCT_FRACTION``
-    of the largest entry, because the sign is then unknown.
+    degrees.
 
     Args:
         image: Entries of the mirrored inertia, shape (6,) [kg m^2], in the order of
@@ -606,7 +580,7 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
-    """Yield mirror plane and both joints of each left-right pair of moving joints of equal kind.
+    """Yield (mirror plane, joint, partner) of each left-right pair of moving joints of equal kind.
 
     Nothing is yielded if the robot has no mirror plane.
     """
@@ -633,8 +607,9 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg.
 
-    A pair is a finding, too, if the sense of the axes differs from all other pairs
-    (`_find_reversed_axis`). Copied limbs are skipped.
+    A pair is a finding, too, if the sense of the axes differs from all other pairs. Copied limbs
+    are
+    skipped.
     """
     yield from _find_reversed_axis(robot)
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
@@ -661,11 +636,7 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Yield a finding if the axes of exactly one left-right pair have an unusual relative sense.
 
     In most published robots, the axes of all pairs are parallel, or the axes of all pairs are
-    mirror images. If a single pair contradicts either convention, the pair is taken whose ranges
-    are no mirror images. The finding names the joint of the pair whose axis is probably reversed:
-    the joint whose axis points against most axes of the equal joints of other limbs
-    (`_compare_senses`). If this does not decide, the axes of all other parallel hinges are used. If
-    neither decides, the first joint of the pair is named.
+    mirror images. The finding names the joint of the pair whose axis is probably reversed.
     """
     pairs, parallel = [], []
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
@@ -712,7 +683,7 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _compare_senses(first: Joint, second: Joint, mirror: MirrorPlane | None) -> float:
-    """Return 1 if the axes of two joints have the same sense, -1 if not, 0 if not parallel.
+    """Return 1 if the axes of two joints have the same sense, -1 if opposite, 0 if not parallel.
 
     Args:
         first: Joint.
@@ -741,9 +712,9 @@ def _ranges_agree(mirror: MirrorPlane, first: Joint, second: Joint) -> bool:
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
-    The range of a partner with the opposite axis sense is negated. Efforts are only compared if the
-    ranges agree, velocity limits of a URDF only if the efforts agree as well. Pairs whose axes are
-    no mirror images (cosine below 0.9), and copied limbs, are skipped.
+    Velocity limits of a URDF are compared, too. Of a pair a single difference is reported. Pairs
+    whose
+    axes are no mirror images, and copied limbs, are skipped.
     """
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         sense = _compute_axis_sense(mirror, first, second)
@@ -805,7 +776,7 @@ def mirror_type(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_unlike_joints(robot: RobotModel) -> Iterator[tuple[Joint, Joint]]:
-    """Yield the fixed and the moving joint of each left-right pair of which one side is fixed."""
+    """Yield the fixed and the moving joint of left-right pairs of which one side is fixed."""
     pairs = set(map(frozenset, find_mirror_pairs(robot.links)))
     for names in find_mirror_pairs(robot.joints):
         first, second = (robot.joints[name] for name in names)
@@ -815,12 +786,7 @@ def _list_unlike_joints(robot: RobotModel) -> Iterator[tuple[Joint, Joint]]:
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find left-right pairs of joints with different damping, dry friction, armature or springs.
-
-    All different pairs are reported if a quantity is equal in at least three quarters of the pairs,
-    or if few distinct values occur, for example a value for each side. Otherwise
-    `find_unlike_pairs` reports only pairs with a large ratio.
-    """
+    """Find left-right pairs of joints with different damping, dry friction, armature or springs."""
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
         stated = {
@@ -855,15 +821,9 @@ Chosen, not tuned.
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with collision shapes that are no mirror images.
 
-    A pair is a finding in two cases:
-
-    - Only one link of the pair has shapes.
-    - The bounding boxes differ by more than `SIMPLE_SHAPE_TOLERANCE` (primitive shapes only), or by
-      more than `SHAPE_TOLERANCE` plus a tenth of the size (with meshes).
-
-    The boxes are along the base axes, at zero angles, and include shapes of links fixed to the
-    link. Pairs at displaced positions, copied limbs, and links whose child is fixed on one side
-    only (`mirror_type`) are omitted. Boxes of shapes with unknown size are not compared.
+    The bounding boxes along the base axes, at zero angles, are compared, including shapes of links
+    fixed to the link. A link without shapes whose partner has shapes is a finding, too. Pairs at
+    displaced positions and copied limbs, for example, are left out.
     """
     unlike = {
         robot.find_moving_body(joint.parent)
@@ -903,13 +863,7 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _choose_wrong_shapes(robot: RobotModel, first: Link, second: Link) -> tuple[Link, Link]:
-    """Choose the link of a pair whose collision shapes are probably wrong; return both links.
-
-    The first result is the wrong link, the second result the other link. The wrong link is the
-    link that deviates from equal links of other limbs (`select_deviating_pairs`), or else the only
-    link of the pair without collision shapes. If neither decides, the second link is returned as
-    the wrong link.
-    """
+    """Choose the link of a pair whose collision shapes are probably wrong: (wrong, other)."""
     pairs = [(second, first), (first, second)]
     kind, boxes = strip_sides(first.name), dict[str, Array]()
     for name, link in robot.links.items():
@@ -946,9 +900,8 @@ def select_deviating_pairs(
             entries relative to the largest entry [1].
 
     Returns:
-        The selected pair as a list. All pairs if the wrong link is unknown: there are fewer than
-        `MIN_SIBLINGS` other limbs, or the values of the other limbs differ by more than
-        `SIBLING_ATOL`. Empty if none or several of the first links deviate.
+        The selected pair as a list. All pairs if the other limbs are too few (`MIN_SIBLINGS`) or
+        differ (`SIBLING_ATOL`). Empty if none or several of the first links deviate.
     """
     names = {link.name for link, _ in pairs}
     others = [value for name, value in values.items() if name not in names]
@@ -973,16 +926,8 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links with different contact parameters on the ground.
 
     MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
-    solref, solimp and margin. Geoms of links fixed to the link are included. Compared are the geoms
-    that can touch the ground:
-
-    - Only one link has such geoms: the other link is a finding.
-    - The numbers of such geoms differ, and the total numbers of geoms are equal: the link with
-      fewer such geoms is a finding.
-    - The numbers are equal: each combined parameter that differs is a finding.
-
-    Links without collision geoms, and pairs at displaced positions, are not compared. If the file
-    has no ground, a plane with MuJoCo's defaults is assumed.
+    solref, solimp and margin. Geoms of links fixed to the link are included. If the file has no
+    ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -1039,7 +984,7 @@ _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
 def _list_contact_parameters(
     robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
 ) -> list[ContactParameters]:
-    """Return the contact parameters of a link's geoms that can touch the ground.
+    """Return the contact parameters of the geoms of a link that can touch the ground.
 
     Geoms of links that are fixed to the link are included.
     """
@@ -1058,7 +1003,7 @@ def _list_geoms(robot: MjcfModel, model: mujoco.MjModel, link: Link) -> list[int
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
-    """Return a link and the links fixed to this link, each with collision shapes only.
+    """Return a link and the links fixed to it, each with collision shapes only.
 
     Links without collision shapes are left out.
     """
@@ -1072,8 +1017,8 @@ def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
 def _find_extent_points(link: Link, parts: list[Link]) -> Array | None:
     """Return points with about the convex hull of all shapes of ``parts``, shape (n, 3) [m].
 
-    The points are in the frame of the base, at zero angles; ``link`` is the link to which the parts
-    are fixed. None if there are no shapes, or if the size of a shape is unknown.
+    The points are in the base frame, at zero angles; ``link`` is the link to which the parts are
+    fixed. None if there are no shapes, or if the size of a shape is unknown.
     """
     points, is_complete = list_known_points(parts, link)
     return link.pose.point(points) if is_complete and points is not None else None

@@ -35,11 +35,8 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""Tolerance of positions [m], in five tests. Ends of rods at joints and feet: 2 % of the half
-length or of the distance, if larger. Ends of a rod on the axis: half a radius, if larger. Foot
-frames: at the centre or on the surface of a sphere. Gaps between visual and collision shapes: a
-fraction of the extent, if larger (`MIN_GAP_FRACTION`). Equal gaps of several limbs
-(`_list_intended_gaps`). Chosen, not tuned.
+"""Tolerance of positions of shapes, joints and feet [m]; some tests use a larger tolerance relative
+to the size. Chosen, not tuned.
 """
 
 
@@ -47,7 +44,7 @@ def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
     """Find the ends of a link: {joint or foot: position in the link frame, shape (3,) [m]}.
 
     The ends are the moving joints of the next links, and the links and frames with "foot" in the
-    name. Links that are fixed to the link are included.
+    name.
     """
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
@@ -74,10 +71,8 @@ def _is_foot(name: str) -> bool:
 def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
     """Return unit direction, shape (3,), and length [m] of a rod that begins at the joint.
 
-    The length of a capsule excludes the caps. ``anchor`` is the position of the joint [m], in the
-    frame in which the shape is expressed.
-
-    None if the shape is no capsule or cylinder longer than thick, or does not begin at the joint.
+    ``anchor`` is the position of the joint [m], in the frame in which the shape is expressed. The
+    length of a capsule excludes the caps. None for shapes other than such capsules and cylinders.
     """
     if shape.kind not in ("capsule", "cylinder"):
         return None
@@ -94,15 +89,8 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    The end of the rod is compared with the nearest joint or foot on the rod's axis. A rod is
-    reported in two cases:
-
-    - Too long: by 2 % or more, and by `POSITION_TOLERANCE` or more.
-    - Too short: by 20 % or more. A rod that is too short by the radius is accepted, within the
-      tolerance for long rods. This bound is larger, since shapes are often shortened on purpose to
-      avoid contact with the neighbour.
-
-    Rods of equal length on a link are reported once.
+    The length without caps may be 2 % too long. It may be 20 % too short, since shapes are often
+    shortened on purpose to avoid contact with the neighbour.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -145,15 +133,9 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Only moving links with a single moving child are checked, if the distance between the joints
-    (the link length) is at least `MIN_LINK_LENGTH`. A shape is checked if three conditions hold:
-    the length is 60 to 140 % of the link length; the length is more than twice the width; the long
-    axis is parallel to the line (`MIN_ALIGNMENT_COSINE`). A shape is reported in two cases:
-
-    - The centre is farther from the line than the half width plus 10 % of the link length.
-    - The centre is displaced along the line by more than 40 % of the link length.
-
-    In 119 published shapes the largest values are 3 % and 20 %.
+    A shape is reported if its centre is farther from the line than the half width plus 10 % of the
+    distance between the joints, or is displaced along the line by more than 40 %. In 119 published
+    shapes the largest values are 3 % and 20 %.
     """
     for body in robot.links.values():
         ends = [
@@ -193,7 +175,8 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
 
 MIN_LINK_LENGTH = 0.03
 """Smallest distance between two joints of a link [m] from which the position of the link's shapes
-is checked. Chosen, not tuned."""
+is checked. Chosen, not tuned.
+"""
 
 MIN_ALIGNMENT_COSINE = 0.966
 """Smallest absolute cosine between the long axis of a shape and the line between two joints of a
@@ -203,8 +186,7 @@ link, with which the position of the shape is checked: 15 degrees. Chosen, not t
 def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
     """Return the direction of the long axis, shape (3,), the half length and the half width [m].
 
-    The long axis is the longest side of a box, or the axis of a cylinder or capsule. The half width
-    is that of the second longest side, or the radius. The half length of a capsule includes a cap.
+    The half length of a capsule includes a cap.
     """
     if shape.kind == "box":
         order = np.argsort(shape.size)
@@ -222,10 +204,7 @@ def _get_shape_tag(robot: RobotModel, shape: Shape) -> str:
 
 
 def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
-    """Return True if a point is near the axis of a rod that begins at a joint.
-
-    The distance from the joint along the axis is more than two radii. The distance from the axis is
-    less than half a radius, or less than `POSITION_TOLERANCE`.
+    """Return True if a point is near the axis of a rod, beyond the joint where the rod begins.
 
     Args:
         offset: Point relative to the joint, shape (3,) [m].
@@ -241,13 +220,11 @@ def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
-    The foot's sphere is the collision sphere nearest to the frame. The search includes the link of
-    the frame and the links fixed below. If no sphere is found, or if the frame is the frame of the
-    foot link, the search includes all links that move with this link. Spheres with "foot" in the
-    name of the sphere or link have precedence.
-
-    There is no finding if the sphere is farther away than five radii. The severity is NOTE if the
-    frame is inside the sphere, which some models use for a flat sole.
+    The foot's sphere is the nearest collision sphere that moves with the frame; spheres with "foot"
+    in
+    the name have precedence. The severity is NOTE if the frame is inside the sphere, which some
+    models
+    use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -294,27 +271,23 @@ def _list_collision_spheres(link: Link) -> list[Shape]:
 
 MAX_DENSITY = 20_000.0
 """Mass per volume of the convex hull of a link [kg/m^3] above which the density is reported.
-Tungsten has 19300.
-
-The convex hull is the largest possible volume of the link. The densest of 1500 published links has
-15600: a wrist whose mesh omits attached parts. Repairs of mass and tensor use the bound as well.
+Tungsten has 19300. The densest of 1500 published links has 15600: a wrist whose mesh omits attached
+parts.
 """
 
 UNREAD_MESH_FACTOR = 5.0
-"""Factor on `MAX_DENSITY` for a link with a shape of unknown size, for example a mesh that was not
-read, since the known shapes may be smaller than the link. Chosen, not tuned."""
+"""Factor on `MAX_DENSITY` for a link with a shape of unknown size, since the known shapes may be
+smaller than the link. Chosen, not tuned.
+"""
 
 MIN_DENSITY = 2.0
 """Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air
-has 1.2, the lightest foam 10, the lightest published link 8.8. Also the smallest density with which
-`_fill_shapes` proposes a tensor."""
+has 1.2, the lightest foam 10, the lightest published link 8.8.
+"""
 
 MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density is
-checked. Lighter links do not count for the median density, since the shapes of a light link may be
-markers instead of the real geometry. The density of a free base is checked with any mass. Lighter
-rotors, and links between other links, need no collision shapes (`_is_light_part`). Chosen, not
-tuned.
+checked: the shapes of a light link may be markers instead of the real geometry. Chosen, not tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5
@@ -323,8 +296,9 @@ which the density is checked. Smaller shapes may show only a part of the link. C
 """
 
 MIN_EXTENT = 0.01
-"""Smallest extent [m] of a link's shapes with which the link's density is checked, and smallest
-extent of all joint positions with which the size of shapes is checked. Chosen, not tuned."""
+"""Smallest extent [m] of a link's shapes with which the link's density is checked, and of all
+joint positions with which the size of shapes is checked. Chosen, not tuned.
+"""
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
 """Extent of all joint positions of a robot [m] above and below which the size is reported as
@@ -332,31 +306,24 @@ implausible, for example because of a wrong unit of length. Chosen, not tuned.""
 
 MIN_USUAL_EXTENT, MAX_USUAL_EXTENT = 0.05, 5.0
 """Extent of all joint positions of a robot [m], after multiplication by 1000 or division by 1000,
-between which the message of `scale_unusual` names this factor. Chosen, not tuned."""
+between which the message of `scale_unusual` names this factor. Chosen, not tuned.
+"""
 
 MAX_SHAPE_RATIO = 20.0
 """Extent of a link's shapes, relative to the extent of all joints, above which the shapes are
-reported as too large. Measured: the largest ratio of 1500 published links is 2.3."""
+reported as too large. Measured: the largest ratio of 1500 published links is 2.3.
+"""
 
 
 @rule
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    A rigid body is checked: a root link or moving link, with the links fixed to it. The hull
-    contains visual and collision shapes, and the origins of link, frames and children. Plausible
-    densities:
-
-    - 2 to 20000 kg/m^3 (`MIN_DENSITY`, `MAX_DENSITY`).
-    - At most 100000 kg/m^3 if the size of a shape is unknown, for example because a mesh was not
-      read.
-
-    The severity is WARNING, and ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A
-    plausible density is also reported if all sizes are known, and the density is above
-    `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
-
-    Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
-    small shapes (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
+    A root link or moving link is checked together with the links fixed to it. The hull contains
+    visual and collision shapes, and the origins of link, frames and children. The density is
+    compared
+    with fixed bounds (`MIN_DENSITY`, `MAX_DENSITY`) and with the median density of the other links.
+    Light bodies and small shapes, for example, are skipped.
     """
     for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)
@@ -409,18 +376,17 @@ DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
 is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
 
 MIN_OTHER_LINKS = 3
-"""Smallest number of comparable links or hinges of a robot in three checks. Other links with known
-density, for a median density. Other drawn moving links, to report the only link without collision
-shapes. Other hinges, to report the only hinge beside its links. Chosen, not tuned."""
+"""Smallest number of comparable links or hinges with which a single exception is reported, or a
+median density is computed. Chosen, not tuned.
+"""
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
     """Compute the median density of a robot's links except one: mass / hull volume [kg/m^3].
 
-    The other links are the root links and moving links except the link ``name``, each with all
-    fixed links. Links without mass, without volume or with a shape of unknown size are left out.
-    Links below `MIN_MASS_FRACTION` of the robot's mass without the link ``name`` are also left out.
-    None if fewer than `MIN_OTHER_LINKS` remain.
+    Links without volume or with a shape of unknown size, and light links, are left out. None if
+    fewer
+    than `MIN_OTHER_LINKS` remain.
 
     Args:
         robot: Model of the robot.
@@ -444,11 +410,8 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
 def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only drawn moving link of a URDF without collision shapes.
 
-    If a link has visual shapes itself, the link must have collision shapes itself, or a fixed link
-    must have collision shapes at the same place. Otherwise, the shapes of all fixed links count.
-    Light rotors and light links between others need no collision shapes (`_is_light_part`). Robots
-    with fewer than `MIN_OTHER_LINKS` other drawn moving links are skipped. No link of 170 public
-    URDFs is such an exception.
+    Collision shapes of fixed links may count, and light rotors and light links between others need
+    no collision shapes. No link of 170 public URDFs is such an exception.
     """
     collides: dict[str, bool] = {}
     for body in robot.links.values():
@@ -469,15 +432,9 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _is_light_part(robot: UrdfModel, body: Link) -> bool:
-    """Return True for a light rotor, or a light link between other links.
+    """Return True for a light rotor, or a light link that connects other links.
 
-    Light means below `MIN_MASS_FRACTION` of the robot's mass. True in three cases:
-
-    - A rotor, that is a link on a hinge without limits, is light together with all fixed links.
-    - A link with moving child links, such as the cross of a waist, is light together with all fixed
-      links, and their mass is not zero.
-    - A link is light without its fixed links, and one fixed link with collision shapes has more
-      than half of the mass of all.
+    Light means below `MIN_MASS_FRACTION` of the robot's mass. An example is the cross of a waist.
     """
     group = robot.fixed_group(body.name)
     is_between = any(child.moving for part in group for child in robot.children(part.name))
@@ -512,18 +469,12 @@ def _is_covered_by_fixed_link(robot: UrdfModel, body: Link) -> bool:
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
-    The gap [m] is the distance between two bounding boxes: that of all collision shapes, and that
-    of all visual shapes. Both boxes are parallel to the axes of the link; the largest distance
-    along an axis counts. A gap is reported if it exceeds two bounds: `POSITION_TOLERANCE` [m], and
-    the fraction `MIN_GAP_FRACTION` of the extent of the visual shapes.
-
-    If the size of a shape is unknown, for example of an unread mesh file, the gap is the distance
-    between the origins of the same mesh as collision shape and as visual shape. The extent is then
-    that of the origins of the link, its frames and its children.
-
-    A gap that several limbs have in common may be intended, and is not reported
-    (`_list_intended_gaps`). For example, the hips of Go1 collide where the thighs draw the
-    shoulder.
+    The gap [m] between the bounding boxes of the collision and visual shapes along the axes of the
+    link
+    is compared with `POSITION_TOLERANCE` and a fraction of the extent. If the size of a shape is
+    unknown, origins of equal meshes are compared instead. A gap that several limbs have in common
+    may
+    be intended, and is not reported: the hips of Go1 collide where the thighs draw the shoulder.
     """
     gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
     gaps = {name: gap for name, gap in gaps.items() if gap > 0}
@@ -534,12 +485,9 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
-    """Return the links of several limbs with the same gap, whose next links draw the shapes.
+    """Return the links of several limbs with about the same gap, whose next links draw the shapes.
 
-    The next link must draw the collision shapes of the link (`_is_drawn_by_next_link`), in more
-    than half of the corresponding links with a gap. The gap of a link must be within
-    `POSITION_TOLERANCE` of the median of these links. A single link with a defect, such as a
-    missing mesh, changes neither.
+    A single link with a defect, such as a missing mesh, does not change the result.
 
     Args:
         robot: Model of the robot.
@@ -558,10 +506,7 @@ def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]
 
 
 def _measure_collision_gap(robot: UrdfModel, body: Link) -> float:
-    """Return the gap between collision and visual shapes of a link [m].
-
-    0 for a gap that is not reported, of unknown size, or without one kind of shapes.
-    """
+    """Return the gap between collision and visual shapes of a link [m]; 0 if not reported."""
     sides = [_select_shapes(body, collides=collides) for collides in (False, True)]
     if not all(side.shapes for side in sides):
         return 0.0
@@ -618,15 +563,7 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A link is the convex hull of its shapes, with all fixed links, at zero joint angles. Both links
     must have visual meshes, since boxes and rods may show a part of a link only, and all sizes must
-    be known. The larger of two lengths, or of their lower bounds, is reported if it exceeds both
-    `MAX_HINGE_OFFSET` and `MAX_HINGE_FRACTION` times the extent of the smaller link:
-
-    - Distance between the axis and the hull of a link. The position along the axis is free.
-    - Distance between both hulls.
-
-    Nothing is reported for robots with several such hinges, whose
-    meshes are simplified, and for robots with fewer than `MIN_OTHER_LINKS` other hinges whose links
-    have hulls.
+    be known. Several such hinges of a robot are not reported: then the meshes are simplified.
     """
     hulls: dict[str, Mesh | None] = {}
     found, num_hinges = [], 0
@@ -673,8 +610,7 @@ Chosen, not tuned."""
 def _make_drawn_hull(robot: RobotModel, name: str) -> Mesh | None:
     """Return the convex hull of a link and all fixed links, in the base frame [m].
 
-    None for the world of an MJCF, without visual mesh, with a shape of unknown size, or for flat
-    shapes.
+    None if the hull is unknown or flat, or no shape is a visual mesh.
     """
     link = robot.links.get(name)
     if link is None:
@@ -691,8 +627,7 @@ def _make_drawn_hull(robot: RobotModel, name: str) -> Mesh | None:
 def _measure_hull_gap(first: Mesh, second: Mesh) -> float:
     """Return a lower bound of the distance between two convex hulls [m]; negative if they overlap.
 
-    The bound is the largest gap along `COMPARISON_DIRECTIONS` by which the second hull is ahead of
-    the first.
+    The bound is the largest gap along `COMPARISON_DIRECTIONS`.
     """
     gaps = (second.vertices @ COMPARISON_DIRECTIONS.T).min(axis=0) - (
         first.vertices @ COMPARISON_DIRECTIONS.T
@@ -702,24 +637,19 @@ def _measure_hull_gap(first: Mesh, second: Mesh) -> float:
 
 MIN_GAP_FRACTION = 0.1
 """Lower bound of a reported gap between a link's visual and collision shapes, relative to the
-extent that `collision_off_visual` defines. The gap must also exceed `POSITION_TOLERANCE`. Chosen,
-not tuned.
+extent that `_measure_collision_gap` compares. Chosen, not tuned.
 """
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
-    """Compute the extent of the origins of a link, its frames and its child links [m].
-
-    The extent is the longest side of the bounding box along the axes of the link.
-    """
+    """Compute the extent of the origins of a link, its frames and its child links [m]."""
     return _compute_extent(list_link_points(robot, body))
 
 
 def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
-    """Return the distance [m] between the origins of a link's collision mesh and equal visual mesh.
+    """Return the distance [m] between a link's collision mesh and the equal visual mesh.
 
-    Meshes with the same stem of the file are the same. None unless the link has a single collision
-    shape, and a single visual shape is the same mesh.
+    The distance is that of the origins. None if no unique pair of equal meshes exists.
     """
     found: dict[str, list[tuple[str, Array]]] = {"visual": [], "collision": []}
     for tag, shape, geometry in robot.file.tree.links[name].shapes:
@@ -735,8 +665,7 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
 
 IMPOSSIBLE_SIZE_RATIO = 10.0
 """Smallest ratio by which a density or an extent exceeds a bound with severity ERROR instead of
-WARNING. The bounds are `MAX_DENSITY`, `MAX_ROBOT_EXTENT` and, for the inverse ratio,
-`MIN_ROBOT_EXTENT`. Chosen, not tuned.
+WARNING. Chosen, not tuned.
 """
 
 
@@ -744,11 +673,9 @@ WARNING. The bounds are `MAX_DENSITY`, `MAX_ROBOT_EXTENT` and, for the inverse r
 def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots and shapes of implausible size, for example in millimetres.
 
-    The extent of all joint positions at zero angles must be 0, or between `MIN_ROBOT_EXTENT` and
-    `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
-    the extent of the joints. Shapes are not checked if the extent of the joints is below
-    `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent of the joints is
-    `IMPOSSIBLE_SIZE_RATIO` times beyond a bound. Robots with fewer than two moving joints are
+    The extent of the positions of all moving joints at zero angles must be between
+    `MIN_ROBOT_EXTENT` and `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most
+    `MAX_SHAPE_RATIO` times the extent of the joints. Robots with fewer than two moving joints are
     skipped.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
