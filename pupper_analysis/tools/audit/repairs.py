@@ -501,7 +501,7 @@ def _find_common_attributes(
         own: Whether the element of the link ``name`` must have the common attributes, too.
 
     Returns:
-        {attribute: text}. None if the links differ, or there are too few other limbs.
+        {attribute: text}. None if the links differ, or there are too few other limbs, for example.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -917,7 +917,9 @@ def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF joint origin: the mirror image of the partner joint's origin.
 
-    If the rotation of a joint nearer to the base explains the displacement, it is repaired instead.
+    If the rotation of a joint nearer to the base explains the displacement, that rotation is
+    repaired
+    instead.
     """
     mirror = find_mirror_plane(robot)
     partner = next(

@@ -238,7 +238,7 @@ _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 """Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
-"""Names of functions that convert their argument to a list."""
+"""Names of functions that convert a list or table to a list."""
 _TABLE_CONSTRUCTORS: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
 """Calls that merge tables and keyword arguments into one table."""
 _COPY_FUNCTIONS: Final = ("copy", "deepcopy", "replace")
@@ -728,10 +728,9 @@ class Evaluator:
         scope: Scope,
         origins: dict[str, list[LocatedValue]],
     ) -> list[LocatedValue]:
-        """Return the items with a key or index in the values of an expression; all if ``key`` is
-        None.
+        """Return the items with a key or index in the lists and tables of an expression.
 
-        The values are the lists and tables to which the expression may refer.
+        All items if ``key`` is None. The expression is not evaluated.
         """
         result: list[LocatedValue] = []
         for owner in self._find_values(expression, scope, origins):
@@ -897,7 +896,7 @@ class Evaluator:
         expression.
 
         Raises:
-            ModelError: If the evaluation of all files takes more than `MAX_VALUES` steps.
+            ModelError: If the evaluation takes too many steps, for example.
         """
         self._count_step(expression, scope)
         try:

@@ -76,15 +76,16 @@ class ModelElement:
 
 
 _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
-"""{condim of a contact: number of friction coefficients that have an effect}. MuJoCo uses the
-larger condim of both geoms; a default ground has 3. Further coefficients are not compared."""
+"""{condim of a contact: number of friction coefficients that have an effect}. Further coefficients
+are
+not compared.
+"""
 
 
 def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
     """List the elements of an MJCF that `diff` compares: {(tag, name): element}.
 
-    The elements are geoms, contact pairs and exclusions, options, flags, keyframes, joints,
-    actuators, tendons and equalities.
+    Examples are geoms, contact pairs, options, keyframes and actuators.
 
     Args:
         file: File that MuJoCo compiles.
@@ -130,10 +131,7 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
 
 
 def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
-    """List the joints, actuators, tendons and equalities of an MJCF: {(tag, name): element}.
-
-    The elements have the values that a `MultibodyTree` lacks.
-    """
+    """List the joints, actuators, tendons and equalities of an MJCF: {(tag, name): element}."""
     model, found = file.model, dict[ElementKey, ModelElement]()
     counts = {
         "joint": model.njnt,
@@ -156,8 +154,7 @@ def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
 def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
     """Return file and line of an attribute (``word``) of an element, or else of the element.
 
-    An element without a name (``name`` begins with "#") is found by the number ``row`` among the
-    elements of the same kind.
+    An element without a name is found by the number ``row`` among the elements of the same kind.
     """
     if name.startswith("#"):
         return file.place_by_number(kind, row)
@@ -172,7 +169,7 @@ def join_names(ends: Iterable[str]) -> str:
 def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
     """Return file and line of an element, by its index ``number`` (from 0) in ``places``.
 
-    The place has no line if the file has not exactly ``count`` such elements, as the model has.
+    No line if the file has not ``count`` such elements, as the model has.
     """
     return places[number] if len(places) == count else Place(file.path)
 
@@ -180,7 +177,7 @@ def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile)
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
     """Return a name for each geom of a model, in the model's order.
 
-    The name of a geom without name consists of the body and the number of the geom in the body:
+    The name of an unnamed geom consists of the body and the number of the geom in the body:
     ``calf #2``.
     """
     names, seen = [], dict[int, int]()
@@ -207,9 +204,9 @@ def list_collisions(model: UrdfModel) -> dict[ElementKey, ModelElement]:
 
 
 def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
-    """Return a function that returns the place (file and line) of an attribute.
+    """Return a function from the name of an attribute to its place in the elements ``tag``.
 
-    The place is that of the first element ``tag`` with the attribute, or else ``otherwise``.
+    The function returns ``otherwise`` if no element ``tag`` has the attribute.
     """
 
     def place(word: str) -> Place:
@@ -232,14 +229,12 @@ ENABLED_WORD: Final = "enabled"
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
 )
-"""MuJoCo's disable flags. Each disables a feature that is on by default; the comparison of two
-MJCFs includes all flags."""
+"""MuJoCo's disable flags. Each disables a feature that is on by default."""
 
 ENABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtEnableBit.__members__.values() if bit.name.startswith("mjENBL_")
 )
-"""MuJoCo's enable flags. Each enables a feature that is off by default; the comparison of two MJCFs
-includes all flags."""
+"""MuJoCo's enable flags. Each enables a feature that is off by default."""
 
 
 def get_flag_name(bit: Any) -> str:
@@ -260,22 +255,23 @@ two versions that counts as no effect. A stand is settled to 1e-5. Chosen, not t
 """
 
 SIMULATION_SECONDS = 2.0
-"""Duration of a simulation of both versions [s], unless `_MAX_SIMULATION_STEPS` are shorter: enough
-for a fall and for servos of some hertz to settle. Chosen, not tuned."""
+"""Largest duration of a simulation of both versions [s]: enough for a fall and for servos of some
+hertz to settle. Chosen, not tuned.
+"""
 
 _MAX_SIMULATION_STEPS = 4000
 """Largest number of time steps of a simulation; with a small time step the simulated time is
 shorter. Chosen, to bound the time."""
 
 _NUM_SAMPLES = 200
-"""Number of samples of a simulation of `SIMULATION_SECONDS` that are compared: a sample per 10 ms.
-Chosen, not tuned.
+"""Number of samples of a simulation that are compared: a sample per 10 ms of a full
+`SIMULATION_SECONDS`. Chosen, not tuned.
 """
 
 _MIN_FALL_HEIGHT = 1.0
-"""Drop [m] of the CoM above which the new robot is reported as falling through or off the floor.
-The drop is the CoM height of the old version minus that of the new version, both at the end
-of the simulations. Chosen, not tuned.
+"""Difference [m] by which the CoM of the new version ends below that of the old version, above
+which
+the new robot is reported as falling through or off the floor. Chosen, not tuned.
 """
 
 NUMBER_RTOL = 1e-9
@@ -308,8 +304,9 @@ def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
     """Estimate the largest distance [m] between the surfaces of two shapes (convex hulls).
 
     The result is a lower bound: the largest difference of the support functions of both shapes
-    along `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown (planes, missing meshes), the
-    distance is 0 for equal kind, pose and size within `SURFACE_ATOL`, otherwise infinite.
+    along `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown, the result is 0 for equal
+    shapes
+    and infinite for different shapes.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:
@@ -339,10 +336,8 @@ def match_elements(
 ) -> dict[ElementKey, ModelElement]:
     """Match the elements of two versions: return the new elements under the old names.
 
-    Geoms with equal names correspond. The other geoms of a body are matched in three steps: by
-    equal values, by equal shape, and by order. In the last step both geoms must be able to collide,
-    or neither. So a different order in the file is no change. If a geom has no match and the name
-    is taken, the geom gets an unused number.
+    Geoms without a common name are matched by equal values, by equal shape, and by order, so that a
+    different order in the file is no change.
 
     Args:
         old: Elements of the old file.
@@ -384,8 +379,8 @@ def _list_unnamed_shapes(
 ) -> dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]]:
     """List the shapes of each body that cannot be matched by name: {(tag, body): (old, new) keys}.
 
-    Such shapes have no name, or have a name that exists in a single version. Bodies have the names
-    of the old version; ``bodies`` is {body of the new file: name in the old file}.
+    Bodies have the names of the old version; ``bodies`` is {body of the new file: name in the old
+    file}.
     """
     shapes_by_body: dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]] = {}
     for number, elements in enumerate((old, new)):
@@ -409,13 +404,10 @@ def _match_similar_shapes(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> dict[ElementKey, ElementKey]:
-    """Match shapes that are equal in all values, else in shape, else by order: {new: old}.
-
-    Shapes that are matched by order either both can collide, or both cannot.
-    """
+    """Match shapes that are equal in all values, else in shape, else by order: {new: old}."""
 
     def is_of_one_shape(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if old and new shape have equal kind, and surfaces within `SURFACE_ATOL`."""
+        """Return True if both shapes have equal kind, and surfaces within `SURFACE_ATOL`."""
         assert first.shape is not None
         assert second.shape is not None
         return (
@@ -424,10 +416,7 @@ def _match_similar_shapes(
         )
 
     def is_alike(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if an old and a new element agree in numbers, shape, and ability to collide.
-
-        The tolerances are those of `_numbers_agree` and `SURFACE_ATOL`.
-        """
+        """Return True if old and new element agree in numbers, shape and ability to collide."""
         same = all(_numbers_agree(*values) for values in _pair_numbers(first, second).values())
         return same and first.touches == second.touches and is_of_one_shape(first, second)
 
@@ -453,10 +442,7 @@ def _match_similar_shapes(
 def _pair_numbers(
     first: ModelElement, second: ModelElement
 ) -> dict[str, tuple[ParameterValues, ParameterValues]]:
-    """Pair the numbers of two elements: {attribute: (first, second)}.
-
-    If the numbers of friction coefficients differ, the longer list is cut.
-    """
+    """Pair the numbers of two elements: {attribute: (first, second)}."""
     pairs = {}
     for word in dict.fromkeys((*first.values, *second.values)):
         first_numbers, second_numbers = first.values.get(word, ()), second.values.get(word, ())
@@ -475,10 +461,7 @@ def find_changed_elements(
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
-    Elements with an equal change form a common difference. Each flag, and each element that was
-    added or removed, is a separate difference. Skipped are geoms that cannot collide in either
-    version, and added or removed joints, actuators, tendons and equalities, which other functions
-    report.
+    Elements with an equal change usually form a common difference.
 
     Args:
         old: Elements of the old version.
@@ -535,7 +518,7 @@ compared."""
 
 
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
-    """Yield a difference for each changed attribute of ``<compiler>`` (`_COMPILER_ATTRIBUTES`).
+    """Yield a difference for each changed attribute of ``<compiler>`` that is compared.
 
     A compiler setting changes the meaning of other lines, for example the unit of angles.
     """
@@ -590,10 +573,7 @@ of the values outside the tree, and not by the comparison of elements."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
-    """Return a key that groups equal changes of different shapes.
-
-    The key is kind and size of both shapes if the poses are equal, otherwise both descriptions.
-    """
+    """Return a key that groups equal changes of different shapes."""
     ends = [(shape.pose.position, shape.pose.rotation) for shape in (old_shape, new_shape)]
     if all(np.array_equal(here, there) for here, there in zip(*ends, strict=True)):
         return old_shape.kind, tuple(old_shape.size), new_shape.kind, tuple(new_shape.size)
@@ -682,8 +662,7 @@ def _format_value(element: ModelElement | None, word: str, other: ModelElement |
 
     Args:
         element: Element of a version; None without such an element.
-        word: Name of the attribute. For an empty name, the result states whether the element
-            exists, or describes the shape.
+        word: Name of the attribute; "" for the element itself.
         other: Element of the other version; numbers get as many digits as show the difference.
     """
     if element is None:
@@ -708,8 +687,7 @@ def _format_value(element: ModelElement | None, word: str, other: ModelElement |
 def _to_plain(element: ModelElement | None, word: str) -> object:
     """Return the value of an attribute of an element as data for JSON; None without an element.
 
-    ``word`` is the name of the attribute. For an empty name or `SHAPE_WORD`, the result describes
-    the shape, if any.
+    For an empty name ``word`` or `SHAPE_WORD`, the result describes the shape, if any.
     """
     if element is None:
         return None
@@ -745,10 +723,10 @@ class _SimulatedRun:
 
 
 ROUNDING_NUDGE = 1e-9
-"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version, made
-if the comparison of the files has found no change. If the nudge changes the motion by more than a
-tenth of the difference between the versions, this difference is attributed to rounding. Chosen, not
-tuned."""
+"""Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version, to
+test
+whether rounding can cause the difference between the versions. Chosen, not tuned.
+"""
 
 
 def _serialise_model(model: mujoco.MjModel) -> bytes:
@@ -780,11 +758,7 @@ class SimulatedPair:
 
     @staticmethod
     def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
-        """Compile two MJCFs for simulation, with an added ground if necessary.
-
-        The same ground is added to both models if both robots have a free base, and neither file
-        has a geom that is fixed to the world and can collide.
-        """
+        """Compile two MJCFs for simulation, with the same added ground if necessary."""
         models = old.model, new.model
         stand = all(
             has_free_joint(model) and not _find_static_geoms(model).any() for model in models
@@ -812,10 +786,9 @@ class SimulatedPair:
                 that rounding errors can cause are left out.
 
         Returns:
-            {quantity: largest difference of a joint coordinate [m, rad]}; messages. Both are empty
-            if the models have no common joint, or states of different sizes. If ``explained`` is
-            False, both are also empty if the compiled models are equal, the motions agree, or
-            rounding errors can cause the effects.
+            {quantity: largest difference of a joint coordinate [m, rad]}; messages. Both may be
+            empty, for
+            example if the models have no common joint.
         """
         old, new = self.old, self.new
         if not self._common_joints or (
@@ -842,7 +815,7 @@ class SimulatedPair:
         return [name for name in names[0] if name in names[1]]
 
     def _simulate_joints(self, model: mujoco.MjModel, nudge: float = 0.0) -> _SimulatedRun:
-        """Simulate a model, and record the common joints (`_simulate_model`).
+        """Simulate a model, and record the common joints.
 
         ``nudge`` is an offset of all initial velocities [rad/s, m/s].
         """
@@ -852,10 +825,7 @@ class SimulatedPair:
     def _compare_pair(
         self, before: _SimulatedRun, after: _SimulatedRun
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Compare the simulations of both versions; return effects and messages (`_compare_runs`).
-
-        The messages state the duration, the initial keyframe and whether a ground was added.
-        """
+        """Compare the simulations of both versions; return effects and messages."""
         seconds = Quantity(min(before.seconds, after.seconds), "s")
         start = self.old.key(0).name if self.old.nkey else ""
         return _compare_runs(
@@ -875,8 +845,7 @@ def _choose_ground_height(model: mujoco.MjModel) -> float:
     """Choose the height [m] at which a ground is added to a file without ground.
 
     The height is usually 0, as in the scene files of published models, although feet may then start
-    some centimetres below the ground. Exception: the ground is added at the lowest geom if the
-    depth of this geom below 0 exceeds a quarter of the CoM height above the geom.
+    some centimetres below the ground. The exception is the height of a geom that is deep below 0.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]

@@ -48,7 +48,7 @@ _JOINT_KINDS: Final = {
     "PhysicsSphericalJoint": BALL_JOINT,
     "PhysicsFixedJoint": FIXED_JOINT,
 }
-"""{USD type name: joint kind}; all other types are free joints."""
+"""{USD type name: joint kind}; joints of other types count as free joints."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,8 @@ NUMBER_ATTRIBUTES: Final[Mapping[str, tuple[NumberAttribute, ...]]] = {
     ),
     "spring": (NumberAttribute("mjc:stiffness"),),
 }
-"""{kind of a joint number, as in `models.attributes`: attributes that may state the number}. If
-several attributes are stated, the first is used. For the effort, the smallest value is used, since
-each value is a limit.
+"""{kind of a joint number, as in `models.attributes`: attributes that may state the number}. The
+first stated attribute is used; for the effort the smallest value, since each value is a limit.
 """
 
 
@@ -198,9 +197,7 @@ def read_edge(
 def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
     """Return kind, axis index (0 to 2), and lower and upper limit of a joint in units of the file.
 
-    Missing limits are infinite. A joint that is neither hinge nor slide has axis 0 and infinite
-    limits. A joint of an unknown type is a free joint, which the comparison of joints refuses
-    later.
+    Missing limits are infinite.
     """
     kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE_JOINT)
     if kind not in (HINGE_JOINT, SLIDE_JOINT):
@@ -229,7 +226,7 @@ def _read_numbers(
         units: Units of the file.
 
     Returns:
-        {attribute: number}, of finite numbers that the file contains.
+        {attribute: finite number} of the stated attributes.
     """
     numbers = {}
     for statement in statements:
@@ -337,8 +334,6 @@ def read_body_mass(
 ) -> BodyMass:
     """Read mass, CoM and inertia of a body of a USD file.
 
-    A negative mass counts as a stated mass, so that `audit` reports the mass.
-
     Args:
         body: Body prim.
         placement: Pose and scale of the prim.
@@ -347,7 +342,7 @@ def read_body_mass(
 
     Returns:
         Mass properties, in SI units and the body frame. The inertial is None unless mass, CoM and
-        inertia are all stated, or the mass is negative.
+        inertia are all stated, or the mass is negative, which `audit` reports.
 
     Raises:
         ModelError: If an attribute has the wrong type.
@@ -375,7 +370,7 @@ def read_body_mass(
 
 
 def _has_shape_mass(body: Any, shape: Any) -> bool:
-    """Return True if the file determines the mass of a shape: a stated mass, or a stated density.
+    """Return True if the file determines the mass of a shape, by a mass or a density.
 
     The density may be that of the shape, of the shape's material, or of the body.
     """
@@ -389,18 +384,15 @@ def _has_shape_mass(body: Any, shape: Any) -> bool:
 
 
 def _read_positive(prim: Any, name: str) -> float:
-    """Read a number attribute of a prim, in the unit of the file; 0 if missing or not > 0.
-
-    An infinite number and NaN also give 0.
-    """
+    """Read a number attribute of a prim, in the unit of the file; 0 unless positive and finite."""
     value = read_number(prim, name, 0.0)
     return max(value, 0.0) if np.isfinite(value) else 0.0
 
 
 def _read_vector(prim: Any, name: str) -> Array | None:
-    """Return a vector attribute in the unit of the file, shape (3,).
+    """Return a vector attribute in the unit of the file, shape (3,); None if missing or not finite.
 
-    None if the value is missing or a component is not finite (the schema's default is -inf).
+    The schema's default is -inf.
     """
     value = read_value(prim, name, "vector")
     values = None if value is None else recover_decimals(value)
@@ -408,10 +400,7 @@ def _read_vector(prim: Any, name: str) -> Array | None:
 
 
 def _read_principal_axes(prim: Any) -> Array:
-    """Return the rotation from the principal axes of inertia to the body frame, shape (3, 3).
-
-    The identity if the file does not state the axes.
-    """
+    """Return the rotation from the principal axes of inertia to the body frame, shape (3, 3)."""
     value = read_value(prim, "physics:principalAxes", "quaternion")
     return np.eye(3) if value is None else make_rotation((value.GetReal(), *value.GetImaginary()))
 
@@ -448,7 +437,7 @@ class UsdModel(RobotModel):
         """Return the name of a joint parameter for messages, and None as the child element.
 
         The name is the kind of the parameter, such as ``damping``, because attribute names differ
-        between USD schemas. Prims of a USD have no child elements for parameters.
+        between USD schemas.
         """
         return attribute.kind, None
 
@@ -471,8 +460,8 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     """Read the robot model of a USD file: tree of links and joints, masses, and gravity.
 
     Raises:
-        ModelError: If a frame is sheared or mirrored, an operation of a transform has no value, a
-            body is scaled unevenly, an attribute has the wrong type, or a joint refers to a missing
+        ModelError: If the file is inconsistent: a sheared frame, or a joint that refers to a
+            missing
             prim, for example.
     """
     from pxr import UsdGeom
@@ -583,7 +572,7 @@ def _read_edges(
         cache: USD's cache of transforms.
 
     Raises:
-        ModelError: For example, if a joint refers to a prim that does not exist.
+        ModelError: If a joint refers to a prim that does not exist, for example.
     """
     body_names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
@@ -673,11 +662,7 @@ class _JointForest:
         self.base = max(self._sizes, key=lambda root: (self._sizes[root], root in roots))
 
     def _rank_root(self, body: str) -> tuple[bool, bool, bool, int]:
-        """Return the sort key of a body as root of the tree; the smallest key is preferred.
-
-        Bodies marked as root come first. Bodies with a joint to the world come next, then bodies
-        without a parent, then bodies with the most children.
-        """
+        """Return the sort key of a body as root of the tree; the smallest key is preferred."""
         edges = self._adjacent_edges[body]
         num_children = sum(edge.bodies[0] == body for edge in edges)
         return (
@@ -688,7 +673,7 @@ class _JointForest:
         )
 
     def _grow_tree(self, root: str) -> None:
-        """Add the tree of all bodies that are reachable from a root, breadth first."""
+        """Add the tree of the bodies that are reachable from a root, breadth first."""
         tree = [root]
         if root in self._world_edges:
             self._used.add(self._world_edges[root].name)
@@ -768,11 +753,7 @@ def _make_free_joint(body: str, pose: Pose) -> Joint:
 
 
 def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
-    """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if not stated.
-
-    The first physics scene with a magnitude of at least 0 determines the gravity. If the scene
-    states no direction, gravity points down.
-    """
+    """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if not stated."""
     from pxr import Usd, UsdPhysics
 
     for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
@@ -791,7 +772,8 @@ def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
 
 SCALE_ATOL: Final = 1e-6
 """Deviation of a scale from 1 below which the scale is set to 1: orientations are in single
-precision. Chosen, not tuned."""
+precision. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)
@@ -867,8 +849,7 @@ def read_value(prim: Any, name: str, kind: str) -> Any:
         name: Attribute name.
         kind: Required kind: ``"number"`` (bool, int or float), ``"vector"`` (Gf.Vec3, components
             may be infinite), ``"point"`` (Gf.Vec3 with finite components), ``"quaternion"``
-            (Gf.Quat with finite components: GetReal() is w, GetImaginary() is x, y, z), ``"text"``
-            (str), or ``"list"`` (Vt array or list).
+            (Gf.Quat with finite components), ``"text"`` (str), or ``"list"`` (Vt array or list).
 
     Raises:
         ModelError: If the value is not of this kind; a file may declare any type.
@@ -931,9 +912,9 @@ def read_axis(prim: Any, name: str, default: str) -> str:
 def recover_decimals(value: Any) -> Array:
     """Replace single-precision numbers by the decimals that an author probably typed.
 
-    A typed 0.18 is stored in single precision as 0.18000000715. Each number that is exactly a
-    single-precision number is replaced by the shortest decimal that rounds to this number. Other
-    numbers are unchanged.
+    A typed 0.18 is stored in single precision as 0.18000000715. The result is the shortest decimal
+    that
+    rounds to the single-precision number. Other numbers are unchanged.
     """
     values = np.array(value, dtype=float)
     with np.errstate(over="ignore"):

@@ -50,7 +50,7 @@ _AXIS_NAMES = (
     "hip_?yaw",
 )
 """Patterns of words in joint names that imply a rotation about x, y or z of the base, respectively.
-`axis_contradicts_name` reports hinges with another axis."""
+"""
 
 _AXIS_PATTERNS = [
     re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _AXIS_NAMES
@@ -64,9 +64,7 @@ _HIP_PATTERN = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
     """Infer the rotation axis of a joint, x, y or z of the base frame, from the joint name.
 
-    Examples: ``abduction`` and ``hip_roll`` imply x, ``thigh``, ``knee`` and ``hip_pitch`` imply y,
-    ``hip_yaw`` implies z. ``hip`` alone implies x if joints with ``thigh`` and with ``calf`` in
-    place of ``hip`` exist.
+    For example, ``hip_roll`` implies x, ``knee`` implies y, and ``hip_yaw`` implies z.
 
     Args:
         name: Name of the joint.
@@ -90,11 +88,11 @@ def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
 def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
-    `infer_axis_from_name` derives the axis (x, y or z of the base frame) from the joint name. A
-    finding is a joint axis, at zero joint angles, at more than 60 degrees from the derived axis.
-    The sign of the axis has no effect. A robot whose mirror plane is not parallel to the xz plane
-    of the base is skipped. A robot without a mirror plane, such as a single leg, is skipped if less
-    than half of the named joints have the derived axis: x may not point forwards there.
+    A finding is a joint axis, at zero joint angles, at more than 60 degrees from the axis x, y or z
+    of
+    the base frame that `infer_axis_from_name` derives. Robots whose x axis may not point forwards
+    are
+    skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -189,8 +187,8 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
 def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only hinge of a serial chain whose axis is opposite to the axes of all others.
 
-    Each axis is expressed in the frame of its joint. Chains with fewer than `MIN_CHAIN_HINGES`
-    hinges, and robots with branches, are skipped: the sign is then often a choice.
+    Each axis is expressed in the frame of its joint. Short chains, and robots with branches, are
+    skipped: the sign is then often a choice.
     """
     hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and j.raw_axis.any()]
     if len(hinges) < MIN_CHAIN_HINGES:
@@ -219,9 +217,9 @@ sum of two unit axes that count as opposite. Chosen, not tuned: 0 of 170 public 
 def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find position ranges of moving joints with lower >= upper.
 
-    A URDF limit without ``lower`` and ``upper`` counts as 0 to 0. In an MJCF with
-    ``limited="auto"``, MuJoCo silently ignores a range with lower > upper; such ranges of joints,
-    actuators and tendons are reported too, if MuJoCo accepts the file.
+    In an MJCF with ``limited="auto"``, MuJoCo silently ignores a range with lower > upper; such
+    ranges
+    of joints, actuators and tendons are reported, too.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -261,10 +259,8 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated position limits that have no effect.
 
-    - URDF: limits (lower < upper) of a joint of the type ``continuous``.
-    - MJCF: ranges with equal lower and upper end, which MuJoCo ignores (severity WARNING). Ranges
-      of named joints, tendons and actuators with a bias are checked, unless the file states
-      ``limited``. A file that MuJoCo refuses is skipped.
+    Examples are limits of a URDF joint of the type ``continuous``, and ranges of an MJCF with equal
+    lower and upper end, which MuJoCo ignores (severity WARNING).
     """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
@@ -279,8 +275,7 @@ def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
 def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
     """Yield ranges with equal ends and ``limited="auto"`` of named joints, tendons and servos.
 
-    Each range is a finding. Servos are the actuators with a bias. Control ranges of other actuators
-    are torque limits and are left out (`effort_or_velocity_zero`).
+    Servos are the actuators with a bias.
     """
     servos = [act for act in file.spec.actuators if act.biastype != mujoco.mjtBias.mjBIAS_NONE]
     for tag, elements, name, switch in (
@@ -305,17 +300,11 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
-    Degrees instead of radians, unless the unit of the file is degrees:
-
-    - Limits with a magnitude of 12 to 400 rad are probably degrees. Smaller limits are accepted,
-      since 10 rad is a common way to specify no limit.
-    - Limits above 400 rad are degrees if the equal joint of another limb has the same limits in
-      radians.
-    - The severity is WARNING, and ERROR for ten turns or more. Symmetric limits always have the
-      severity WARNING, since +-100 rad may specify no limit.
-
-    Radians instead of degrees are reported if the unit of the file is degrees, at least three
-    hinges have finite limits, and no limit has a magnitude above 2 pi degrees.
+    Limits of 12 to 400 rad are probably degrees; larger limits are degrees if another limb has the
+    same
+    limits in radians. Smaller limits are accepted, since 10 rad is a common way to specify no
+    limit.
+    In a file in degrees, limits that are all below 2 pi degrees are probably radians.
     """
     hinges = [
         j
@@ -348,8 +337,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
     """Return True if another limb has the same joint limits, after conversion from degrees.
 
-    The joint of the other limb has the same name except for the side. The limits of ``joint`` are
-    converted to radians; the signs may be opposite. The relative tolerance is 1 %.
+    The limits of ``joint`` are converted to radians; the relative tolerance is 1 %.
     """
     lower, upper = np.deg2rad((joint.lower, joint.upper))
     kind = strip_sides(joint.name)
@@ -385,11 +373,9 @@ number of these hinges, and smallest upper limit [rad], about half a turn. Chose
 
 @rule
 def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find effort and velocity limits of zero on joints that are not fixed.
+    """Find effort and velocity limits of zero in a URDF, or force ranges from 0 to 0 in an MJCF.
 
-    Joints of a URDF that mimic a joint are skipped. In an MJCF the limits are force ranges, or
-    control ranges of torque motors, from 0 to 0, which MuJoCo ignores. Nothing is found in an MJCF
-    that MuJoCo refuses, or in other formats, such as USD.
+    MuJoCo ignores force ranges, and control ranges of torque motors, from 0 to 0.
     """
     if isinstance(robot, MjcfModel):
         for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
@@ -405,8 +391,7 @@ def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
 def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckFinding:
     """Create the finding of a joint with an effort or velocity limit of zero.
 
-    ``what`` names the limits that are zero (in an MJCF the attribute). If the effort is zero, the
-    message also states the effort of the mirrored joint, if known.
+    ``what`` names the limits that are zero (in an MJCF the attribute).
     """
     other = None if what == [Term("velocity")] else _find_mirrored_effort(robot, name)
     message = diagnose(
@@ -419,9 +404,9 @@ def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckF
 
 
 def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield each joint of a URDF with the stated limits, {kind of parameter: number in the file}.
+    """Yield moving URDF joints with the stated limits, {kind of parameter: number in the file}.
 
-    Joints that are fixed or mimic another joint are skipped. Nothing is yielded for other formats.
+    Joints that mimic another joint are skipped.
     """
     if isinstance(robot, UrdfModel):
         for name, joint in robot.file.tree.joints.items():
@@ -432,7 +417,7 @@ def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, f
 def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
     """Return the mirrored joint and the effort of the mirrored joint [N m, N].
 
-    None without a mirrored joint, or if the effort is not positive and finite.
+    None if there is no such joint with a positive, finite effort.
     """
     for _, first, second in list_joint_pairs(robot):
         for joint, other in ((first, second), (second, first)):
@@ -493,7 +478,6 @@ def armature_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges whose armature is too large for the effort; all such hinges are one finding.
 
     The effort [N m] divided by the armature [kg m^2] must be at least `MIN_MOTOR_ACCELERATION`.
-    Efforts of zero or below are skipped.
     """
     slow = [
         joint
@@ -516,10 +500,7 @@ def armature_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def friction_beyond_effort(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find moving joints whose dry friction is at least the effort; all of them are one finding.
-
-    Joints whose effort is zero or negative are skipped.
-    """
+    """Find moving joints whose dry friction is at least the positive effort, as one finding."""
     stuck = [
         joint
         for joint in robot.joints.values()
@@ -541,8 +522,7 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits of hinges [N m] that are probably placeholders.
 
     Such limits are too large for the mass of the two bodies that the joint connects, for the
-    armature, or for the mass of the robot (`placeholder_efforts`). If the masses are placeholders
-    (`list_placeholder_masses`), nothing is compared.
+    armature, or for the mass of the robot.
     """
     if list_placeholder_masses(robot):
         return
@@ -560,12 +540,12 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 """Bounds with which `find_legs` accepts two joints as hip and knee: smallest absolute cosine
 between both axes, and largest absolute z component of the hip's axis in the base frame. Chosen, not
-tuned."""
+tuned.
+"""
 
 MIN_REACHED_FRACTION = 0.75
 """Lower bound of the fraction of the knee range in which a hip angle within the limits puts the
-foot below the hip. Below the bound, `limits_away_from_stand` checks the signs of the limits.
-Chosen, not tuned.
+foot below the hip. Below the bound, the signs of the limits are checked. Chosen, not tuned.
 """
 
 NUM_KNEE_ANGLES = 61
@@ -599,8 +579,7 @@ class Leg:
     ) -> float:
         """Compute the fraction of the knee range at which a hip angle puts the foot below the hip.
 
-        The knee angles are `NUM_KNEE_ANGLES` samples. Angles with a folded leg (foot closer to the
-        hip than 20 % of the leg length) are left out.
+        Sampled knee angles with a folded leg (foot near the hip) are left out.
 
         Args:
             hip: Lower and upper limit of the hip [rad].
@@ -639,8 +618,7 @@ def _project_across(vector: Array, axis: Array) -> Array:
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
     """Yield the hip and knee of each leg of a robot, found by names, joint axes and lengths.
 
-    Hip and knee axes must be parallel and nearly horizontal. The shorter of thigh and shank must
-    have more than 40 % of the length of the longer, both projected perpendicular to the hip axis.
+    Hip and knee axes must be parallel and nearly horizontal, thigh and shank of similar length.
     """
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE_JOINT:
@@ -664,11 +642,9 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
 
 
 def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
-    """Return the end of a shank in the base frame, shape (3,) [m].
+    """Return the end of a shank in the base frame, shape (3,) [m]; None if unknown.
 
-    The end is the next joint, or else the fixed link, frame or sphere farthest from the shank's
-    joint. None if the shank has several moving children. None also if there is no moving child,
-    fixed link, frame or sphere.
+    The end is the next joint, or else a distant fixed link, frame or sphere.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]
@@ -684,10 +660,7 @@ def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
 
 
 def _is_leg(robot: RobotModel, link: Link) -> bool:
-    """Return True if a link or descendant, or a frame or joint of either, is named like a leg.
-
-    `_LEG_PATTERN` defines such names.
-    """
+    """Return True if a link or a descendant, or a frame or joint of these, is named like a leg."""
     parts = (link, *robot.descendants(link.name))
     names = [part.name for part in parts]
     names += [frame.name for part in parts for frame in part.frames]
@@ -704,10 +677,9 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find legs whose hip or knee limits probably have the wrong sign.
 
     The test uses the fraction of the knee range in which a hip angle within the limits puts the
-    foot below the hip (`Leg.compute_reached_fraction`). A finding requires two conditions. With the
-    stated limits, the fraction is less than `MIN_REACHED_FRACTION`. With the opposite sign of the
-    knee limits, or of the hip limits, the fraction is above 95 %. Knee angles with a folded leg are
-    not counted. Legs with an infinite limit, or with lower >= upper, are skipped.
+    foot below the hip. With the stated limits, the fraction is below `MIN_REACHED_FRACTION`. With
+    the
+    opposite sign of the knee limits, or of the hip limits, the fraction is above 95 %.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

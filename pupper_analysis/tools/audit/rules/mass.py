@@ -39,15 +39,13 @@ from pupper_analysis.tools.audit.rules.shapes import MAX_DENSITY
 
 MAX_COM_OFFSET = 0.002
 """Fixed part of the tolerance [m] for a CoM outside the convex hull of a link's shapes, joints and
-frames. A fraction of the extent of the points is added (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`).
-A CoM farther outside is reported. Chosen, not tuned.
+frames. A fraction of the extent of the points is added. Chosen, not tuned.
 """
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
 """Fractions of a link's extent that are added to `MAX_COM_OFFSET`. `DRAWN_FRACTION` applies if a
 shape is visual or a mesh. `SIMPLIFIED_FRACTION` applies if all shapes are simple collision shapes,
-which may be smaller than the link. If only the collision shapes have known sizes, `DRAWN_FRACTION`
-requires that all collision shapes are meshes. Chosen, not tuned.
+which may be smaller than the link. Chosen, not tuned.
 """
 
 DEFAULT_DENSITY = 1000.0
@@ -80,10 +78,9 @@ def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
 def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moving links without mass, or with less than 0.1 % of the mass that each link moves.
 
-    Links fixed to the moving link are included. WARNING instead of ERROR if moving links with mass
-    are attached. In 1500 published links with mass, the smallest ratio is five thousandths. The
-    free base of a URDF with two or more legs (`_list_legs`) moves, too: if the base and its fixed
-    links have no mass, the finding is an ERROR.
+    Links fixed to the moving link are included. The free base of a URDF with legs is checked, too.
+    In
+    1500 published links with mass, the smallest ratio is five thousandths.
     """
     if robot.format == "urdf" and robot.has_free_base and len(_list_legs(robot)) > 1:
         group = robot.fixed_group(robot.base)
@@ -115,7 +112,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 def _list_legs(robot: RobotModel) -> list[str]:
     """Return the first moving links of the limbs at the base that contain a leg joint or link.
 
-    A limb has two or more moving joints. `LEG_JOINT_NAME` defines the names.
+    A limb has two or more moving joints.
     """
     legs = []
     for part in robot.fixed_group(robot.base):
@@ -139,13 +136,8 @@ or a mass may be missing. Chosen, not tuned.
 def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
-    Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
-    fraction of the extent. If the size of a shape is unknown, only the collision shapes are used.
-    If the collision shapes are missing or of unknown size, only the link's joints and frames form
-    the hull. The tolerance is then the length of the longest limb.
-
-    Skipped are links with less than 1e-4 of the robot's mass, and links without shapes of which a
-    fixed link has shapes.
+    The tolerance is `MAX_COM_OFFSET` plus a fraction of the extent. If the sizes of the shapes are
+    unknown, joints and frames form the hull, and the tolerance is the length of the longest limb.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -192,10 +184,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _compute_reach(robot: RobotModel, name: str) -> float:
-    """Compute the length of the chain from the root to a link: distances between frame origins [m].
-
-    The path contains the link and all ancestors, at zero angles.
-    """
+    """Compute the length of the chain from the root to a link: sum of frame distances [m]."""
     chain = [robot.links[link_name].pose.position for link_name in (name, *robot.ancestors(name))]
     return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 
@@ -205,10 +194,9 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a robot that is too heavy for the motors.
 
     The torque of the weight is the weight [N] times the longest distance between successive hinges
-    [m]. This torque must not exceed the sum of the efforts of all hinges [N m]. The severity is
-    WARNING, and ERROR above `IMPOSSIBLE_TORQUE_RATIO` times the sum. The finding names a moving
-    link with more than `MAX_MASS_FRACTION` of the mass, or else the base. Robots with fewer than
-    two hinges, or with an effort that is unknown, infinite or not positive, are skipped.
+    [m]. This torque must not exceed the sum of the efforts of all hinges [N m]. Robots with an
+    unknown
+    effort are skipped.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -264,8 +252,8 @@ reports this link instead of the base as too heavy for the motors. Chosen, not t
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find visual geoms without stated mass that add to a mass which MuJoCo computes from geoms.
 
-    If no other geom of the body has mass, only visual meshes of MuJoCo's default density are
-    reported.
+    If all mass of a body is from visual geoms, the mass may be intended: then meshes of MuJoCo's
+    default density are reported.
     """
     compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
@@ -301,8 +289,7 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
 def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find models without free joint in which two or more legs begin at the world.
 
-    A leg has two joints or more, and at least a single joint with the name of a leg joint
-    (`LEG_JOINT_NAME`).
+    A leg has two joints or more, and a joint with the name of a leg joint.
     """
     model = robot.mj_model
     if model is None or has_free_joint(model):
@@ -325,24 +312,24 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 MAX_INERTIA_FACTOR = 100.0
 """Upper bound of two ratios [1] in `inertia_implausible`. First ratio: largest moment of a link
 without shapes of known size / (m R^2). Second ratio: moment of a solid box around the shapes /
-largest moment of the link. A larger ratio is reported. Chosen, not tuned: wrong units change
-moments by a factor of 1000 or more.
+largest moment of the link. Chosen, not tuned: wrong units change moments by a factor of 1000 or
+more.
 """
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment of inertia to m R^2 that is not reported if the sizes of some shapes
-are unknown, for example because a mesh was not read. R is the largest distance from the CoM to the
-known shapes, joints and frames, and may be smaller than the link. Chosen, not tuned."""
+are unknown: R, the largest distance from the CoM to the known points, may then be smaller than the
+link. Chosen, not tuned.
+"""
 
 MIN_GYRATION_SQUARED = 1e-10
 """Moment of inertia per mass [m^2] up to which a moment, or the excess in `triangle_inequality`,
 counts as zero: a radius of gyration of 0.01 mm. Chosen, not tuned."""
 
 MIN_REACH = 0.05
-"""Lower bound of the radius R [m] for a link without shapes of known size. The largest moment of
-inertia of the link must be at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the
-CoM to the origins of the link, the link's frames and the children. Without the bound, R could be
-zero. Chosen, not tuned.
+"""Lower bound of the radius R [m] for a link without shapes of known size, whose largest moment of
+inertia must be at most `MAX_INERTIA_FACTOR` m R^2. Without the bound, R could be zero. Chosen, not
+tuned.
 """
 
 
@@ -357,12 +344,9 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
-    - Negative moment: a finding for each link. The tolerance depends on the greatest moment and on
-      the rounding of the stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each
-      axis is a finding.
-    - Moment that counts as zero (`MIN_GYRATION_SQUARED`): a finding for a moving link without fixed
-      links. With fixed links: a finding of severity WARNING if the link has more than half of the
-      mass of link and fixed links together, and at least 1e-4 of the robot's mass.
+    The tolerance of a negative moment depends on the greatest moment and on the rounding of the
+    stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each axis is a finding. Zero
+    moments are findings for moving links without fixed links, or with light fixed links.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -391,10 +375,10 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find inertias whose largest principal moment exceeds the sum of the other two.
 
-    The tolerance is three times the rounding error of the written digits, at least 1e-5 and at most
-    1 % of the largest moment. An excess up to `MIN_GYRATION_SQUARED` times the mass is accepted. An
-    inertia with a moment below zero by more than rounding is no finding of this rule. Source: R.
-    Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
+    The tolerance depends on the rounding of the written digits; an excess up to
+    `MIN_GYRATION_SQUARED`
+    times the mass is accepted. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch.
+    2.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, middle, greatest = inertial.moments
@@ -420,14 +404,11 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moments of inertia too large or too small for the mass and the size of the link.
 
     The upper limit is k m R^2. R is the largest distance of the shapes from the CoM, and k is 2,
-    since shapes may be simplified. If the size of some shapes is unknown (for example, a mesh was
-    not read), k is 8, and R also includes the joints and frames of the link. If no size is known, k
-    is 100. R then includes only the joints and frames, and is at least `MIN_REACH`.
-
-    If all sizes are known, the moments about the principal axes of the shapes are limited as well
-    (`_find_excess_axis`). The lower limit is 1 % of the largest moment of a solid box around the
-    link's own shapes of known size, m (a^2 + b^2) / 12. Links with less than 1e-4 of the robot's
-    mass are skipped.
+    since shapes may be simplified; k is larger if sizes are unknown. The moments about the
+    principal
+    axes of the shapes are limited as well. The lower limit is 1 % of the largest moment of a solid
+    box
+    around the link's shapes, m (a^2 + b^2) / 12.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
@@ -483,19 +464,17 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
     """Find the axis about which the mass would have to be outside of the shapes.
 
     The moment about an axis through the CoM is at most m d^2, with the largest distance d between
-    the shapes and the axis. The shapes do not cover the link in two cases: the CoM is outside of
-    the box around the shapes, for example of a calf with the sphere of its foot only; or the mass
-    exceeds `MAX_DENSITY` times the volume of the convex hull, for example of a universal joint with
-    one of its two pins.
+    the shapes and the axis.
 
     Args:
         inertial: Inertial of a link, in the frame of the link.
         points: Points that span the shapes, shape (n, 3) [m].
 
     Returns:
-        Axis (3,), moment [kg m^2] and largest possible moment of the axis with the largest ratio of
-        both, if the ratio exceeds `MIN_AXIS_EXCESS`; else None. None also if the shapes
-        do not cover the link.
+        Axis (3,), moment [kg m^2] and largest possible moment [kg m^2]. None if the ratio of both
+        is
+        small, or the shapes do not cover the link: for example a calf with the sphere of its foot
+            only.
     """
     is_covered = (points.min(axis=0) <= inertial.com) & (inertial.com <= points.max(axis=0))
     if not is_covered.all() or inertial.mass > MAX_DENSITY * compute_hull_volume(points):
@@ -520,10 +499,11 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
-    Only moving links with stated values are checked. An inertia is a finding if at least two links
-    have this inertia, and the three moments are the same power of ten (1, 0.1, 0.01 ... kg m^2). A
-    mass is a finding if the mass is a power of ten (1, 0.1, 0.01 ... kg) and common to all links,
-    and there are at least three links.
+    An inertia is a finding if at least two links have this inertia, and the three moments are the
+    same
+    power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten (1,
+    0.1,
+    0.01 ... kg) and common to all moving links.
     """
     balls: dict[float, list[str]] = {}
     for body, inertial in _list_moving_inertials(robot):
@@ -558,8 +538,7 @@ def _list_moving_inertials(robot: RobotModel) -> list[tuple[Link, Inertial]]:
 def list_placeholder_masses(robot: RobotModel) -> list[Link]:
     """Return all moving links with stated mass if the masses are probably defaults of an exporter.
 
-    The masses are then equal, a power of ten (1, 0.1, 0.01 ... kg), and at least three. Otherwise
-    the result is empty.
+    The masses are then equal, and a power of ten (1, 0.1, 0.01 ... kg). Empty for other masses.
     """
     links = [body for body, _ in _list_moving_inertials(robot)]
     masses = {body.mass for body in links}
@@ -577,14 +556,8 @@ def list_placeholder_masses(robot: RobotModel) -> list[Link]:
 def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots whose stated masses are the volumes of the shapes times a common density.
 
-    A finding requires at least `MIN_COMPARED_LINKS` counted links. At least `MIN_EQUAL_FRACTION` of
-    the counted links must have the same density within `DENSITY_RTOL`. The volume of a link is the
-    volume of the visual shapes. If the link has no visual shapes, or the volume of a visual shape
-    is unknown, the collision shapes are used.
-
-    Links below 1e-4 of the total mass and links of unknown volume are not counted. Copies are not
-    counted either: links with the mass and volume of another link, such as the four thighs of a
-    quadruped.
+    At least `MIN_EQUAL_FRACTION` of the compared links must have the same density within
+    `DENSITY_RTOL`. Copies, such as the four thighs of a quadruped, count once.
     """
     densities: dict[str, float] = {}
     masses: list[tuple[float, float]] = []
@@ -616,31 +589,30 @@ def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_EQUAL_FRACTION = 0.75
-"""Lower bound of the fraction of a robot's links that have the same density; `one_density` reports
-a robot at or above this bound, since the masses are probably volumes times a common density.
-Negligible links, copies and links of unknown volume are not counted. Measured on 30 published
-robots with measured masses: the largest fraction is 0.44."""
+"""Lower bound of the fraction of a robot's compared links that have the same density, from which
+`one_density` reports the robot. Measured on 30 published robots with measured masses: the largest
+fraction is 0.44.
+"""
 
 MIN_COMPARED_LINKS = 4
-"""Smallest number of links that the rule `one_density` counts, with which the rule compares the
-densities of a robot. Chosen, not tuned."""
+"""Smallest number of links with which `one_density` compares the densities of a robot. Chosen, not
+tuned.
+"""
 
 COPY_RTOL = 1e-3
 """Relative difference of mass and volume up to which a link is a copy of another, for example with
 a mirrored mesh. Chosen, not tuned."""
 
 DENSITY_RTOL = 0.01
-"""Relative difference up to which two links have the same density in the rule `one_density`, which
-reports masses that are volumes times a common density. Chosen, not tuned: CAD programs write masses
-with three digits or more.
+"""Relative difference up to which two links have the same density in the rule `one_density`.
+Chosen, not tuned: CAD programs write masses with three digits or more.
 """
 
 
 def _compute_link_volume(body: Link) -> float | None:
     """Compute the volume of the visual shapes of a link [m^3], or else of the collision shapes.
 
-    None if each kind is missing or contains a shape of unknown volume. Overlaps of shapes are
-    counted twice.
+    None if unknown. Overlaps of shapes are counted twice.
     """
     for collides in (False, True):
         volumes = [shape.compute_volume() for shape in body.shapes if shape.collides == collides]
@@ -652,9 +624,8 @@ def _compute_link_volume(body: Link) -> float | None:
 
 _MIN_REPEATED_LINKS = 2
 """Smallest number of moving links with the same inertia, a power of ten times the identity, at
-which the inertia is reported. A single link may have the value by chance. A mass that is a power of
-ten is reported only if all moving links have this mass, and the number of moving links is larger
-than this constant. Chosen, not tuned.
+which the inertia is reported; for a mass that is a power of ten, one more. A single link may have
+the value by chance. Chosen, not tuned.
 """
 
 
@@ -664,8 +635,8 @@ def _is_power_of_ten(value: float) -> bool:
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Tolerance of the test for a power of ten. A number is a power of ten if the decimal logarithm
-differs from an integer by less than this value. Chosen, above binary rounding.
+"""Largest difference between the decimal logarithm of a power of ten and an integer. Chosen, above
+binary rounding.
 """
 
 

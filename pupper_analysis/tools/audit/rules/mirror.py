@@ -148,7 +148,7 @@ plane of a robot with a displaced limb is derived. Chosen, not tuned."""
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
-    None if the robot has no hinges, or the hinges are not parallel to an axis of the base.
+    None if the robot has no hinges, or the hinges are not all parallel to an axis of the base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -473,7 +473,7 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is ERROR if the masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`.
+    The severity is ERROR if positive masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`.
     """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
@@ -712,9 +712,9 @@ def _ranges_agree(mirror: MirrorPlane, first: Joint, second: Joint) -> bool:
 def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
-    Velocity limits of a URDF are compared, too. Of a pair a single difference is reported. Pairs
-    whose
-    axes are no mirror images, and copied limbs, are skipped.
+    Velocity limits are compared, too. Of a pair a single difference is reported. Pairs whose axes
+    are
+    no mirror images, and copied limbs, are skipped.
     """
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         sense = _compute_axis_sense(mirror, first, second)

@@ -89,7 +89,8 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    The length without caps may be 2 % too long. It may be 20 % too short, since shapes are often
+    The length without caps may be about 2 % too long. It may be 20 % too short, since shapes are
+    often
     shortened on purpose to avoid contact with the neighbour.
     """
     for body in robot.links.values():
@@ -222,9 +223,9 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The foot's sphere is the nearest collision sphere that moves with the frame; spheres with "foot"
     in
-    the name have precedence. The severity is NOTE if the frame is inside the sphere, which some
-    models
-    use for a flat sole.
+    the name of sphere or link have precedence. The severity is NOTE if the frame is inside the
+    sphere,
+    which some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -286,8 +287,9 @@ has 1.2, the lightest foam 10, the lightest published link 8.8.
 """
 
 MIN_MASS_FRACTION = 0.01
-"""Smallest mass of a link with fixed links, relative to the robot's mass, at which the density is
-checked: the shapes of a light link may be markers instead of the real geometry. Chosen, not tuned.
+"""Smallest mass of a link with fixed links, relative to the robot's mass, at which the density of a
+link other than a free base is checked: the shapes of a light link may be markers instead of the
+real geometry. Chosen, not tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5
@@ -673,7 +675,7 @@ WARNING. Chosen, not tuned.
 def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots and shapes of implausible size, for example in millimetres.
 
-    The extent of the positions of all moving joints at zero angles must be between
+    The extent of the positions of all moving joints at zero angles must be 0, or between
     `MIN_ROBOT_EXTENT` and `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most
     `MAX_SHAPE_RATIO` times the extent of the joints. Robots with fewer than two moving joints are
     skipped.

@@ -44,14 +44,12 @@ MAX_FLOOR_DEPTH = 5e-3
 standing robot sinks a few mm into soft contacts. Chosen, not tuned."""
 
 MAX_KEYFRAMES = 100
-"""Largest number of keyframes of a file that a rule checks. Further keyframes are not checked,
-except `home` by the rules for a single keyframe. Chosen, to bound the time.
-"""
+"""Largest number of keyframes of a file that a rule checks. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
 """Largest accepted difference between a servo command and the joint position in a keyframe [rad,
-m], for a servo without torque limit. 1 mrad or 1 mm is added. A keyframe with a larger difference
-is reported. Chosen, not tuned.
+m], for a servo without torque limit. A keyframe with a larger difference is reported. Chosen, not
+tuned.
 """
 
 _MIN_TIMESTEP = 1e-4
@@ -78,10 +76,7 @@ class StartPose:
 
 
 def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
-    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes.
-
-    Nothing is yielded if the model does not compile, or has no bodies.
-    """
+    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes; nothing if the model does not compile."""
     model = robot.mj_model
     if model is None or not robot.links:
         return
@@ -146,9 +141,9 @@ def _list_start_angles(
 def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes with servo commands that are far from the joint positions.
 
-    The accepted difference of command and position is the effort limit divided by the stiffness (or
-    `MAX_SAG` without effort limit), plus 1 mrad (1 mm). The severity is NOTE if the keyframe has no
-    ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
+    The accepted difference of command and position is about the effort limit divided by the
+    stiffness,
+    or `MAX_SAG` without effort limit. The severity is NOTE if the keyframe has no ctrl.
     """
     model = robot.mj_model
     if model is None:
@@ -180,10 +175,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def keyframe_incomplete(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find keyframes whose qpos or ctrl has fewer numbers than the model; MuJoCo fills the rest.
-
-    At most `MAX_KEYFRAMES` keyframes are checked.
-    """
+    """Find keyframes whose qpos or ctrl has fewer numbers than the model; MuJoCo fills the rest."""
     model = robot.mj_model
     if model is None or robot.refusal is not None:
         return
@@ -200,7 +192,7 @@ def keyframe_base_half_turn(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes with the base quaternion (0, 0, 0, 1): the identity in the order x, y, z, w.
 
     In MuJoCo's order w, x, y, z, this is half a turn about z. Only models with a single free joint
-    are checked, and at most `MAX_KEYFRAMES` keyframes.
+    are checked.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.njnt:
@@ -216,16 +208,15 @@ def keyframe_base_half_turn(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MIN_EQUAL_COMMANDS = 3
 """Smallest number of joint angles above 1 mrad in magnitude from which a keyframe is reported whose
-torque commands all equal the joint angles. Chosen: torques do not equal angles by chance."""
+torque commands all equal the joint angles. Chosen: torques do not equal angles by chance.
+"""
 
 
 @rule
 def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes whose commands to torque motors are the joint angles [rad].
 
-    Motors are the actuators without position feedback. The commands of all motors of hinges must
-    equal the angles within 1 % plus 1 mrad. Reported if at least `MIN_EQUAL_COMMANDS` of the angles
-    are above 1 mrad in magnitude. At most `MAX_KEYFRAMES` keyframes are checked.
+    The commands of all motors of hinges must equal the angles within 1 % plus 1 mrad.
     """
     model = robot.mj_model
     if model is None:
@@ -254,8 +245,7 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MIN_FOOT_CLEARANCE = 0.05
 """Height of the feet above the lowest other shape of the robot [m]: a keyframe is reported if all
-feet are at least this height above. A change of joint signs is proposed only if it brings the feet
-within this distance of the ground. Chosen, not tuned.
+feet are at least this height above. Chosen, not tuned.
 """
 
 
@@ -263,11 +253,10 @@ within this distance of the ground. Chosen, not tuned.
 def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe ``home``, or first keyframe, in which the feet are above other shapes.
 
-    A finding requires that all feet are at least `MIN_FOOT_CLEARANCE` above the lowest other shape
-    of the robot, and that no shape penetrates the ground. Only shapes that can touch the ground
-    count. If the opposite sign of some joint angles, in all legs, puts the feet at the ground, the
-    message names the joints. Skipped are files that MuJoCo refuses, and robots without a free joint
-    or with fewer than `MIN_FEET` foot geoms.
+    All feet are at least `MIN_FOOT_CLEARANCE` above the lowest other shape that can touch the
+    ground,
+    and no such shape penetrates the ground. If the opposite sign of some joint angles, in all legs,
+    puts the feet at the ground, the message names the joints.
     """
     model = robot.mj_model
     key = None if model is None or robot.refusal is not None else _choose_keyframe(model)
@@ -323,8 +312,7 @@ def _find_opposite_signs(
     """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
     The angles of these joints are negated in all legs alike: for example, of each second joint of
-    a leg. The smallest such set is returned that puts the legs' hinges inside the limits and the
-    feet lowest.
+    a leg. The result is the smallest such set, inside the joint limits.
 
     Args:
         robot: Model of the MJCF, which MuJoCo compiles.
@@ -334,10 +322,9 @@ def _find_opposite_signs(
         heights: Returns the height [m] of the lowest point of each geom, from qpos and ids.
 
     Returns:
-        Names of the joints, and the largest distance of a foot from the ground [m]. A solution puts
-        all feet below the other shapes, and within `MIN_FOOT_CLEARANCE` of the ground. None if
-        there is no solution, or if several solutions have the smallest size. None also if the legs
-        have no hinges, different numbers of hinges, or more than `MAX_LEG_JOINTS` hinges.
+        Names of the joints, and the largest distance of a foot from the ground [m]. None if there
+        is no
+        unique solution.
     """
     model = robot.mj_model
     assert model is not None
@@ -391,8 +378,9 @@ def _compute_heights(
 ) -> Array:
     """Return the height above the ground of the lowest point of each geom, shape (n,) [m].
 
-    ``ground`` is the id of the ground plane's geom; without an id, the ground is the plane z = 0.
-    ``qpos``, shape (nq,), is the configuration; ``data`` is changed in place.
+    ``ground`` is the id of the ground plane's geom; None for the plane z = 0. ``qpos``, shape
+    (nq,),
+    is the configuration; ``data`` is changed in place.
     """
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -415,12 +403,8 @@ _SOLVER_PACKAGES = ("clarabel", "placo")
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe from which the robot does not stand in a simulation of the unmodified file.
 
-    The simulation is the one on which command ``stand`` bases its verdict (`OwnRun`), and so are
-    its causes. A finding means that `OwnRun.fails` is True. If no legged robot can be loaded from
-    the file, for example without feet, a simpler criterion applies (`_find_collapse`). It also
-    applies if the packages of the stance solver are not installed (`_SOLVER_PACKAGES`). Robots
-    without a free base, files that MuJoCo refuses and files with a time step below `_MIN_TIMESTEP`
-    are skipped.
+    The simulation is the one on which command ``stand`` bases its verdict (`OwnRun`). If no legged
+    robot can be loaded from the file, for example without feet, a simpler criterion applies.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -458,11 +442,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 def _find_collapse(robot: MjcfModel, base: int) -> Iterator[CheckFinding]:
     """Find a keyframe from which a robot falls, rises or moves away, or the simulation diverges.
 
-    `simulate_keyframe` simulates the keyframe ``home``, or the first keyframe if ``home`` is
-    missing, with and without a small velocity disturbance at the start. The actuators receive the
-    ctrl of the keyframe. If the keyframe has no ctrl, position servos are commanded to the pose. In
-    this case nothing is simulated if there are fewer than half as many servos as moving joints.
-    Files without a ground are skipped.
+    If the keyframe has no ctrl, position servos are commanded to the pose.
 
     Args:
         robot: Model of an MJCF with keyframes, which MuJoCo compiles.
@@ -529,10 +509,9 @@ def _choose_keyframe(model: mujoco.MjModel) -> int | None:
 
 
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
-    """Command the position servos to hold the joint positions in ``data.qpos``.
+    """Command the position servos to hold ``data.qpos``; return True if they are enough.
 
-    ``data.ctrl`` is changed in place. Return True if there is a position servo, and at least half
-    as many position servos as moving joints.
+    ``data.ctrl`` is changed in place. Enough are at least half as many servos as moving joints.
     """
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.is_servo]
@@ -551,8 +530,7 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find initial configurations with a body deeper than `MAX_FLOOR_DEPTH` in a world plane.
 
-    World planes are planes of the world body and of bodies that are fixed to the world. Each
-    configuration has a single finding, which names the deepest body.
+    World planes are planes of the world body and of bodies that are fixed to the world.
     """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
@@ -589,9 +567,7 @@ def _list_penetrations(
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
     """Yield MuJoCo's contacts in a start pose: ids of both bodies and geoms, and penetration [m].
 
-    The contacts are evaluated at the configuration of ``start``; flexible bodies are left out. The
-    penetration is negative if the geoms are apart, within the contact margin. Nothing is yielded if
-    MuJoCo's collision detection stops with an error.
+    The penetration is negative if the geoms are apart, within the contact margin.
     """
     model = robot.mj_model
     assert model is not None
