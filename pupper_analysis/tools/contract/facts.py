@@ -36,9 +36,9 @@ as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
 """Largest number of values that are read from a source, or of steps in the evaluation of a Python
-file, to bound time and memory. Also the largest length of a list, table or text in an evaluation.
-Measured: the largest configurations have 4,000 values; a module of a training library needs about
-10,000 evaluated expressions."""
+file, to bound time and memory. Measured: the largest configurations have 4,000 values; a module of
+a training library needs about 10,000 evaluated expressions.
+"""
 
 
 class Origin(StrEnum):
@@ -116,7 +116,7 @@ def find_quantity_kind(quantity: str) -> QuantityKind:
     """Return unit, severity of a difference, and symmetry of a quantity, for example of ``kp``.
 
     A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to a
-    whole file instead of a joint. Its unit is 1, and a difference between files is an error.
+    whole file instead of a joint.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -184,10 +184,7 @@ class ObservedTerm:
 
     @property
     def common_name(self) -> str:
-        """Name of this observation term of a policy, equal for all training libraries.
-
-        Aliases of the libraries: `OBSERVATION_ALIASES`. Another name is returned unchanged.
-        """
+        """Name of this observation term of a policy, equal for the known training libraries."""
         return OBSERVATION_ALIASES.get(self.name, self.name)
 
 
@@ -275,8 +272,7 @@ class JointSource:
         """Create a `Fact` from a `Statement`: assign a number of this file to a joint of the robot.
 
         Args:
-            statement: Number in this file, in SI units, with quantity and line. It has the name or
-                index of the joint in the file.
+            statement: Number in this file, in SI units.
             joint: Joint of the robot; empty if the number applies to no single joint, for example a
                 control period.
         """
@@ -295,11 +291,7 @@ class JointSource:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Content of the source without file locations, to find sources with equal content.
-
-        The content consists of the stated values, the orders of joints and motors, and the
-        observations of the policy. Of several sources of a file with equal content, one is kept.
-        """
+        """Content of the source without file locations, to find sources with equal content."""
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]
         return tuple(statements), self.order, self.motors, tuple(observations)
@@ -336,8 +328,7 @@ class SourceReader(Protocol):
 def load_readers() -> tuple[SourceReader, ...]:
     """Import all reader modules: modules that read statements about joints from source files.
 
-    The modules in the folder ``readers`` of this package come first, sorted by name. Modules that
-    other installed Python packages register under `ENTRY_POINT_GROUP` follow.
+    Other installed Python packages may register modules under `ENTRY_POINT_GROUP`.
     """
     from importlib.metadata import entry_points
 
@@ -389,12 +380,10 @@ class LocatedValue:
     def find_first(self, names: str) -> LocatedValue:
         """Return the value in this table for a concept, such as joint names, in any file format.
 
-        Each format has its own key for the concept. The keys in `KEY_ALIASES` are tried in order,
-        and the first value other than None is returned. Without such a value, the result is a node
-        with the value None.
+        Without such a value, the result is a node with the value None.
 
         Args:
-            names: Concept, a key of `KEY_ALIASES`.
+            names: Concept, a key of `KEY_ALIASES`, which lists the keys of the formats.
         """
         candidates = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
         return next(
@@ -403,10 +392,9 @@ class LocatedValue:
 
     @property
     def number(self) -> float | None:
-        """Value of this node of a file as a float.
+        """Value of this node of a file as a float; None if the value is no number or too large.
 
-        None if the value is no int or float (text and booleans are no numbers), or is an int too
-        large for a float.
+        Texts and booleans are no numbers.
         """
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -439,9 +427,7 @@ class LocatedValue:
             quantity: Quantity.
             joint: Name of the joint, or regular expression of joint names; "" if the quantity
                 belongs to the whole source, or if ``index`` is passed.
-            **where: Further attributes of `Statement`. For an element of a list without joint
-                names: ``index``, the position in the list from 0, and ``count``, the length of the
-                list.
+            **where: Further attributes of `Statement`.
         """
         number = self.number
         shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
@@ -484,8 +470,9 @@ class LocatedValue:
 
 
 _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-"""Pattern of an unquoted text in a YAML file that is read as a number, if the text has at most 64
-characters. Includes ``1e-3``, a text in YAML 1.1, but a number for C++ readers."""
+"""Pattern of an unquoted text in a YAML file that is read as a number. Includes ``1e-3``, a text in
+YAML 1.1, but a number for C++ readers.
+"""
 
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Pattern of a number as written, with groups for the decimals and the exponent."""
@@ -494,14 +481,12 @@ _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
     """Parse the documents of a YAML or JSON file to nodes with line numbers.
 
-    Tags are ignored: a tagged list is a list. Two tags of Python are exceptions, and nothing is
-    imported for them: the class of an object is added under `CLASS_KEY`, and the name of a function
-    is its value. Aliases are replaced by values. The values of keys ``weights`` are replaced by an
-    empty list.
+    Most tags are ignored, and nothing is imported. Aliases are replaced by values. The values of
+    keys
+    ``weights`` are replaced by an empty list.
 
     Raises:
-        ModelError: If the text is not valid YAML, repeats a key in a table, or has more than
-            `MAX_VALUES` values. The message states the line if known.
+        ModelError: If the text is not valid YAML, or has too many values, for example.
     """
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -524,8 +509,7 @@ def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> LocatedValue:
     """Convert a node of PyYAML, with all nodes in it, to a `LocatedValue` with lines.
 
-    The value of a key ``weights`` is replaced by an empty list. ``left[0]`` is the number of values
-    that may still be read; each value decrements this number.
+    ``left[0]`` is the number of values that may still be read; each value decrements this number.
 
     Raises:
         ModelError: If ``left[0]`` is used up, or a table repeats a key.

@@ -35,8 +35,8 @@ from pupper_analysis.tools.contract.orders import (
 
 _NUMBER_RTOL = 2e-6
 """Largest relative difference of two numbers that count as equal, except of the quantities in
-`_KIND_TOLERANCES`: rounding to single precision, or to seven printed digits. Also the relative
-tolerance of a number that is the negative of another (`_classify_mistake`)."""
+`_KIND_TOLERANCES`: rounding to single precision, or to seven printed digits.
+"""
 
 _KIND_TOLERANCES = {
     kind: getattr(Tolerances(), kind) for kind in ("effort", "velocity", "damping", "friction")
@@ -45,12 +45,13 @@ _KIND_TOLERANCES = {
 (`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
-"""Position limits of joints. Two sources agree on a limit if the difference is at most the absolute
-tolerance of position limits in `crosscheck`, or for other reasons of `facts_agree`."""
+"""Position limits of joints, which are compared with the absolute tolerance of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
-"""Smallest number of decimals with which a number counts as computed, not typed. If another source
-states the rounded value of a computed number, this is no disagreement. Chosen, not tuned."""
+"""Smallest number of decimals with which a number counts as computed, not typed: the rounded value
+in
+another source is then no disagreement. Chosen, not tuned.
+"""
 
 _MAX_ROUNDING_FRACTION = 0.1
 """Largest relative difference between a computed number and its rounded value in another source,
@@ -62,8 +63,9 @@ _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 
 _UNIT_RTOL = 5e-3
 """Relative tolerance with which the ratio of two sources' numbers must equal a factor in
-`_UNIT_FACTORS`. A wrong unit is then reported as the probable mistake. Chosen, not tuned; angles in
-degrees are usually written with three digits.
+`_UNIT_FACTORS`, to report a wrong unit as the probable mistake. Chosen, not tuned; angles in
+degrees
+are usually written with three digits.
 """
 
 
@@ -136,14 +138,8 @@ def find_disagreements(
     """List the disagreements between sources, and within a source, the worst first.
 
     Sources are for example a robot model, a motor driver and a policy. A number of a source is
-    compared with the first source that states the number. If a quantity is symmetric, the numbers
-    of left and right joints within a source are compared. Exceptions, which are not listed:
-
-    - quantities without a severity,
-    - joint damping, if it represents the kd of a servo,
-    - infinite efforts, except of models with unlimited motors (`_find_unlimited_efforts`),
-    - different numbers of several policies of one deployment,
-    - different action offsets, if the default angles of the same joints differ.
+    compared with the first source that states the number, and numbers of left and right joints with
+    each other. Infinite efforts and intended differences, for example, are not listed.
 
     Args:
         placed: Sources, sorted by precedence: the first that states a number is the reference.
@@ -177,8 +173,7 @@ def find_disagreements(
 def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSource, str]]:
     """List the joints of models whose passive damping in the file represents the kd of a servo.
 
-    A source that is no model states the same number as kd, and the model states no kd for the
-    joint. The damping of these joints is not compared between sources.
+    A source that is no model states the same number as kd.
 
     Returns:
         (model, joint) pairs.
@@ -218,12 +213,9 @@ LENGTH_CODES = ("contract-list-length", "contract-motors-length")
 def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> list[Diagnostic]:
     """List quantities in sources that are lost for the comparison with other sources.
 
-    The reason is a value that is no number, a list that cannot be assigned to joints, keys that
-    match no joint of the robot, or a joint without a number whose opposite joint has a number
-    (`_find_missing_sides`); keys and joints of models are not reported. Only quantities whose
-    differences have a severity are reported. A list that has another length than the joint order of
-    its own file is always reported; all other cases only if another source states the quantity (for
-    keys: for a joint without a number in this source).
+    The reason is, for example, a value that is no number, a list that cannot be assigned to joints,
+    or
+    keys that match no joint of the robot.
 
     Args:
         placed: Sources.
@@ -273,9 +265,8 @@ def _find_missing_sides(
 ) -> Iterator[Diagnostic]:
     """Yield a message for each quantity that a source states on one side of the robot only.
 
-    Another source must state the missing number. Nothing is reported if at least as many left-right
-    pairs are one-sided as complete, because the source may belong to a single arm, or if another
-    message reports the quantity (``unplaced``, ``unread``).
+    Another source must state the missing number. Nothing is reported if most pairs are one-sided,
+    because the source may belong to a single arm.
 
     Args:
         source: Source.
@@ -304,10 +295,9 @@ def _find_missing_sides(
 
 
 def make_unread_finding(message: Diagnostic) -> Disagreement:
-    """Return a finding for a source or quantity that was not compared.
+    """Return a finding for a source or a quantity that was not compared.
 
-    The severity is error for a source, since none of its numbers was compared, and warning for a
-    quantity.
+    The severity is error for a source, and warning for a quantity.
     """
     whole = message.code == "contract-unread"
     place = str(message.values["file"] if whole else message.sources[0].file)
@@ -320,10 +310,9 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 
     The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
-    numbers are equal after rounding if one is the other, rounded to its decimals: the difference is
-    at most half a unit of the last decimal of the rounded number, and at most 10 % of the other
-    number (or below 1e-9). The other number must have at least five decimals or be computed. An
-    infinite number agrees with every number.
+    numbers are equal after rounding if one has few decimals, and is the other number rounded to
+    these
+    decimals.
 
     Args:
         first: Number of one source, with its quantity.
@@ -352,9 +341,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each model that lacks effort limits which another source states.
 
-    The model drives at least one joint without an effort limit, so MuJoCo simulates a motor of
-    unlimited torque. The disagreement states the limits of the first source that limits such a
-    joint. `crosscheck` reports the same difference between a URDF and an MJCF.
+    MuJoCo simulates motors of unlimited torque for such joints.
     """
     for model in placed:
         limits = dict[str, Fact]()
@@ -401,8 +388,7 @@ def _compare_joint_quantity(
 ) -> Iterator[Disagreement]:
     """Yield the disagreements of the sources about a quantity of joints, such as gains.
 
-    For each joint, the reference is the first source that states a number. The joint "" stands for
-    a setting.
+    The joint "" stands for a setting.
     """
     pairs: dict[tuple[Role, Role, str, str], dict[str, FactPair]] = {}
     for joint in joints:
@@ -434,17 +420,12 @@ def _group_by_values(
 ) -> Iterator[Disagreement]:
     """Yield the disagreements about a quantity between two sources, grouped by the numbers.
 
-    Joints with equal pairs of numbers form one disagreement. If the second source has the numbers
-    of the first at other joints, there is a single disagreement about the order.
-
     Args:
         quantity: Quantity.
         kind: Properties of the quantity.
         differing: {joint: differing facts}.
         is_range_difference: True if the quantity is a limit, and exactly one of both sources is a
-            robot model. If True, a limit of the first source inside the range of the second source
-            has the severity NOTE, since a configuration may narrow the range of the model on
-            purpose.
+            robot model: a configuration may narrow the range of the model on purpose.
     """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
@@ -505,11 +486,13 @@ def _group_by_values(
 
 _NEAR_LIMIT_RTOL = 0.02
 """Largest relative difference of efforts or velocity limits with which a disagreement has the
-severity NOTE, since data sheets round these numbers. Chosen, not tuned."""
+severity NOTE, since data sheets round these numbers. Chosen, not tuned.
+"""
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
-"""Quantities that are joint angles. If two joints, such as left and right, have the same pair of
-different values with opposite signs, one disagreement is reported for both."""
+"""Quantities that are joint angles. Equal differences with opposite signs, as of left and right
+joints, are reported together.
+"""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
@@ -520,10 +503,7 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
 
     Returns:
         {joint a: joint b}: the second source states for joint a the number that the first source
-        states for joint b. Empty if there are fewer than two joints, or if the numbers of one
-        source are not a permutation of the numbers of the other source. Also empty if the numbers
-        differ only in sign, if more than half of the joints have the same number, or if a joint has
-        no match.
+        states for joint b. Empty if an exchange does not explain the differences.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
@@ -575,8 +555,7 @@ def _classify_mistake(quantity: str, a: float, b: float) -> tuple[str, str]:
 def _describe_effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
     """Return messages on the effects of a difference on the robot, such as a weaker servo.
 
-    The effects follow from the numbers ``a`` and ``b`` of both sources alone; empty if there are
-    none.
+    The effects follow from the numbers ``a`` and ``b`` of both sources alone; may be empty.
     """
     if quantity in _ANGLE_QUANTITIES:
         return (diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad")),)
@@ -637,8 +616,8 @@ def _compare_sides(
 ) -> Iterator[Disagreement]:
     """Yield a disagreement for each left-right pair of joints whose numbers are not symmetric.
 
-    Numbers of the same source are compared. Skipped are pairs without both numbers, and pairs of
-    which the file states neither number (`Fact.implied`).
+    Numbers of the same source are compared. Pairs of which the file states neither number are
+    skipped.
     """
     for source, pair in product(placed, find_mirror_pairs(model.order)):
         facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]
@@ -670,11 +649,9 @@ def _compare_sides(
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each source with another joint order than the first source.
 
-    The joint order is that of the policy's arrays. Not compared are:
-
-    - models, sources with an assumed order, and sources with neither numbers nor motors;
-    - sources with other joints than the first;
-    - sources that map joints to motors, if the first does so too: each may use any order.
+    The joint order is that of the policy's arrays. If both sources map joints to motors, each may
+    use
+    any order.
     """
     feeding = [
         placed_source
@@ -717,8 +694,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
 def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each source that lists observation terms in another order.
 
-    The reference is the first source that lists observation terms. Only terms that are in both
-    lists are compared.
+    The order of the terms that both sources list is compared.
     """
     stating = [
         placed_source.source for placed_source in placed if placed_source.source.observations
@@ -755,12 +731,11 @@ def add_height_effects(
     """Add the resulting difference of base heights to disagreements about default angles.
 
     The effect of different default joint angles is the difference between the base heights [m] in
-    the two default poses. Other disagreements are returned unchanged.
+    the two default poses.
 
     Args:
         findings: Disagreements between sources.
-        poses: Default poses of the sources. A source without a pose adds no effect, nor do equal
-            heights.
+        poses: Default poses of the sources.
     """
     heights = {pose.source: pose.height for pose in poses}
     done = []

@@ -132,9 +132,8 @@ class RobotJoints:
     def match_names(self, names: Sequence[str]) -> dict[str, str]:
         """Match names in a source to the joints of the robot.
 
-        A name matches the joint that the user assigned to the name, or the joint with the same
-        name. A remaining name matches a remaining joint if both are equal except for prefixes,
-        suffixes, case and separators, and no other remaining name or joint is.
+        Names may differ from the joint in prefixes, suffixes, case and separators, if the match is
+        unique.
 
         Returns:
             {name in the source: joint}, without the names that match no joint.
@@ -148,9 +147,8 @@ class RobotJoints:
     def mirrored_sign(self, first_name: str, second_name: str) -> int:
         """Return whether two joints have equal or opposite angles in mirrored postures: 1 or -1.
 
-        A left and a right joint are meant. Their axes are expressed in the base frame, at zero
-        joint angles. A rotation about the axis a, mirrored at the xz plane of the base frame, is a
-        rotation about (-a_x, a_y, -a_z).
+        A rotation about the axis a, mirrored at the xz plane of the base frame, is a rotation about
+        (-a_x, a_y, -a_z), at zero joint angles.
 
         Args:
             first_name: Joint on one side.
@@ -169,8 +167,7 @@ class RobotJoints:
 
 _MIN_MIRROR_COSINE = 0.95
 r"""Smallest absolute cosine between a joint axis, and the mirrored axis of the corresponding joint
-on the other side, at which both are mirror images. With a smaller cosine, the sign between the
-angles of both joints is unknown. Chosen, not tuned.
+on the other side, at which both are mirror images. Chosen, not tuned.
 """
 
 
@@ -213,11 +210,9 @@ class _JointNames:
     def find_joints(self, statement: Statement) -> list[str]:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
 
-        A statement with a part of joint names (``is_part``) applies to all joints whose name
-        contains the part. Exception: if the part is the name of a joint and the quantity is in
-        `_QUANTITIES_BY_NAME`, the statement applies to this joint only. The result is empty if no
-        joint has the name, part, pattern or index. The result is also empty for an entry of a list
-        whose length differs from the length of ``order``.
+        A statement selects joints by name, part of the name, pattern or list index. Empty if no
+        joint
+        matches.
         """
         if statement.index is not None:
             if statement.count != len(self.order):
@@ -312,9 +307,6 @@ def _describe_unread_lists(
 ) -> dict[str, Diagnostic]:
     """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
-    The message states another length than that of the joint order, or that the joint order is not
-    known.
-
     Args:
         source: Source of the lists.
         lists: {quantity: first number of the list}.
@@ -353,12 +345,10 @@ def _list_unknown_names(
 ) -> tuple[str, ...]:
     """Return the names of a source that match no joint of the robot.
 
-    Parts of names, as legged_gym states gains, are known if a joint's name contains the part.
-
     Args:
         source: Source.
         model: Joints of the robot.
-        names: Names of joints in the source.
+        names: Names, or parts of names, of joints in the source.
         matched: {name in the source: joint of the robot}.
     """
     name_parts = {statement.joint for statement in source.statements if statement.is_part}
@@ -373,8 +363,7 @@ def _list_unknown_names(
 def _list_joint_names(source: JointSource) -> list[str]:
     """Return the texts in a source that may be joint names: listed names, then keys of numbers.
 
-    Regular expressions are omitted. legged_gym states gains by parts of joint names. Such a part is
-    omitted, unless the source also states a default angle under the same key.
+    legged_gym states gains by parts of joint names, which are usually omitted.
     """
     keys = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
     parts = {statement.joint for statement in source.statements if statement.is_part}
@@ -391,10 +380,7 @@ def _list_joint_names(source: JointSource) -> list[str]:
 
 
 def _make_scale_facts(source: JointSource) -> dict[tuple[str, str], Fact]:
-    """Return {("observation " + term, ""): scale of the first element} of the observation terms.
-
-    Terms without a known scale are left out.
-    """
+    """Return {("observation " + term, ""): scale of the first element} of the observation terms."""
     scales = {
         f"observation {term.common_name}": (term.scale, term.place)
         for term in source.observations
@@ -407,10 +393,7 @@ def _make_scale_facts(source: JointSource) -> dict[tuple[str, str], Fact]:
 
 
 def _add_policy_step(facts: dict[tuple[str, str], Fact]) -> None:
-    """Add the policy step (time step x decimation) to facts that contain both but no policy step.
-
-    Nothing is added if the product is 0.
-    """
+    """Add the policy step (time step x decimation) to facts, unless stated or unknown."""
     time_step, decimation = facts.get(("time step", "")), facts.get(("decimation", ""))
     if time_step and decimation and time_step.number * decimation.number:
         policy_step = replace(
@@ -448,11 +431,6 @@ def _determine_order(
     matched: Mapping[str, str],
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
     """Determine the joint order of the lists in a source, and how this order is known.
-
-    The first case that applies: the source lists joint names, or contains lists of joint names
-    under other keys that agree; the source maps joints to motors that another source names; the
-    source is a deployment of a policy that lists joint names; the order by depth or limb by limb
-    with the better left-right symmetry of the values (assumed).
 
     Args:
         source: Source, for example a trainer's configuration.
@@ -516,10 +494,7 @@ def _find_motor_lists(
 ) -> dict[str, tuple[str, ...]]:
     """Find the lists of motor limits that have the order of the motors, not that of the policy.
 
-    The order is decided by the mirror symmetry of the values, if the source states the motor of
-    each joint of the policy. A list is in the order of the motors if two conditions hold. In the
-    order of the policy, more than `MAX_UNLIKE_FRACTION` of the left-right pairs have different
-    values. In the order of the motors, no left-right pair has different values.
+    The order is decided by the mirror symmetry of the values.
 
     Args:
         source: Source.
@@ -546,8 +521,7 @@ def _find_name_lists(
 ) -> dict[str, tuple[str, ...]]:
     """Return {key: joints of the robot} of lists of joint names under keys unknown to the rules.
 
-    A list counts if its length is in ``sizes`` (lengths of the lists of numbers), and if all names
-    match distinct joints.
+    ``sizes`` are the lengths of the source's lists of numbers, which these lists must have.
     """
     found = dict[str, tuple[str, ...]]()
     for key, names in source.name_lists.items():
@@ -560,9 +534,8 @@ def _find_name_lists(
 
 MAX_UNLIKE_FRACTION = 1 / 3
 """Largest fraction of the left-right pairs of values (such as gains) that may contradict mirror
-symmetry in an assumed joint order. If the fraction is larger, the assumed order is rejected, and
-the joint order remains unknown. The same bound decides whether a list of motor limits is in the
-order of the policy (`_find_motor_lists`). Chosen, not tuned.
+symmetry in an assumed joint order. If the fraction is larger, the order is rejected. Chosen, not
+tuned.
 """
 
 
@@ -597,7 +570,7 @@ def _compute_unlike_fraction(
 
 
 def is_mirror_image(first: float | None, second: float | None, sign: int) -> bool:
-    """Return True if first = sign x second, within 1e-3 of the larger or 1e-9, or infinite.
+    """Return True if first = sign x second within a relative difference of 1e-3.
 
     Also True if a number is None or the sign is 0, since nothing can be compared.
 
@@ -645,7 +618,9 @@ _REPEAT_PATTERN = re.compile(r"[+*{?]")
 _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
 matched. With 5, matching a name of n letters takes up to about n^5 / 120 attempts. Chosen, not
-tuned."""
+tuned.
+"""
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
 """Quantifier (other than ``?``) that follows a quantifier or a group. A regular expression with
-such a pair is not evaluated, because its matching time may grow exponentially."""
+such a pair is not evaluated, because its matching time may grow exponentially.
+"""

@@ -407,7 +407,7 @@ def _match_similar_shapes(
     """Match shapes that are equal in all values, else in shape, else by order: {new: old}."""
 
     def is_of_one_shape(first: ModelElement, second: ModelElement) -> bool:
-        """Return True if both shapes have equal kind, and surfaces within `SURFACE_ATOL`."""
+        """Return True if both shapes have equal kind and nearly equal surfaces."""
         assert first.shape is not None
         assert second.shape is not None
         return (

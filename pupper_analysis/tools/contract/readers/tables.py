@@ -60,10 +60,9 @@ class _View:
         return self.tables[0].place
 
     def get(self, *path: str) -> LocatedValue:
-        """Return the value of a path of keys in the first table with this path.
+        """Return the value of a path of keys in these tables, exact or with letters of any case.
 
-        If no table has the exact keys, letters of any case match. Without a match, the node has the
-        value None and the place of the first table.
+        If the path is missing, the result has the value None.
         """
         exact = (table.get(*path) for table in self.tables)
         similar = (_get_in_any_case(table, path) for table in self.tables)
@@ -71,10 +70,9 @@ class _View:
         return next(found, LocatedValue(None, self.place))
 
     def find_first(self, names: str) -> LocatedValue:
-        """Return the value in these tables for a concept, such as joint names.
+        """Return the value in these tables for a concept of `KEY_ALIASES`, such as joint names.
 
-        The keys of `KEY_ALIASES` are tried in order. In a search for joint names, keys that the
-        user has defined come first.
+        If the concept is missing, the result has the value None.
         """
         paths = [tuple(alias.split(".")) for alias in KEY_ALIASES[names]]
         if names == "joints":
@@ -109,8 +107,7 @@ class _View:
     def conflicts_with(self, other: _View) -> bool:
         """Return True if this view and ``other`` both state a quantity per joint, or joint names.
 
-        The values may be equal. A value that both views contain because they share a table is no
-        conflict.
+        A value that both views contain because they share a table is no conflict.
         """
         first, second = self._find_joint_values(), other._find_joint_values()
         first["names"], second["names"] = self.find_first("joints"), other.find_first("joints")
@@ -180,13 +177,12 @@ def read_nested_tables(
     """Yield the sources of a document with nested tables.
 
     Nested tables are, for example, robots in files of rl_sar, controllers, and nodes in files of
-    ROS 2. If the request has a name, only the source with this name is read. The name is the key of
-    the table in lower case, with or without the keys of the tables that contain it (``a/b``); for a
-    node of ROS 2, the key as in the file. Tables that are merged into a single source of the whole
-    document cannot be selected.
+    ROS 2.
 
     Args:
-        request: Request with the path of the file.
+        request: Request with the path of the file. With a name, the source with this name is read:
+            the
+            key of the table, with or without the keys of the tables that contain it (``a/b``).
         document: Table {key: value or table}.
         role: Role of the sources; `Role.DRIVER` for nodes of ROS 2, ``TRAINER`` for configurations
             of trainers.
@@ -215,10 +211,8 @@ def read_nested_tables(
 def _split_document(own: _View, depth: int) -> list[_View]:
     """Group a table and its nested tables into sources, and return a view of each source.
 
-    All tables form one source, unless two tables state the same quantity of joints, or joint names.
-    This occurs, for example, in a file with several controllers. Tables for standing up and
-    configurations of trainers are separate sources. If some controllers run a policy and others do
-    not, only the controllers with a policy are returned.
+    Tables are usually one source if no two of them state the same quantity of joints, or joint
+    names.
 
     Args:
         own: The table, with keys in lower case.
@@ -281,10 +275,7 @@ def read_table(
 def _read_view(
     request: Request, name: str, view: _View, role: Role, sizes: Sequence[Statement]
 ) -> Iterator[JointSource]:
-    """Yield the source that the tables of ``view`` state: joint order, numbers, observations.
-
-    Nothing is yielded if the tables state neither joint names nor a number per joint, and ``sizes``
-    is empty.
+    """Yield at most one source: joint order, numbers and observations of the tables of ``view``.
 
     Args:
         request: Request with the path of the file.
@@ -347,8 +338,8 @@ def _read_motors(
     """Read the motor number of each joint, in the joint order of the tables.
 
     Returns:
-        Motor numbers, empty if none can be used; notes; {"motors": message} if the numbers of
-        motors and of joints differ, otherwise empty.
+        Motor numbers, empty if none can be used; notes; {"motors": message} about an unusable list,
+        otherwise empty.
     """
     joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)
@@ -383,8 +374,7 @@ def _list_command_scales(view: _View) -> Iterator[Statement]:
 def _describe_unread_values(view: _View) -> dict[str, Diagnostic]:
     """Return {quantity: message} of the values under known keys that are no numbers.
 
-    Examples are numbers in quotation marks, ``15 deg``, and an empty element of a list of numbers.
-    Other texts may be names of parameters, and are left out.
+    Texts that do not look like numbers may be names of parameters, and are left out.
     """
     unread = dict[str, Diagnostic]()
     for rule in view.rules:
@@ -434,12 +424,11 @@ def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
 def list_numeric_keys(path: Path) -> tuple[str, ...]:
     """Return the keys of numbers and lists of numbers in a YAML or JSON file, as ``outer.inner``.
 
-    Keys of lists, which more often contain a number per joint, are the first. Tables nested deeper
-    than `_MAX_TABLE_DEPTH` are left out.
+    Keys of lists, which more often contain a number per joint, are the first.
 
     Raises:
         InputError: If the file cannot be read.
-        ModelError: If the file is not valid YAML or JSON.
+        ModelError: If the file is not valid YAML or JSON, for example.
     """
     lists, numbers = list[str](), list[str]()
 
@@ -477,16 +466,14 @@ def _list_table_statements(
 ) -> Iterator[Statement]:
     """Yield a statement for each number under a known key, such as a joint's gain.
 
-    The keys are those of ``view.rules``. If the tables list joint names, numbers of other names are
-    left out; parts of names, and joints that a rule names, are kept.
+    If the tables list joint names, numbers of other names are left out.
 
     Args:
         view: Tables with keys in lower case.
         order: Joint names that the tables list; empty if they list no names.
         motors: Motor index of each joint; empty if not stated.
         is_standing_table: True if gains, efforts and default angles of the tables are for standing
-            up, not for the policy. Such values are skipped, also if the tables contain ``fixed_kp``
-            without ``rl_kp``.
+            up, not for the policy. Such values are skipped.
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
@@ -525,7 +512,7 @@ def _list_table_statements(
 
 
 def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
-    """Return the position actions: subtables of a policy's actions without velocities and efforts.
+    """Return the tables of a policy's actions that are joint positions, not velocities or efforts.
 
     Args:
         node: Table of the policy's actions, {name of an action: table}.
@@ -541,8 +528,7 @@ def _list_view_observations(view: _View) -> Iterator[ObservedTerm]:
     """Yield the observation terms of a deployment.
 
     In files of legged_rl_deploy, ``terms`` contains the terms, and ``stack`` the number and order
-    of the frames. Each frame contains all terms. Only operations in ``process_order`` are applied
-    (``Processor::TryLoad``). A term without a table is neither scaled nor clipped.
+    of the frames; operations in ``process_order`` are applied (``Processor::TryLoad``).
     """
     terms, stack = view.get("observations", "terms"), view.get("observations", "stack")
     if not terms.table or terms.get("func").is_present:
@@ -582,9 +568,7 @@ def _describe_unread_terms(view: _View) -> dict[str, Diagnostic]:
 def _find_unread_operation(name: str, term: LocatedValue) -> str | None:
     """Return the first operation of a term that `ObservedTerm` cannot contain; None without.
 
-    Such operations are a scale that is no number, bounds that `_read_bounds` cannot return, and an
-    offset other than 0. The offset of joint positions as first operation is a default angle, and is
-    read (`_list_reference_angles`).
+    The offset of joint positions as first operation is a default angle, and can be read.
     """
     operations = term.get("process_order").texts
     is_angle = _is_position(name) and operations[:1] == ("offset",)
@@ -607,10 +591,7 @@ def _read_scales(term: LocatedValue) -> tuple[float, ...]:
 
 
 def _read_bounds(term: LocatedValue) -> tuple[float, float] | None:
-    """Return the bounds ``min`` and ``max`` of an observation term, before scaling.
-
-    None if the bounds are not applied, or differ by element. Also if the scale before the bounds
-    differs by element, or is not positive.
+    """Return the bounds ``min`` and ``max`` of an observation term before scaling; None if unknown.
     """
     operations, scales = term.get("process_order").texts, set(_read_scales(term))
     lows, highs = ({item.number for item in term.get(key).items} for key in ("min", "max"))
@@ -642,7 +623,7 @@ def _list_reference_angles(terms: LocatedValue) -> Iterator[Statement]:
 
 
 def _read_limits(request: Request, limits: LocatedValue) -> Iterator[JointSource]:
-    """Yield a source with MoveIt's joint limits; no source if there are none.
+    """Yield at most one source, with MoveIt's joint limits.
 
     A limit is ignored if its ``has_..._limits`` is false.
     """
