@@ -248,9 +248,7 @@ class _Comparison:
     ) -> tuple[MultibodyTree, MultibodyTree]:
         """Reduce both trees to the joints of both versions, with the names of the old version.
 
-        Joints of the new version get the old names. Each fixed or renamed joint becomes a
-        difference, as does another type of the base. Frames that exist in a single version are
-        dropped.
+        Differences of the structure, such as a fixed or renamed joint, are stored in `differences`.
 
         Raises:
             ModelError: If both versions have joints, but no joint in common.
@@ -294,10 +292,7 @@ class _Comparison:
         return one, two
 
     def result(self) -> ModelDiff:
-        """Compare joints, bodies and other elements of both versions, and return the changes.
-
-        The most urgent change is first (`Difference.rank`).
-        """
+        """Compare joints, bodies and other elements of both versions, and return the changes."""
         first, second, tolerances = self.first, self.second, self.tolerances
         # Compare in the same convention; a different convention is a change of its own.
         meant = find_conventions(first, second, tolerances, fixed=not first.floating)
@@ -412,8 +407,6 @@ def _sum_mass(values: MultibodyTree) -> float:
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
     """Rename the joint to which the value of a mimic joint or a motor refers.
 
-    Values without reference to a joint are returned unchanged.
-
     ``names`` is {name in the value: new name}.
     """
     if isinstance(value, list) and value and isinstance(value[0], str):
@@ -452,7 +445,7 @@ def _describe_changed_value(value: Any, other: Any) -> Diagnostic | Term | str:
 def _format_value(value: Any, other: Any) -> str:
     """Format a value of a version with six digits; with more if ``other`` would look equal.
 
-    ``other`` is the value in the version that is compared. Lists are in brackets.
+    ``other`` is the value in the other version. Lists are in brackets.
     """
     if isinstance(value, list):
         others = other if isinstance(other, list) and len(other) == len(value) else value
@@ -466,8 +459,7 @@ def _format_value(value: Any, other: Any) -> str:
 
 
 _NUM_STATES = 10
-"""Number of random states at which the old and the new version are compared: as many as for the
-comparison of a URDF with an MJCF (`attribution._NUM_STATES`). Chosen, not tuned."""
+"""Number of random states at which the old and the new version are compared. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -484,9 +476,9 @@ class RandomStates:
     def qpos(self) -> Array:
         """Random configurations with a fixed seed, shape (n, nq).
 
-        A floating base has a position within 1 m of the origin along each axis, and a random
-        orientation. Joint positions are between the lower and the upper limit; a missing limit is
-        replaced by -pi or pi [rad or m].
+        A floating base is within 1 m of the origin along each axis, with a random orientation.
+        Joint
+        positions are between the limits; a missing limit is replaced by -pi or pi [rad or m].
         """
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
@@ -515,8 +507,7 @@ class RandomStates:
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
         """Return the MuJoCo model of a tree, and indices into the model's qpos and qvel.
 
-        Index k states the entry of the model's qpos (qvel) for column k of this object's ``qpos``
-        (``qvel``).
+        Index k is the place of column k of `qpos` (`qvel`) in the model's qpos (qvel).
         """
         tree = (
             self._mujoco_tree if self._mujoco_tree.has_structure_of(values) else MujocoTree(values)
@@ -536,9 +527,9 @@ class RandomStates:
         Returns:
             {quantity: values, shape (n, ...)}: mass matrix [kg, kg m, kg m^2], gravity [N, N m],
             bias forces minus passive forces such as damping [N, N m], CoM [m], and positions in the
-            world frame [m]. The positions are "joint positions" of the bodies that the joints move,
-            and "foot positions" of the frames. Quantities without values are left out, for example
-            without frames.
+            world frame [m]: "joint positions" of the bodies that the joints move, and "foot
+            positions" of
+            the frames. Quantities without values are left out.
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -588,7 +579,7 @@ class RandomStates:
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Return a tree with renamed joints, in joints, parents, bodies and frame owners.
 
-    Names that are not listed stay. The field ``base`` of the tree is not changed.
+    The field ``base`` of the tree is not changed.
 
     Args:
         values: Tree.

@@ -24,9 +24,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Largest relative change of a gravity torque with which the table of torques omits the joint. The
-change is divided by the larger of both torques. Such changes hardly alter the four printed digits.
-Chosen, not tuned.
+"""Largest relative change of a gravity torque with which the table of torques omits the joint. Such
+changes hardly alter the four printed digits. Chosen, not tuned.
 """
 
 
@@ -62,12 +61,7 @@ def _format_title(diff: ModelDiff) -> doc.Text:
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
-    """Yield the headline of a diff: old and new total mass [kg], or else the first change.
-
-    The first change is yielded if the total mass is unchanged or the old mass is 0. If no change
-    is listed, the mass is yielded in these cases, too. If both versions are the same, only the new
-    mass is yielded.
-    """
+    """Yield the headline of a diff: old and new mass [kg], or a change if the masses are equal."""
     old, new = diff.mass
     if diff.same:
         yield text("mass-of-both", mass=f"{new:.6g}")
@@ -117,8 +111,6 @@ def _make_file_place(
 ) -> doc.FilePlace:
     """Create the place of a value in a file, with the quoted line or else the value.
 
-    Without a value, a dash replaces the line.
-
     Args:
         file: Version of the model.
         place: Path and line as text; empty if the file does not contain the value, or if the line
@@ -133,11 +125,7 @@ def _make_file_place(
 
 
 def _describe_dynamics_change(change: ModelChange) -> doc.Text:
-    """Return a sentence on how much a change changes each quantity of the dynamics.
-
-    The sentence lists the effects of this change alone, without the other changes, the largest
-    effect first. The effects of changes in `_NOT_EVALUATED_KINDS` are unknown.
-    """
+    """Return a sentence on how much a change alone changes each quantity of the dynamics."""
     if not change.effects:
         unknown = change.kind in _NOT_EVALUATED_KINDS
         key = "effect-not-evaluated" if unknown else "no-effect-on-the-dynamics"
@@ -156,26 +144,19 @@ def _describe_dynamics_change(change: ModelChange) -> doc.Text:
 
 _NOT_EVALUATED_KINDS = ("joint", "type")
 """Kinds of changes whose effects on the dynamics are not evaluated: joints in a single version, and
-another type of the base. The trees are compared with such joints fixed, and with a free base.
+another type of the base.
 """
 
 
 def _format_percent(old: float, new: float) -> str:
-    """Format the change of a value in percent, or as the factor new / old above `MIN_FACTOR`.
-
-    Empty if both values are equal, or the old value is 0.
-    """
+    """Format the change of a value in percent, or as a factor if large; "" if equal or from 0."""
     if not old or old == new:
         return ""
     return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"
 
 
 def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield a table of the changed gravity torques [N m, N], or a line if no row is left.
-
-    A row per joint has old and new torque and the change in percent. Changes of up to
-    `_MIN_RELATIVE_CHANGE` are left out.
-    """
+    """Yield a table of the changed gravity torques [N m, N]; without changes, a line."""
     changed = {
         name: pair
         for name, pair in diff.torques.items()

@@ -91,7 +91,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
     """Read the joints, bodies and elements of a file, for comparison with another version.
 
     Raises:
-        ModelError: For example, if an MJCF has no joints, or ball joints only.
+        ModelError: If an MJCF has no joints, for example.
     """
     return _read_urdf_version(file) if isinstance(file, UrdfFile) else _read_mjcf_version(file)
 
@@ -99,7 +99,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
 def _read_urdf_version(file: UrdfFile) -> Version:
     """Return the content of a URDF for comparison with another version.
 
-    Mimic joints are independent in the tree; ``Version.extra_values`` contains the couplings.
+    Mimic joints are independent in the tree.
     """
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
@@ -124,11 +124,10 @@ def _read_urdf_version(file: UrdfFile) -> Version:
 def _read_mjcf_version(file: MjcfFile) -> Version:
     """Return the content of an MJCF for comparison with another version.
 
-    Objects that do not belong to the robot are not in the tree, and ball joints are fixed; notes
-    state both.
+    Objects that do not belong to the robot are left out, and ball joints are fixed.
 
     Raises:
-        ModelError: For example, if the MJCF has no joints, or ball joints only.
+        ModelError: If the MJCF has no joints, for example.
     """
     published = file
     if file.spec.compiler.fusestatic:
@@ -187,10 +186,7 @@ def _find_tree_root(model: mujoco.MjModel, names: list[str]) -> str:
 
 
 def _collect_motor_values(scene: NamedModel) -> dict[tuple[str, str], Any]:
-    """Collect transmission, gains and control ranges of all actuators: {("motor", name): values}.
-
-    Force limits belong to the joints.
-    """
+    """Collect transmission, gains and control ranges of actuators: {("motor", name): values}."""
     model, found = scene.model, {}
     for motor in range(model.nactuator):
         value: dict[str, Any] = {
@@ -298,13 +294,12 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     Args:
         given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
             ``REVISION:PATH`` as for ``git show``. PATH is relative to the top of the repository, or
-            to the current folder if PATH begins with ``./`` or ``../``. All files that the model
+            to the current folder if PATH begins with ``./`` or ``../``. Files that the model
             may include are extracted as well. A single letter other than ``@`` is no REVISION, but
             a drive.
 
     Raises:
-        ModelError: If git is not installed or does not contain the file, with git's message; or if
-            REVISION begins with a hyphen.
+        ModelError: If git is not installed or does not contain the file, for example.
     """
     if is_object(given):
         yield VersionedFile(cast(ModelObject, given), "")
@@ -335,8 +330,6 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
 def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path]]:
     """Extract a git revision in a ``with`` block; yield {file: extracted copy} as a function.
 
-    All files that a model may include are extracted to a temporary folder.
-
     Args:
         revision: Revision.
         folder: Folder in the repository.
@@ -345,8 +338,8 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
         Function that returns the path of the extracted copy of a file in the repository.
 
     Raises:
-        ModelError: If git is not installed, the folder is in no repository, or the repository does
-            not contain the revision, with git's message; or if the revision begins with a hyphen.
+        ModelError: If git is not installed, or the repository does not contain the revision, for
+            example.
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
@@ -376,8 +369,6 @@ def find_repository_top(folder: Path) -> Path:
 def find_path_in_revision(given: str, revision: str, inside: str) -> str:
     """Return the path of a file in a revision, relative to the top of the repository.
 
-    The repository contains the current folder; ``..`` and ``.`` in the path are resolved.
-
     Args:
         given: Argument of the user, ``REVISION:PATH``, which errors name.
         revision: Revision of git, such as ``HEAD``.
@@ -385,8 +376,7 @@ def find_path_in_revision(given: str, revision: str, inside: str) -> str:
             ``./`` or ``../`` is relative to the current folder.
 
     Raises:
-        ModelError: If git is not installed, the current folder is in no repository, or the revision
-            does not contain the file; with git's message.
+        ModelError: If the revision does not contain the file, for example; with git's message.
     """
     prefix = _git_text(given, "rev-parse", "--show-prefix").strip()
     given_path = prefix + inside if inside.startswith(("./", "../")) else inside
@@ -400,9 +390,9 @@ def write_revision(
 ) -> None:
     """Write the files of a git revision with given suffixes to a folder.
 
-    A file keeps its path relative to the root of the repository, and its committed content. A
-    pointer of Git LFS is replaced by the file if the repository has a copy. Symbolic links,
-    submodules, and files that a partial clone lacks are left out.
+    A file keeps its path relative to the root of the repository, and its committed content.
+    Pointers
+    of Git LFS are replaced by the files, if the repository has them.
 
     Args:
         given: Argument of the user, such as ``REVISION:PATH``, for error messages.
@@ -437,10 +427,9 @@ def _is_outside(path: str) -> bool:
 
 
 def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
-    """Replace a pointer of Git LFS by the content of the real file; return other content as it is.
+    """Replace a pointer of Git LFS by the real file's content, if found; keep other content.
 
-    ``kept`` is the folder that contains ``lfs/objects``. If the folder lacks the real file, the
-    pointer is returned.
+    ``kept`` is the folder that contains ``lfs/objects``.
     """
     found = pointed_file(content)
     if found is None or not found.isalnum():
@@ -489,7 +478,7 @@ def _git_command(given: str, *arguments: str) -> list[str]:
 def _read_git_objects(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    """Yield each file of a git tree: the entry, and the content of the file.
+    """Yield files of a git tree: the entry, and the content of the file.
 
     Submodules and missing objects are skipped. ``given`` is the argument of the user, which errors
     name; ``folder`` is in the repository (None: the current folder).

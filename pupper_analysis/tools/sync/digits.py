@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike
 from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
-"""Relative tolerance of numbers in files. If a number in a file deviates by at most this tolerance
-from the requested number, the text in the file is kept. In `format_numbers` the tolerance is
-relative to the largest magnitude of the vector, or to a larger scale that the caller passes. A
-requested number whose magnitude is at most the tolerance is written as 0. Chosen, not tuned: far
-below the tolerances of comparisons.
+"""Relative tolerance of numbers in files, relative to the largest magnitude of the vector, or to a
+larger scale that the caller passes. Chosen, not tuned: far below the tolerances of comparisons.
 """
 
 
@@ -50,8 +47,7 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
     magnitude: the larger of ``floor`` and the largest magnitude in the vector.
 
     Args:
-        old: Texts of the numbers in the file. There may be fewer texts than numbers in ``new``, or
-            none. Additional texts are ignored.
+        old: Texts of the numbers in the file; may have another length than ``new``.
         new: New vector.
         floor: Lower bound of the reference magnitude.
 
@@ -80,11 +76,7 @@ def _parse_number(word: str) -> float:
 
 
 def _find_shortest(value: float, scale: float) -> float:
-    """Round ``value`` to the fewest digits with an error within a tolerance.
-
-    The tolerance depends on the number of digits, and is relative to ``scale``
-    (`_ROUNDING_STEPS`).
-    """
+    """Round ``value`` to few digits, with a small error relative to ``scale``."""
     for max_digits, tolerance in _ROUNDING_STEPS:
         for count in range(1, max_digits + 1):
             rounded = float(f"{value:.{count}g}")

@@ -88,12 +88,7 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
 
 
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
-    """Return the command that the report proposes to run next.
-
-    - Trial ``sync --take urdf --dry-run``: the files differ and no value was chosen.
-    - ``sync`` without ``--dry-run``: a trial has planned changes, and none is withheld.
-    - ``crosscheck``: all other cases.
-    """
+    """Return the command that the report proposes to run next."""
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
     if dry_run and sync.edits and not sync.withheld:
@@ -102,10 +97,7 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
 
 
 def _describe_impossible_changes(sync: Sync) -> Iterable[doc.Words]:
-    """Yield a text that nothing was written, with the number of impossible changes.
-
-    Nothing is yielded unless a chosen difference prevented the writing (`Sync.withheld`).
-    """
+    """Yield a text that nothing was written, with the number of impossible changes; or nothing."""
     if sync.withheld:
         count = sum(unmended.cause == UnwrittenCause.NOT_MENDED for unmended in sync.not_mended)
         yield text(

@@ -44,9 +44,8 @@ def list_single_part_changes(
         empty: Part that is used if no part has mass.
 
     Returns:
-        (part, new inertia) of each change with a physically possible inertia, the heaviest part
-        first. The list may be empty. If at most one part has mass, the only change gives this part
-        (or ``empty``) the target inertia, without a check.
+        (part, new inertia) of each change, the heaviest part first. The list may be empty. The only
+        part of a body gets the target inertia without a check whether it is physically possible.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:

@@ -44,18 +44,16 @@ class EditableMjcf:
         self._bodies = self._find_bodies(file.spec)
 
     def find_body(self, name: str) -> XmlElement | None:
-        """Return the XML element of a body of the MJCF.
+        """Return the XML element of a body of the MJCF; None if absent.
 
-        None if MuJoCo copies the body from another element, for example by <replicate>. If the file
-        has such a copy, None is also returned for all bodies without a name.
+        A body that MuJoCo copies, for example by <replicate>, has no element.
         """
         return self._bodies.get(name)
 
     def find_joint(self, name: str, body: str) -> XmlElement | None:
-        """Return the XML element of a joint in a body of the MJCF.
+        """Return the XML element of a joint in a body of the MJCF; None if absent.
 
         If the body has no joint with this name, the body's first joint without a name is returned.
-        None if there is no such joint either, or if MuJoCo copies the body from another element.
         """
         element = self._bodies.get(body)
         if element is None:
@@ -86,8 +84,7 @@ class EditableMjcf:
             attribute: Name of the attribute.
             value: Text, a number, or several numbers.
             floor: Lower bound of the magnitude to which the relative tolerance `NUMBER_RTOL` is
-                applied, in the unit of the numbers. The text of a number within the tolerance is
-                kept.
+                applied, in the unit of the numbers.
         """
         if isinstance(value, str):
             text: str | None = value
@@ -114,9 +111,9 @@ class EditableMjcf:
         return (section for section in self.root.children if section.tag == tag)
 
     def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, XmlElement]:
-        """Find the XML element of each body of the MJCF: {name: element}.
+        """Find the XML elements of the bodies of the MJCF: {name: element}.
 
-        Bodies without name are included, as ``body_N``, unless MuJoCo copies a body of the file.
+        Unnamed bodies are included as ``body_N`` if no body is a copy.
         """
         elements = [
             element
@@ -132,10 +129,7 @@ class EditableMjcf:
         return bodies
 
     def _read_file(self, path: Path) -> XmlElement:
-        """Return the root element of a file, with the contents of included files in place.
-
-        An <include> of a missing file is kept.
-        """
+        """Return the root element of a file, with the contents of included files in place."""
         if path not in self.documents:
             self.documents[path] = read_xml_bytes(path)
         document = self.documents[path]

@@ -44,8 +44,8 @@ from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
 """Additional cost of a change that adds an <inertial> to a body. The cost of a change is the number
-of changed attributes. If several changes are possible, the change with the smallest cost is made.
-Chosen larger than the number of attributes of an <inertial>.
+of changed attributes, and the cheapest change is made. Chosen larger than the number of attributes
+of an <inertial>.
 """
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
@@ -63,9 +63,9 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     Args:
         side: MJCF with the target values; the plan is stored in its elements.
         mover: Joint that moves the group, or the base.
-        keys: Differences (kind, element) of the group. If no change is possible, or MuJoCo copies
-            the body from another element, the differences of mass, CoM and inertia are recorded in
-            ``side.unwritten``.
+        keys: Differences (kind, element) of the group; recorded in ``side.unwritten`` if no change
+            is
+            possible.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
@@ -127,8 +127,7 @@ def make_inertial_changes(element: XmlElement, target: pin.Inertia) -> dict[str,
 def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Array]:
     """Return ``diaginertia`` (and ``quat``) of an <inertial> for a target tensor [kg m^2].
 
-    ``target``, shape (3, 3), is in the axes of the body. The orientation ``quat`` is returned only
-    if the axes that ``element`` states are not principal axes of the target.
+    ``target``, shape (3, 3), is in the axes of the body.
     """
     moments = parse_numbers(element.get("diaginertia"), "")
     stated_quat = parse_numbers(element.get("quat"), "1 0 0 0")
@@ -181,7 +180,6 @@ class MjcfSide(Side):
     def plan(self, taken: Collection[PropertyKey]) -> None:
         """Plan the changes of the MJCF for selected differences and for `gains`, in memory.
 
-        Changes of positions are planned first, because children move with the parent body.
         ``taken`` contains (kind, element) of each difference. The reason for a difference that
         cannot be written is recorded in `unwritten`.
         """
@@ -214,9 +212,7 @@ class MjcfSide(Side):
     def _plan_position(self, key: PropertyKey) -> None:
         """Plan to move the body of a joint, with the child bodies, to the URDF's joint position.
 
-        ``key`` is the difference (kind, joint). The position is not written if the joint is not the
-        first joint of the body, or is not at the body's origin. The position is also not written if
-        the body is a copy of another element, or is within a <frame>.
+        ``key`` is the difference (kind, joint).
         """
         name = key[1]
         index = self.model.joint(name).id
@@ -253,8 +249,7 @@ class MjcfSide(Side):
     def _plan_limits(self, key: PropertyKey) -> None:
         """Plan to set a joint's range in the MJCF to the limits of the URDF, in the file's unit.
 
-        ``key`` is the difference (kind, joint). If the URDF has an infinite limit, or the joint is
-        in a copied body, the reason is stored in ``unwritten`` instead.
+        ``key`` is the difference (kind, joint).
         """
         name = key[1]
         element, joint = self.find_joint_element(name), self.target.joints[name]
@@ -276,8 +271,7 @@ class MjcfSide(Side):
     def _plan_damping(self, key: PropertyKey) -> None:
         """Plan to set the damping of a joint to the target, minus the damping of the actuators.
 
-        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint). Nothing is
-        written if the result would be negative, for example.
+        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint).
         """
         name = key[1]
         if name not in self.target.joints:
@@ -299,8 +293,7 @@ class MjcfSide(Side):
     def _plan_armature(self, key: PropertyKey) -> None:
         """Plan to set the armature of a joint to the target, minus the armature of the actuators.
 
-        ``key`` is the difference (kind, joint). Nothing is written if the result would be negative,
-        for example.
+        ``key`` is the difference (kind, joint).
         """
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
@@ -315,8 +308,7 @@ class MjcfSide(Side):
     def _plan_number(self, key: PropertyKey, attribute: str, values: list[float]) -> None:
         """Plan to set an attribute of a joint's element in the MJCF to ``values`` in SI units.
 
-        ``key`` is the difference (kind, joint). Nothing is written if the element is a copy of
-        another element.
+        ``key`` is the difference (kind, joint).
         """
         element = self.find_joint_element(key[1])
         if element is None:
@@ -397,10 +389,7 @@ def _plan_position_servo(
 def _keep_trailing_parameters(
     element: XmlElement, attribute: str, values: list[float]
 ) -> list[float]:
-    """Return ``values``, followed by the trailing numbers of the attribute in the file.
-
-    Trailing numbers are the numbers after the first ``len(values)`` numbers that the file states.
-    """
+    """Return ``values``, followed by the later numbers of the attribute in the file."""
     old_values = [float(word) for word in (element.get(attribute) or "").split()]
     return [*values, *old_values[len(values) :]]
 
@@ -411,13 +400,9 @@ def _keep_trailing_parameters(
 def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
     """Plan the changes of the MJCF that give a joint the target torque limit.
 
-    The present limit is the smallest of three bounds: ``actuatorfrcrange`` of the joint,
-    ``forcerange`` of the actuator, and ``ctrlrange`` of a <motor> actuator. A stated bound is
-    changed if the bound is the smallest, is below the target, or has a range with equal or inverted
-    ends, which MuJoCo ignores. If no bound is stated, ``actuatorfrcrange`` is added.
-
-    Nothing is planned if several actuators drive the joint, or if the joint or an actuator is a
-    copy of another element. The reason is then recorded in ``side.unwritten``.
+    The present limit is the smallest of the stated bounds, for example of joint and actuator. If
+    the
+    limit cannot be written, the reason is recorded in ``side.unwritten``.
 
     Args:
         side: MJCF.

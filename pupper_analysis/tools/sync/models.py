@@ -169,14 +169,10 @@ def sync_models(
 def _find_paths(
     urdf: str | Path | VariantSpec, mjcf: str | Path | VariantSpec | None, folder: Path
 ) -> tuple[str | Path, str | Path]:
-    """Return the paths of both models; write the files of a scaled variant to a folder.
-
-    The files of a scaled variant are written to ``folder``. Any other name or path is returned
-    unchanged.
+    """Return the paths of both models; write the files of a scaled variant to ``folder``.
 
     Raises:
-        ConfigurationError: If a model is an object in memory, or ``mjcf`` is missing and ``urdf``
-            is no variant.
+        ConfigurationError: If a model is an object in memory, for example.
         VariantError: If the scales of a variant give no valid model.
         ModelError: If a base file or a mesh of a variant is missing or damaged.
     """
@@ -254,9 +250,9 @@ def _make_verified_plan(
 ) -> tuple[Plan, FilesCompared]:
     """Return a plan whose changes remove the differences, and the comparison after the changes.
 
-    The plan is applied to copies of the files, and the copies are compared. A change that does not
-    remove the difference is removed from the plan. If an engine refuses a copy, all changes are
-    removed.
+    Changes that do not remove the difference in copies of the files are removed from the plan. If
+    an
+    engine refuses a copy, all changes are removed.
     """
     refused: dict[PropertyKey, Diagnostic] = {}
     while True:
@@ -305,8 +301,9 @@ def _write_files(
     """Replace all changed files, or none; return the paths of files and backups.
 
     Raises:
-        OutputError: If a file cannot be written or was changed after reading. Unless ``force``,
-            also if a file has uncommitted changes in git.
+        OutputError: If a file cannot be written, was changed after reading, or (unless ``force``)
+            has
+            uncommitted changes in git.
     """
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
@@ -327,9 +324,6 @@ def _list_unmended(
     labels: Mapping[PropertyKey, str],
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
-
-    Parts and joints that only a single file contains are also yielded. If no difference remains,
-    other reasons why the files do not agree are yielded as well.
 
     Args:
         plan: Planned changes.
@@ -424,8 +418,7 @@ def choose_files(
         take: Choices of the form ``FILE`` or ``FILE:SELECTION``, where FILE is ``urdf`` or
             ``mjcf``. A selection is a list of numbers (``3``, ``1,4-6``), a kind (``mass``), an
             owner (``base``, ``joint FL_hip``), or owner and kind (``link FL_hip: mass``). The most
-            specific choice has precedence. If choices are equally specific, the last choice
-            applies.
+            specific choice has precedence, then the last.
 
     Returns:
         ``"urdf"``, ``"mjcf"`` or None (not chosen) for each difference.
@@ -449,10 +442,8 @@ def choose_files(
 def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
     """Yield index and rank of the differences that a choice selects; empty ``which``: all.
 
-    ``which`` is a label, a link, an element, a kind, or a list of numbers such as ``1,3-5``. If
-    several choices select a difference, the caller applies the choice with the highest rank, the
-    most specific. The rank is 4 for numbers, 3 for a label, 2 for a link or element, 1 for a kind,
-    and 0 for all.
+    ``which`` is a label, a link, an element, a kind, or a list of numbers such as ``1,3-5``. More
+    specific choices have a higher rank.
 
     Raises:
         ConfigurationError: If ``which`` matches no difference, or a number is not valid.
@@ -490,8 +481,7 @@ def _parse_number_ranges(text: str, count: int) -> Iterator[int]:
     """Yield the numbers, from 1 to ``count``, of a list such as ``1,4-6``.
 
     Raises:
-        ConfigurationError: If the text has another form, a number is not from 1 to ``count``, or a
-            range descends.
+        ConfigurationError: If the text is no such list.
     """
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)

@@ -79,8 +79,7 @@ class WrittenNumbers:
     ) -> list[Writing]:
         """Create the requests for `write_all` that write the new files into a folder.
 
-        Files that exist with the same content are left out. Stale temporary files of earlier runs
-        are removed from the folders (`remove_stale_files`).
+        Stale temporary files of earlier runs are removed from the folders.
 
         Args:
             folder: Output folder.
@@ -111,7 +110,7 @@ class WrittenNumbers:
     def hash_contents(self) -> dict[str, str]:
         """Compute the hashes of the file contents: {path in the output folder: hash}.
 
-        A later run recognises unmodified files by the hash, and may replace such files.
+        A later run recognises unmodified files by the hash.
         """
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
@@ -133,11 +132,9 @@ def write_numbers(
 ) -> WrittenNumbers:
     """Change numbers in the URDF and the MJCF of a robot, in memory, and verify the result.
 
-    Only attributes that state changed numbers are written; all other bytes stay. The numbers are
-    converted to the frames and attributes of each file. Links that are fixed to each other form a
-    body. Mass, CoM and inertia in ``numbers`` belong to the complete body; a single link of the
-    body is changed. If a mass is given without an inertia, the inertia about the CoM is scaled by
-    the ratio of the masses.
+    Attributes that state changed numbers are written, in the frames of each file; all other bytes
+    stay. If a mass is given without an inertia, the inertia about the CoM is scaled by the ratio of
+    the masses.
 
     Args:
         robot: Robot. A model that was generated from the other model has no file, and is not
@@ -156,9 +153,9 @@ def write_numbers(
         New files; `write_all` writes the result of `make_writings`.
 
     Raises:
-        ModelError: If a number cannot be written (the message lists all, with reasons), a file
-            cannot be read, the files cannot be matched or do not describe the robot, or the new
-            files are refused.
+        ModelError: If a number cannot be written (the message lists all, with reasons), or the
+            files
+            do not describe the robot, for example.
         UnknownNameError: If an element does not exist, or a kind of number is unknown.
     """
     for kind, _ in numbers:
@@ -295,9 +292,8 @@ def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
 
 _READ_RTOL = 1e-9
 """Tolerance of the difference between a requested number and the number that an engine reads from
-the new file. The tolerance is absolute [m] for a centre of mass, otherwise relative. If a
-difference is larger, the files are not written. The tolerance covers the rounding errors of digits
-and of rotations. Chosen, not tuned.
+the new file: absolute [m] for a centre of mass, otherwise relative. Covers the rounding errors of
+digits and of rotations. Chosen, not tuned.
 """
 
 
@@ -344,8 +340,6 @@ def _find_wrong_numbers(
 ) -> Iterator[PropertyKey]:
     """Yield the numbers (kind, element) whose value in the written files differs from the target.
 
-    The targets (`NumberChanges.make_tree`) contain all numbers, including numbers without request.
-
     Args:
         changes: Requested numbers.
         after: Robot, read from the written files.
@@ -386,11 +380,10 @@ NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)
 """All kinds of numbers that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
-"""Tolerance of the difference between a body of the loaded robot and the same body in the files. If
-a difference is larger, the robot was changed after loading, and nothing is written. The tolerance
-applies to the relative difference of the mass, and to the difference of the CoM [m]. The tolerance
-of the relative difference of the inertia is 1e3 times larger. Conversion and alignment are accurate
-to about 1e-9. Chosen, not tuned.
+"""Tolerance of the difference between a body of the loaded robot and the same body in the files:
+relative for the mass, absolute [m] for the CoM, 1e3 times larger and relative for the inertia. At a
+larger difference nothing is written, since the robot was changed after loading. Conversion and
+alignment are accurate to about 1e-9. Chosen, not tuned.
 """
 
 
@@ -443,7 +436,7 @@ def resolve_numbers(
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
     """Check that a robot in memory has the mass, CoM and inertia of each body in the files.
 
-    Only the mass of the base is compared if the base is fixed in the world.
+    Of a base that is fixed in the world, the mass is compared.
 
     Raises:
         ModelError: If a body differs: the robot was changed after loading, or has other files.

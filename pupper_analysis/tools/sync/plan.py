@@ -218,7 +218,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, 
 
 
 def _find_unwritten_reason(key: PropertyKey, whose: str, both: MatchedRobots) -> Diagnostic | None:
-    """Return the reason why a file cannot state the new value of a difference, else None.
+    """Return the reason why a file cannot state the new value of a difference, if any.
 
     Args:
         key: Difference: kind and element.
@@ -242,8 +242,7 @@ def _find_unwritten_reason(key: PropertyKey, whose: str, both: MatchedRobots) ->
 def _make_unstated_reason(whose: str) -> Diagnostic:
     """Create the message why a difference remains: the file to copy from states no value.
 
-    ``whose`` is this file, ``"urdf"`` or ``"mjcf"``. The message states that this file lacks the
-    value, and that the other file states a value.
+    ``whose`` is this file, ``"urdf"`` or ``"mjcf"``.
     """
     lacking, stating = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
     return diagnose("stated-in-one-file", lacking=lacking, stating=stating)
@@ -277,10 +276,9 @@ def is_absent(
 ) -> bool:
     """Return True if a file states no value for a number in which URDF and MJCF differ.
 
-    Engines replace missing values: a missing limit by infinity, a missing damping or friction by 0,
-    and the mass of a link without <inertial> by 0. A stated mass of 0 or below counts as no value.
-    A URDF must state an effort, and exporters write 0 for an unknown effort. Therefore an effort of
-    0 or below, or an infinite effort, counts as no value in a URDF.
+    Placeholders count as no value: a mass of 0 or below, and in a URDF an effort that is 0,
+    negative
+    or infinite, since exporters write 0 for an unknown effort.
 
     Args:
         key: Kind and element of the differing number.
@@ -311,8 +309,8 @@ def is_absent(
 
 
 _MJCF_FOLDER = "mjcf"
-"""Subfolder of the output folder for the MJCF and the files that the MJCF needs. The subfolder is
-used if neither model is within the common folder (`FileLayout.top`) of the other model.
+"""Subfolder of the output folder for the MJCF and the files that the MJCF needs, if the relative
+positions of both models cannot be kept.
 """
 
 
@@ -363,8 +361,7 @@ class FileLayout:
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
     """Return the layouts of a URDF's and an MJCF's files for a common output folder.
 
-    If the common folder (``top``) of a model contains the common folder of the other model, the
-    relative positions of all files are kept. Otherwise the files of the MJCF get a separate folder.
+    If no model's folder contains the other model, the files of the MJCF get a separate folder.
 
     Returns:
         Layout of the URDF's files; layout of the MJCF's files.
@@ -383,10 +380,9 @@ def _normalise_path(path: Path) -> Path:
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """Return the layout of the files of a URDF that a copy needs, with meshes and textures.
 
-    Existing meshes and textures at relative paths are included. If the URDF is inside a ROS
-    package, a ``package://`` path to this package counts as relative, and the ``package.xml`` is
-    included. A relative path may begin with ``file://``. Files at absolute paths and in other
-    packages are left out, since such paths do not depend on the location of the URDF.
+    Files at absolute paths and in other packages are left out, since such paths do not depend on
+    the
+    location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -420,9 +416,7 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
     """Yield the existing mesh, height field, skin and texture files to which an MJCF refers.
 
-    A relative path is searched in the folder of the MJCF, and in the folder of each included file.
-    Every existing file is yielded. References with an absolute path, or with an absolute
-    ``meshdir`` or ``texturedir``, are left out.
+    References with an absolute path are left out.
     """
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))

@@ -62,8 +62,7 @@ class UrdfSide(Side):
     def plan(self, taken: Collection[PropertyKey]) -> None:
         """Plan the changes of the URDF in memory, without writing any file.
 
-        Changes of positions are planned first, because child links move with the parent link. The
-        reason for a difference that cannot be written is recorded in ``unwritten``.
+        The reason for a difference that cannot be written is recorded in ``unwritten``.
 
         Args:
             taken: Differences (kind, element) whose values are taken from the MJCF.
@@ -112,14 +111,12 @@ class UrdfSide(Side):
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
         """Set a number of a joint in the URDF, in SI units, unless the file already has this value.
 
-        Values are equal if they differ by at most `NUMBER_RTOL` times the larger of the number's
-        magnitude and ``floor``.
-
         Args:
             joint: Joint.
             kind: Kind of the attribute, such as ``effort`` or ``damping``.
             value: Number.
-            floor: Smallest reference of the relative tolerance, in the unit of the number.
+            floor: Smallest reference of the relative tolerance `NUMBER_RTOL`, in the unit of the
+                number.
         """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
@@ -132,8 +129,7 @@ class UrdfSide(Side):
     def _plan_limits(self, key: PropertyKey) -> None:
         """Plan to set a joint's limits in the URDF to the limits of the MJCF [rad or m].
 
-        ``key`` is the difference (kind, joint). A continuous joint becomes revolute. A joint with
-        an infinite limit is not written.
+        ``key`` is the difference (kind, joint). A continuous joint becomes revolute.
         """
         urdf_joint, joint = self._find_joint(key[1]), self.target.joints[key[1]]
         element = urdf_joint.element
@@ -149,8 +145,7 @@ class UrdfSide(Side):
     def _plan_number(self, key: PropertyKey) -> None:
         """Plan to set a number of a joint in the URDF to that of the MJCF, in SI units.
 
-        ``key`` is the difference (kind, joint). A difference of a base without a joint is recorded
-        in ``unwritten``.
+        ``key`` is the difference (kind, joint).
         """
         kind, name = key
         if name not in self.target.joints:
@@ -164,8 +159,7 @@ class UrdfSide(Side):
     def _complete_limit(self, key: PropertyKey, joint: UrdfJoint) -> None:
         """Add missing attributes that a <limit> requires, with the values of `UNKNOWN_LIMITS`.
 
-        `notes` of the difference ``key`` then names the added attributes. Nothing is done if the
-        joint has no <limit>.
+        `notes` of the difference ``key`` then names the added attributes.
         """
         limit = joint.element.find("limit")
         missing = {
@@ -180,10 +174,7 @@ class UrdfSide(Side):
             self.notes[key] = diagnose("limit-completed", written=written)
 
     def _list_members(self, mover: str) -> list[str]:
-        """Return the compared links that move with ``mover``, a joint or the base.
-
-        The first entry is the child link of the joint, or the base link, if this link is compared.
-        """
+        """Return the compared links that move with ``mover``, a joint or the base."""
         top = self.sides.matched.urdf_link[mover]
         members, waiting = [], [top]
         while waiting:
@@ -196,14 +187,12 @@ class UrdfSide(Side):
     def _plan_inertial(self, mover: str, keys: list[PropertyKey]) -> None:
         """Plan the change of the inertial of one link so that a rigid body has the target inertia.
 
-        The rigid body consists of the links that move together with ``mover`` (fixed to each
-        other). The target is the inertia of the same body in the other file. A link is suitable if
-        it alone can make the sum of the links' inertias equal to the target.
+        The rigid body consists of the links that move together with ``mover``.
 
         Args:
             mover: Joint that moves the body, or the base.
-            keys: Differences (kind, ``mover``). If no link is suitable, the differences of mass,
-                CoM and inertia are recorded in ``unwritten``.
+            keys: Differences (kind, ``mover``); recorded in ``unwritten`` if no link can be
+                changed.
         """
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()

@@ -28,8 +28,8 @@ from pupper_analysis.models.xml import LFS_POINTER
 from pupper_analysis.tools.usd.prim_limits import check_prim_count
 
 MAX_BYTES: Final = 500_000_000
-"""Upper bound of the size of the opened USD file [bytes]; referenced files are not counted. Larger
-files are refused. Chosen, not tuned.
+"""Upper bound of the size of the opened USD file [bytes]; referenced files are not counted. Chosen,
+not tuned.
 """
 
 MAX_DEPTH: Final = 500
@@ -68,8 +68,7 @@ class UsdFile:
                 body itself states the mass.
 
         Returns:
-            File and prim. If no element of this kind has the name, the prim of the other kind with
-            this name is returned, or else the file without a prim.
+            File and prim; the file without a prim if neither a body nor a joint has the name.
         """
         del child
         joints = kind in ("joint", "actuator", "equality")
@@ -105,8 +104,7 @@ def read_usd(path: str | Path) -> UsdFile:
     """Open a USD file, and find the prims of bodies and joints.
 
     Raises:
-        ModelError: If the file cannot be opened, is not valid, empty, too large or nested too
-            deeply, or has no rigid body or too many prims.
+        ModelError: If the file is not valid, too large, or has no rigid body, for example.
         MissingPackageError: If usd-core is not installed.
     """
     check_type("usd", path, str | Path)
@@ -162,8 +160,7 @@ def _check_file(path: Path) -> None:
     """Check a file before USD opens the file: size, content, and depth of brackets.
 
     Raises:
-        ModelError: If the path is no readable file, or the file is larger than `MAX_BYTES`, empty,
-            a Git LFS pointer, or nested deeper than `MAX_DEPTH`.
+        ModelError: If the file cannot be read, is empty or too large, for example.
     """
     try:
         data = read_input(path, MAX_BYTES)
@@ -180,7 +177,7 @@ def _check_file(path: Path) -> None:
 def _check_depth(path: Path, text: bytes) -> None:
     """Check that the brackets of a USD text file are nested at most `MAX_DEPTH` deep.
 
-    Brackets in strings with double quotes are ignored, except in strings of several lines.
+    Brackets in strings of a single line are ignored.
 
     Raises:
         ModelError: If the brackets are nested deeper.
@@ -193,10 +190,7 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _name_prims(prims: list[Any]) -> dict[str, str]:
-    """Return a name for each prim: {name: path}.
-
-    The key of prims that share a name is the path without the leading slash.
-    """
+    """Return {name: path} of prims; the key is the path if the name is not unique."""
     names_and_paths = [
         (prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims
     ]

@@ -13,16 +13,16 @@ from typing import Any, Final
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_PRIMS: Final = 100_000
-"""Maximum number of prims of a file, counted by `_PrimCounter`: a referenced prim counts at each
-reference, and prims of all variants count. Larger files are refused. Chosen: robots have some
-thousand prims."""
+"""Maximum number of prims of a file, counted by `_PrimCounter`. Larger files are refused. Chosen:
+robots have some thousand prims.
+"""
 
 
 def check_prim_count(path: Path) -> Diagnostic | None:
     """Check the number of prims of a USD file before opening, and return the reason for a refusal.
 
     Returns:
-        None if `_PrimCounter` counts at most `MAX_PRIMS` prims, or the file cannot be opened.
+        Reason; None if the file is not refused here.
 
     Raises:
         pxr.Tf.ErrorException: If the file is not valid.
@@ -52,8 +52,8 @@ class _PrimCounter:
     def count(self, layer: Any, path: Any) -> int:
         """Return the number of prims at and below a path of a layer and the sublayers.
 
-        USD ignores a reference of a prim to the prim itself or to an ancestor. Such a reference
-        counts as zero.
+        A reference of a prim to the prim itself or to an ancestor, which USD ignores, counts as
+        zero.
         """
         key = (layer.identifier, str(path))
         if key not in self._counts:
@@ -69,8 +69,7 @@ class _PrimCounter:
     def _count_spec(self, layer: Any, spec: Any) -> int:
         """Return the number of prims that a prim specification in a layer can produce.
 
-        The number includes the prim, children, variants, and prims that are referenced, loaded as
-        payload, inherited or specialised.
+        Children, variants and referenced prims are included.
         """
         from pxr import Sdf
 
@@ -103,8 +102,5 @@ class _PrimCounter:
 
 
 def _list_added(operations: Any) -> tuple[Any, ...]:
-    """Return the items that a USD list editor (`Sdf.ListEditorProxy`) adds or sets explicitly.
-
-    The items are, for example, references, payloads or paths.
-    """
+    """Return the items that a USD list editor (`Sdf.ListEditorProxy`) adds or sets explicitly."""
     return tuple(operations.GetAddedOrExplicitItems())

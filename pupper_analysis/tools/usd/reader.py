@@ -71,14 +71,13 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 def read_as_urdf(path: Path) -> UsdAsUrdf:
     """Convert a USD file to a URDF in memory, with the same links, joints and inertials.
 
-    Bodies outside of the tree of the base, and shapes, are left out. Joints that close loops are
-    left out and reported by a note. ``unknown`` of the result lists the joints whose effort the USD
-    does not state.
+    Bodies outside of the tree of the base, shapes, and joints that close loops are left out.
+    ``unknown`` of the result lists the joints whose effort the USD does not state.
 
     Raises:
-        ModelError: If the file cannot be opened or has no readable robot, the tree of the base
-            contains a ball joint or a free joint, or engines would derive a mass property from
-            shapes.
+        ModelError: If the file has no readable robot, a joint has no equivalent in a URDF, or
+            engines
+            would derive a mass property from shapes, for example.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -194,10 +193,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
     usd: UsdFile | None = None
 
     def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the prim of an element as the location of the attributes; None without a prim.
-
-        A USD location has no attribute, so ``attributes`` has no effect.
-        """
+        """Return the prim of an element as the location of the attributes; None without a prim."""
         del attributes
         found = self.place(kind, name)
         return None if found.element is None else found
@@ -208,10 +204,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
         yield from ()
 
     def place_by_number(self, section: str, number: int) -> Place:
-        """Return the location of an element without a name: the USD file itself.
-
-        Such an element has no prim. ``section`` and ``number`` of the element are ignored.
-        """
+        """Return the location of an element without a name: the USD file, without a prim."""
         del section, number
         return Place(self.path)
 
@@ -223,8 +216,9 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
     result lists the joints whose effort, damping or friction the USD does not state.
 
     Raises:
-        ModelError: If the file cannot be opened or has no readable robot, MuJoCo has no equivalent
-            of a joint or refuses the numbers, or engines would derive a mass property from shapes.
+        ModelError: If the file has no readable robot, MuJoCo has no equivalent of a joint, or
+            engines
+            would derive a mass property from shapes, for example.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -261,8 +255,7 @@ def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
     """Convert a model to a MuJoCo spec: bodies, joints, inertials, couplings, gravity; no shapes.
 
     Raises:
-        ModelError: If MuJoCo has no joint of a kind, no constraint for a loop, or refuses an
-            inertia.
+        ModelError: If MuJoCo has no equivalent of a joint, or refuses an inertia, for example.
     """
     spec = mujoco.MjSpec()
     spec.modelname = model.file.path.stem
@@ -330,10 +323,9 @@ value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 
 
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
-    """Return the inertials of root and moving bodies, each merged with the fixed bodies.
+    """Return the inertials of root and moving bodies with mass, each merged with the fixed bodies.
 
-    Bodies without mass are left out. MuJoCo refuses degenerate inertias, for example that of a thin
-    rod, even on a body that is fixed to another body.
+    MuJoCo refuses degenerate inertias, for example that of a thin rod, even on a fixed body.
     """
     inertials: dict[str, Inertial] = {}
     for name, link in model.links.items():
@@ -372,9 +364,8 @@ def _restore_triangle_inequality(inertial: Inertial) -> Inertial:
 
 _TRIANGLE_INEQUALITY_RTOL = 1e-6
 """Bound of (I3 - I1 - I2) / I3 [1], where I3 is the largest principal moment of inertia. Up to the
-bound, an excess is a rounding error and is removed. Above the bound, the moments are not changed.
-Chosen as some units of the last digit in single precision. This is below the tolerance of file
-comparisons.
+bound, an excess is a rounding error and is removed. Chosen as some units of the last digit in
+single precision, below the tolerance of file comparisons.
 """
 
 
@@ -391,7 +382,7 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
     A fixed joint becomes a weld; a joint that moves becomes a connection at a point.
 
     Raises:
-        ModelError: If the joint is not between two bodies, or is a slide or free joint.
+        ModelError: If MuJoCo has no such constraint, for example for a slide.
     """
     first_body, second_body = edge.bodies
     if not (first_body and second_body) or edge.kind in (SLIDE_JOINT, FREE_JOINT):
@@ -429,7 +420,7 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
 
 
 CONTRADICTION_RTOL = 1e-3
-"""Bound of the relative difference between the numbers of two USD schemas [1]. Above the bound, the
+"""Bound of the relative difference between the numbers of two USD schemas [1], above which the
 numbers are reported as a contradiction. Smaller differences may be rounding: some schemas use
 single precision (1e-7), and some writers use five digits. Chosen, not tuned.
 """
@@ -448,8 +439,7 @@ def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Yield a finding for each body that has neither a mass nor collision shapes.
 
-    The severity is NOTE if the body is fixed to another body, otherwise the severity of the audit
-    rule.
+    The severity is NOTE if the body is fixed to another body.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.UNKNOWN:
@@ -461,9 +451,10 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body whose mass, CoM or inertia engines derive from shapes.
+    """Yield findings for bodies with a missing mass, CoM or inertia, which engines derive from
+    shapes.
 
-    The severity is WARNING if only the CoM is missing, otherwise the severity of the audit rule.
+    The severity is WARNING if only the CoM is missing.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.SHAPES:

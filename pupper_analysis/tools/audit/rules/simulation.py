@@ -37,9 +37,7 @@ from pupper_analysis.tools.audit.rules.files import find_first_place
 def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
-    The values 9.8 and 9.81 are accepted. The finding has the rule's severity if gravity points up,
-    is zero, or points at least as much sideways as down. Otherwise the severity is NOTE, since a
-    tilted gravity may simulate a slope.
+    The severity is NOTE if gravity points mainly down, since a tilted gravity may simulate a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
@@ -52,10 +50,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models in which the armature of all driven joints and all actuators is zero.
-
-    `list_drives` yields the actuators. A model without such an actuator is no finding.
-    """
+    """Find models in which the armature of all driven joints and all actuators is zero."""
     if robot.mj_model is None:
         return
     model = robot.mj_model
@@ -74,9 +69,9 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find feet without sliding friction in the ground contact.
 
     Contact parameters are combined as in MuJoCo. If the file has no ground, MuJoCo's default ground
-    is assumed. A foot with condim 1 then has friction, since the contact has condim 3, unless the
-    foot has a higher priority. A friction coefficient of the foot below 1e-3 is reported
-    nevertheless, since the ground of another scene may have no friction.
+    is assumed; a foot without friction is then reported nevertheless, since the ground of another
+    scene
+    may have no friction.
     """
     model = robot.mj_model
     if model is None:
@@ -105,9 +100,9 @@ def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> Chec
 def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
-    A foot is a geom of a moving body. The name of the geom or body contains "foot", or the centre
-    of the geom is within 1 mm of a site of the same body whose name contains "foot". The result is
-    empty if the model does not compile.
+    A foot is a geom of a moving body with "foot" in the name of geom or body, or at a site with
+    "foot"
+    in the name. Empty if the model does not compile.
     """
     model = robot.mj_model
     if model is None:
@@ -132,8 +127,7 @@ def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find spherical feet whose ground contact reaches full impedance deeper than half the radius.
 
     The impedance of the contact is combined as in MuJoCo. The width of ``solimp`` [m] must not
-    exceed `MAX_WIDTH_RATIO` times the radius. The width has an effect only if the impedance rises
-    (``solimp[0] < solimp[1]``). Feet with equal radius and width are a single finding.
+    exceed `MAX_WIDTH_RATIO` times the radius, if the impedance rises (``solimp[0] < solimp[1]``).
     """
     model = robot.mj_model
     if model is None:
@@ -161,12 +155,7 @@ tuned."""
 
 
 def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the spherical geoms of feet.
-
-    If `list_foot_geoms` finds no feet, the collision spheres at the ends of limbs count as feet.
-    The end of a limb is a moving body, or a body that is fixed to a moving body, without moving
-    children. The only collision geom of the body must be the sphere.
-    """
+    """Return the ids of the spherical geoms of feet, or else of spheres at the ends of limbs."""
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
         return [geom for geom in named if model.geom_type[geom] == spheres]
@@ -193,8 +182,7 @@ def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find meshes of a shank whose convex hull, which MuJoCo collides, reaches below the foot.
 
     The lowest points of the mesh and of the foot's sphere are compared, with the shank inclined up
-    to `MAX_SHANK_ANGLE` about the axis of the knee. Mesh and sphere must move together by a single
-    hinge, and both must be able to touch the ground. A foot has at most a single finding.
+    to `MAX_SHANK_ANGLE` about the axis of the knee.
     """
     model = robot.mj_model
     if model is None:
@@ -241,16 +229,16 @@ MIN_HULL_DEPTH = 1e-3
 the hull is reported. Chosen, not tuned."""
 
 _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
-"""Inclinations of a shank, shape (25,) [rad], at which the depth of the shank's mesh below the foot
-is evaluated.
+"""Inclinations of a shank, shape (25,) [rad], at which the mesh of the shank and the foot are
+compared.
 """
 
 
 def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
     """Return the unit vectors that point down if a shank is inclined by `_SHANK_ANGLES`, (n, 3).
 
-    The vectors are normal to the axis of the knee, and expressed in the world frame for the
-    configuration of ``data``. Without inclination, down is the direction from the knee to the foot.
+    The vectors are expressed in the world frame for the configuration of ``data``. Without
+    inclination, down is the direction from the knee to the foot, normal to the knee axis.
 
     Args:
         data: MuJoCo data with the kinematics at any configuration, such as qpos0.
@@ -275,11 +263,8 @@ def _round_depth(depth: float) -> Quantity:
 def feet_without_contact(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find floating robots whose feet cannot touch the ground, while other shapes can.
 
-    A foot is a body with geoms and with "foot" or "feet" in the name of the body, a geom or a site.
-    Without such a name, a foot is the end of a leg: a moving body without moving children whose
-    chain of joints contains a leg joint (`LEG_JOINT_NAME`). All bodies that are fixed to the foot
-    count. At least two feet are required, and none may touch (`_is_end_touching`). Files that do
-    not compile or lack meshes of shapes that can collide are skipped.
+    A foot is a body with "foot" or "feet" in the name of the body, a geom or a site. Without such a
+    name, a foot is the end of a leg. At least two feet are required.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or robot.file.missing_collision_meshes:
@@ -305,7 +290,8 @@ def feet_without_contact(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MAX_FOOT_GAP = 0.005
 """Largest distance between the end of a foot and the end of the shapes of its body that can touch
-the ground [m]. With a larger distance, the foot itself has no contact. Chosen, not tuned."""
+the ground [m]. With a larger distance, the foot itself has no contact. Chosen, not tuned.
+"""
 
 
 def _is_end_touching(
@@ -313,9 +299,8 @@ def _is_end_touching(
 ) -> bool:
     """Return True if a geom of ``touching`` is at the end of a foot.
 
-    All geoms that are fixed to ``body`` count. The end is evaluated in the direction from the first
-    joint of the body to the first geom with "foot" or "feet" in its name. Without such a joint or
-    geom, every geom is at the end.
+    The end is evaluated in the direction from the joint to a geom with a foot in its name, if
+    possible.
     """
     weld = model.body_weldid[model.geom_bodyid]
     own = np.flatnonzero(weld == body).tolist()
@@ -378,9 +363,7 @@ def _has_leg_joint(model: mujoco.MjModel, body: int) -> bool:
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find floating robots of which no shape can touch the ground, or whose contacts are disabled.
 
-    In a file without ground, a plane with MuJoCo's default contact bits is assumed. Skipped are
-    files that do not compile, that have <pair> elements, or that lack meshes of shapes that can
-    collide, and robots without a free joint.
+    In a file without ground, a plane with MuJoCo's default contact bits is assumed.
     """
     model = robot.mj_model
     if (
@@ -431,7 +414,7 @@ def _list_colliding_geoms(model: mujoco.MjModel) -> Iterator[int]:
 def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links without <inertial>, except ``world``: PyBullet assigns 1 kg to each.
 
-    A single finding lists all such links.
+    A single finding lists the links.
     """
     first, *others = [
         link.name for link in robot.links.values() if link.inertial is None and link.name != "world"

@@ -591,8 +591,7 @@ def _read_scales(term: LocatedValue) -> tuple[float, ...]:
 
 
 def _read_bounds(term: LocatedValue) -> tuple[float, float] | None:
-    """Return the bounds ``min`` and ``max`` of an observation term before scaling; None if unknown.
-    """
+    """Return the bounds ``min`` and ``max`` of a term before scaling; None if unknown."""
     operations, scales = term.get("process_order").texts, set(_read_scales(term))
     lows, highs = ({item.number for item in term.get(key).items} for key in ("min", "max"))
     if "clip" not in operations or len(lows) != 1 or len(highs) != 1:
