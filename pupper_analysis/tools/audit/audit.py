@@ -112,7 +112,7 @@ def _run_rules(
     unwanted: tuple[str, ...],
     theirs: Mapping[str, Check],
 ) -> Audit:
-    """Run the checks of all rules for the format of a model, and collect the findings.
+    """Run the checks of the rules for the format of a model, and collect the findings.
 
     Args:
         path: Path that the result states.
@@ -165,9 +165,7 @@ def _run_rules(
 
 _CONSEQUENCES = {"hardly-any-mass": 3}
 """{code of a message: precedence}, for messages whose precedence differs from the precedence of the
-rule. Findings of equal severity are listed by ascending precedence. ``hardly-any-mass`` reports a
-link that is light compared with the attached links. This finding comes late, since the cause may be
-wrong masses of the attached links.
+rule. ``hardly-any-mass`` comes late, since wrong masses of the attached links may be the cause.
 """
 
 

@@ -161,13 +161,9 @@ def _print_rules() -> None:
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
     """Print the patch of all findings with a single repair, and write the files if confirmed.
 
-    ``confirmed`` is True with ``--yes``; otherwise the user is asked, and without a terminal
-    nothing is written. Questions and remarks are on standard error. Estimates, and repairs of
-    values that a macro computes, are named on standard error, and not written.
-
     Args:
         audits: Results of audits.
-        confirmed: Whether the files are written without a question.
+        confirmed: Whether the files are written without a question, as with ``--yes``.
         force: Whether files with uncommitted changes are written.
         prints_patch: Whether the patch is on standard output. Otherwise the patch is on standard
             error, since standard output is a document of another format.

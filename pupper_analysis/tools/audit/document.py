@@ -30,8 +30,7 @@ from pupper_analysis.tools.audit.fix import list_unique_repairs, locate_repair
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 MAX_SHOWN_GROUPS = 40
-"""Largest number of groups of findings that are not marked as details. Markdown folds details, and
-a terminal omits details without -v. Chosen, not tuned."""
+"""Largest number of groups of findings that are not marked as details. Chosen, not tuned."""
 
 
 @build_document.register(Audit)
@@ -77,14 +76,7 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
-    """Return the command that the report proposes to run next, or None.
-
-    - ``audit --fix``: the audit has errors or warnings, the file suffix is ``.urdf`` or ``.xml``,
-      and a finding has a single repair that is no estimate.
-    - ``stand`` (free base) or ``hold``: the audit has no errors, and the file has such a suffix or
-      is a published robot.
-    - None: all other cases.
-    """
+    """Return the command that the report proposes to run next, or None."""
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     flawed = any(finding.severity is not Severity.NOTE for finding in audit.findings)
     if flawed and simulated and list_unique_repairs([audit]):
@@ -102,11 +94,7 @@ def _pluralise_severity(severity: str, count: int) -> str:
 
 
 def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
-    """Yield findings with equal messages as groups, the most severe first.
-
-    The reason and the general repair of a rule are shown once for each rule and severity, with the
-    last group.
-    """
+    """Yield findings with equal messages as groups, the most severe first."""
     rules: dict[tuple[str, Severity], dict[str, list[Finding]]] = {}
     for finding in audit.findings:
         key = finding.rule, finding.severity
@@ -211,10 +199,7 @@ def get_rule_text(rule: str, what: str) -> doc.Text:
 
 
 def format_element(finding: Diagnostic) -> doc.Text:
-    """Return kind and name of the element of a finding, such as ``link 'FL_calf'``.
-
-    An element without name is described by the kind.
-    """
+    """Return kind and name of the element of a finding, such as ``link 'FL_calf'``."""
     subject = finding.subject
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""

@@ -43,11 +43,9 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 
 
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Apply a repair to a file in memory; return True if it was applied.
+    """Apply a repair to a file in memory, if the file has the old values; return True if applied.
 
-    A repair is not applied if an element has other values than the repair expects, for example
-    because another repair has changed the element. Missing elements are created if the repair
-    expects no old value (`_has_old_values`).
+    Another repair, for example, may have changed the element before.
     """
     if not _has_old_values(document, repair):
         return False
@@ -59,11 +57,9 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Return True if a repair can be applied: the file has the old values that the repair expects.
+    """Return True if a file has the old values that a repair expects.
 
-    Each changed element must be unique. An element may be missing if the repair expects no old
-    value and the named element (link or joint) is unique. The amount of white space between numbers
-    does not count, since readers of URDF remove it.
+    White space between numbers does not count, since readers of URDF remove it.
     """
     for change in repair.list_changes():
         element = _find_repaired_element(document, change)
@@ -80,8 +76,7 @@ def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
 def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
     """Return the repairs that cannot be written, because the file lacks the expected old values.
 
-    A xacro macro, for example, computes such values. `_has_old_values` tests each repair of
-    `list_unique_repairs`.
+    A xacro macro, for example, computes such values.
 
     Raises:
         InputError: If a file to be repaired cannot be read.
@@ -94,7 +89,7 @@ def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
     """Return the repairs that `audit --fix` may write: of findings with exactly one repair.
 
-    Estimates (`ValueRepair.is_estimate`) are left out. Equal repairs are returned once.
+    Estimates (`ValueRepair.is_estimate`) are left out.
     """
     return [repair for repair in _list_single_repairs(audits) if not repair.is_estimate]
 
@@ -102,7 +97,7 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 def list_estimates(audits: Iterable[Audit]) -> list[ValueRepair]:
     """Return the repairs that only estimate a value, of findings with exactly one repair.
 
-    Estimates are not written to the file. Equal repairs are returned once.
+    Estimates are not written to the file.
     """
     return [repair for repair in _list_single_repairs(audits) if repair.is_estimate]
 
@@ -167,9 +162,8 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
     """Return the byte ranges that a repair replaces in the file on disk.
 
     Returns:
-        (start [bytes], length [bytes], new text) of each changed value, of all new attributes of an
-            element together, and of all new children of an element together. Empty if the repair
-            cannot be applied (`_has_old_values`).
+        (start [bytes], length [bytes], new text) of each range. Empty if the repair cannot be
+        applied.
 
     Raises:
         InputError: If the file cannot be read.
@@ -189,8 +183,8 @@ def write_documents(documents: Iterable[XmlDocument], *, force: bool = False) ->
         force: Whether files with uncommitted changes in a git repository are written.
 
     Raises:
-        OutputError: If a file cannot be written, or was changed since it was read. Unless
-            ``force``, also if a file has uncommitted changes in a git repository.
+        OutputError: If a file cannot be written, was changed since it was read, or (unless
+            ``force``) has uncommitted changes in a git repository.
         InputError: If a file of a git repository cannot be read.
     """
     changed = list(documents)

@@ -96,8 +96,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
 """{id of a rule: function that yields the findings of the rule}. Other packages may register
-formats and additional checks. For a registered format, all checks of this table are also run whose
-rules apply to all formats.
+formats and additional checks.
 """
 
 
@@ -225,10 +224,7 @@ class Audit(Tabular):
     floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
-        """Return the columns of a table of the findings of an audit, a row per finding.
-
-        The columns are rule, severity, file, line, element and message.
-        """
+        """Return the columns of a table of the findings of an audit, a row per finding."""
         names = ("rule", "severity", "file", "line", "element", "message")
         return {name: [getattr(found, name) for found in self.findings] for name in names}
 
@@ -246,8 +242,7 @@ def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
         frame: Link; the points are expressed in the frame of this link.
 
     Returns:
-        Points, shape (n, 3) [m]. None if there are no shapes, or the size of a shape is not known,
-        for example because a mesh was not read.
+        Points, shape (n, 3) [m]. None if there are no shapes, or the size of a shape is unknown.
     """
     points, is_complete = list_known_points(bodies, frame)
     return points if is_complete else None
@@ -264,7 +259,7 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
 
     Returns:
         Points, shape (n, 3) [m], or None if no size is known; True if the sizes of all shapes are
-        known (False for example if a mesh was not read).
+        known.
     """
     to_frame, parts, is_complete = frame.pose.inverse(), [], True
     for body in bodies:
@@ -308,9 +303,8 @@ def compute_hull_distance(points: Array, point: Array) -> float:
 
     Returns:
         Largest signed distance [m] to the planes of the hull's faces: positive outside the hull,
-        negative inside. If the hull has no volume (in a plane, no area), for example of too few
-        points, the result is the largest signed distance to the sides of the bounding box along the
-        coordinate axes.
+        negative inside. For a flat hull, the largest signed distance to the sides of the bounding
+        box.
     """
     from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 

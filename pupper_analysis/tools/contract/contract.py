@@ -134,9 +134,8 @@ def read_contract(
         UnknownNameError: If MuJoCo Menagerie has no robot with the name in a source.
         MissingPackageError: If the package that reads the format of a model is not installed.
         OutputError: If a source is also an output file of the running command.
-        ModelError: If a file does not exist, no model can be read, or no other source can be used.
-            A source cannot be used if it cannot be read, contains no joint of the robot, or
-            contains several configurations of a trainer without a name that selects one.
+        ModelError: If a file does not exist, no model can be read, or no other source can be used,
+            for example because it contains no joint of the robot.
     """
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
@@ -164,8 +163,7 @@ def _compare_sources(
 
     Raises:
         ConfigurationError: If no model is passed, or an argument is invalid.
-        ModelError: If a file does not exist, no model can be read, or no source but the models can
-            be used.
+        ModelError: If no model can be read, or no other source can be used, for example.
     """
     requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)
@@ -248,8 +246,8 @@ def _select_models(read: Sequence[JointSource], errors: Sequence[ModelError]) ->
     The first model defines the joint order; trainers and engines use the order of an MJCF.
 
     Raises:
-        ConfigurationError: If there is no model, and no model file in ``errors``.
-        ModelError: If there is no model: the error of the first model file that cannot be read.
+        ConfigurationError: If no model was passed.
+        ModelError: If no model can be read: the error of the first model file.
     """
     models = [source for source in read if source.role is Role.MODEL]
     if not models:

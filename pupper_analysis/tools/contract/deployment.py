@@ -88,16 +88,12 @@ def read_deployment(
     Args:
         robot: Robot.
         sources: Files of deployment, drivers and trainer, or ``FILE:NAME``.
-        policy: File of the policy, whose metadata may state numbers.
+        policy: File of the policy, whose metadata may state numbers. Ignored if it cannot be read.
         names: {joint name in a source: joint of the robot} of joints that are not matched.
 
     Raises:
-        ModelError: If a file of ``sources`` cannot be read or states nothing about joints of the
-            robot, if a file contains several configurations and no name is passed, or if a source
-            is a folder. Also if a value that `contract` compares, such as a gain, is no number, if
-            the only list of such a quantity has another length than the joint order of its file,
-            or if two deployments list the joints in different orders. Also if a file of ``sources``
-            is a robot model. If ``policy`` cannot be read, its metadata are left out.
+        ModelError: If a file of ``sources`` cannot be read, states nothing about the robot, or
+            contains several configurations, for example.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -157,8 +153,7 @@ def read_deployment(
 def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     """Find the source file that defines the joint order of the policy's arrays; None without.
 
-    Precedence: a policy file with joint names; the first source that lists joint names; a source
-    whose order follows from motor numbers or from a policy; a source with an assumed order.
+    A policy file with joint names has precedence; an assumed order comes last.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
     known = [one for one in placed if one.order]
@@ -175,12 +170,10 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
 def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
     """Assume that the policy's joint order is the order of the trainer's framework.
 
-    The first trainer that states a stiffness or action scale of a joint is used. Isaac Lab orders
-    joints by depth in the tree; mjlab and Isaac Gym order joints limb by limb. The order contains
-    the joints with a stiffness; if no joint has one, the joints with an action scale.
+    Isaac Lab orders joints by depth in the tree; mjlab and Isaac Gym order joints limb by limb.
 
     Returns:
-        This trainer with the assumed order; None without such a trainer.
+        A trainer with the assumed order; None without a suitable trainer.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:
@@ -202,8 +195,7 @@ def _describe_order_place(placed_source: PlacedSource) -> str:
 def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str], Fact]) -> None:
     """Raise a ModelError, with the line, if the only list of a compared quantity was not read.
 
-    Such a list has another length than the joint order of its file. Without the error, the message
-    would be that no file states the quantity.
+    Such a list has another length than the joint order of its file.
     """
     known = {quantity for quantity, _ in facts}
     for placed_source in placed:
@@ -219,9 +211,8 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
 def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
     """Raise a ModelError if two deployments list joint names in different orders.
 
-    A policy file with joint names decides the order, so that no error is raised with such a file. A
-    deployment with motor numbers may refer to the order of a deployment without motor numbers, so
-    that these two are not compared. Drivers and trainers may have orders of their own.
+    A policy file with joint names decides the order. Drivers and trainers may have orders of their
+    own.
     """
     named = [one for one in placed if one.how == "named"]
     if any(one.source.role is Role.POLICY for one in named):

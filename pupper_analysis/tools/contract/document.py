@@ -67,12 +67,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
 
 def _select_next_step(contract: Contract) -> doc.NextStep:
-    """Return the command to suggest next; the first case that applies is used.
-
-    - URDF and MJCF of the robot disagree: `crosscheck` of both.
-    - The sources disagree about a robot with a free base, and one is a policy: `walk` with it.
-    - Otherwise: `stand` of the model, or `hold` for a fixed base.
-    """
+    """Return the command to suggest next: `crosscheck` of the models, `walk`, `stand` or `hold`."""
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
     others = {source.path for source in contract.sources if source.role != Role.MODEL}
@@ -103,10 +98,7 @@ def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
 
 
 def _list_compared(contract: Contract) -> doc.Words:
-    """Return the quantities that at least two sources state for the same joint or setting.
-
-    The short form names at most `_MAX_NAMED_QUANTITIES` quantities, and the number of further ones.
-    """
+    """Return the quantities that at least two sources state for the same joint or setting."""
     sources: dict[tuple[str, str], set[str]] = {}
     for fact in contract.facts:
         sources.setdefault((fact.quantity, fact.joint), set()).add(fact.source)
@@ -186,11 +178,7 @@ def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Colum
 
 
 def _tabulate_poses(contract: Contract) -> doc.Table:
-    """Create the table of the stands in the default poses of the sources, a row per pose.
-
-    The columns are base height [mm], height loss [mm], utilisation [%], and whether the robot stays
-    standing in simulation. Problems are notes below the table.
-    """
+    """Create the table of the stands in the default poses of the sources, a row per pose."""
     columns = (
         _make_column("contract-source"),
         _make_column("contract-height", "mm"),
@@ -291,10 +279,7 @@ def _tabulate_facts(
 
 
 def _list_places(facts: Sequence[Fact], source: str) -> str:
-    """List the places in which a source states numbers, as ``env.py:3-5, 9; robot.py:2``.
-
-    Places without a line number are listed as they are.
-    """
+    """List the places in which a source states numbers, as ``env.py:3-5, 9; robot.py:2``."""
     lines_by_file: dict[str, set[int]] = {}
     for place in dict.fromkeys(fact.place for fact in facts if fact.source == source):
         shown = _shorten_place(place)
@@ -343,8 +328,8 @@ def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:
 def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
     """Create a table cell with the number of a source, the text of an expression, or nothing.
 
-    ``stated`` are the numbers of all sources. The number is printed with enough digits to show its
-    difference from the first different number in ``stated``.
+    ``stated`` are the numbers of all sources, from which the printed number must be
+    distinguishable.
     """
     if fact is None:
         return doc.Name("")

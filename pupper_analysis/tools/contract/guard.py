@@ -15,8 +15,7 @@ def guard(
     """List the disagreements between controller files, and between these files and the robot model.
 
     This function is called by the command `check`. The sources are files of training, policy,
-    deployment or motor drivers. Numbers per joint (for example gains, limits, default positions),
-    the order of the joints and the observations are compared. No stand is computed.
+    deployment or motor drivers. No stand is computed.
 
     Args:
         models: Path of the URDF or MJCF, or of both.
@@ -27,8 +26,7 @@ def guard(
         Sources and quantities that were not compared, then disagreements, the most severe first.
 
     Raises:
-        ModelError: For example, if no model can be read, or no source can be used
-            (`read_contract`).
+        ModelError: If no model can be read, or no source can be used, for example.
     """
     contract = read_contract(*models, *sources, names=names, stand=False)
     return (*map(make_unread_finding, contract.unread), *contract.findings)

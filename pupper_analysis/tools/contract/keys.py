@@ -71,20 +71,14 @@ class KeyRule:
     def accepts(self, node: LocatedValue) -> bool:
         """Return True if a node has a value, and the value has the required shape (``shape``).
 
-        A value other than None that is neither a list nor a table with entries, such as a text,
-        counts as a number.
+        A text, for example, counts as a number.
         """
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
         return node.is_present and self.shape in ("", shape)
 
     def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
-        """Yield the numbers of this rule's quantity in a value: number, list, or {joint: number}.
-
-        A list that only contains another list, such as [[1, 2]], is read as the inner list. If the
-        rule requires the reciprocal (``inverse``) and the number is <= 0, the statement has the
-        value None.
-        """
+        """Yield numbers of this rule's quantity in a value: number, list, or {joint: number}."""
         inner = node.items[0] if len(node.items) == 1 else node
         node = inner if isinstance(inner.value, list) else node
         statements = list(node.make_statements(self.quantity, self.joints))
@@ -120,8 +114,7 @@ def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
     The user defines such keys in ``pupper-analysis.toml``.
 
     Args:
-        source: Configuration file. ``pupper-analysis.toml`` is searched in its folder and the
-            folders above, then in the current folder and the folders above.
+        source: Configuration file, near which ``pupper-analysis.toml`` is searched.
 
     Returns:
         Nested keys in lower case, such as ("robot", "joints"), for each definition.
@@ -147,12 +140,11 @@ def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
 def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
     """Return all rules of a format; rules of the user, which have precedence, are the last.
 
-    The user's rules are in the first ``pupper-analysis.toml`` in the folder of the source or the
-    folders above, otherwise in the current folder or the folders above.
-
     Args:
         form: Format: ``table``, ``trainer`` or ``actuator``.
-        source: File to which the rules are applied.
+        source: File to which the rules are applied. The user's ``pupper-analysis.toml`` is searched
+            in
+            its folder and the folders above, then from the current folder.
 
     Raises:
         ModelError: If the user's file cannot be read, or an entry is not valid.
@@ -169,7 +161,7 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
 
 @lru_cache(maxsize=8)
 def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
-    """Read the key rules of a user's ``pupper-analysis.toml``; cached until the file changes.
+    """Read the key rules of a user's ``pupper-analysis.toml``.
 
     ``_time`` is the time of the last change, which is part of the key of the cache.
 

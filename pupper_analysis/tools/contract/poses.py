@@ -37,9 +37,7 @@ def stand_poses(
 ) -> tuple[tuple[DefaultPoseStand, ...], list[Diagnostic]]:
     """Compute the stand of the robot in the default pose that each source states.
 
-    Sources are files of the training, the policy, its deployment, the driver or the model. If a
-    source states all gains, the stand is also simulated in MuJoCo. Poses with equal angles,
-    gains and effort limits are computed once.
+    If a source states all gains, the stand is also simulated in MuJoCo.
 
     Args:
         models: Files of the robot.
@@ -47,9 +45,9 @@ def stand_poses(
         joints: Names of the robot's joints.
 
     Returns:
-        Stands in the default poses, and notes. There are no stands if no source states the angles
-        of at least half of the joints, or if the robot cannot be loaded, has a fixed base, or has
-        no feet.
+        Stands in the default poses, and notes. There are no stands for a robot with a fixed base,
+        for
+        example.
     """
     stated_angles = {
         placed_source: {
@@ -100,8 +98,7 @@ def _get_stated_values(
 ) -> list[float] | None:
     """Return a source's values of a quantity in actuator order; None unless all are positive.
 
-    The quantity is, for example, ``kp`` [N m/rad, N/m]. The result is also None if a joint has no
-    value.
+    The quantity is, for example, ``kp`` [N m/rad, N/m].
     """
     facts = [placed_source.facts.get((quantity, joint)) for joint in robot.joint_names]
     values = [None if fact is None else fact.value for fact in facts]

@@ -62,10 +62,7 @@ def _check_orders(sources: Sequence[JointSource]) -> None:
 
 
 def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
-    """Return the sources with distinct names: equal names get parent folders as a prefix.
-
-    Equal names of sources of the same file stay equal.
-    """
+    """Return the sources with names that differ by file: parent folders precede equal names."""
     renamed = []
     for source in read:
         own_parts = source.path.absolute().parts
@@ -83,8 +80,7 @@ def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
 def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
     """Convert the arguments of the user to requests for files, and folders for imports.
 
-    ``FILE:NAME`` selects a configuration of a file, if no file has this whole name. Modules that a
-    file imports are searched in the folders.
+    ``FILE:NAME`` selects a configuration of a file, if no file has this whole name.
 
     Returns:
         Requests, one per file; folders.
@@ -106,7 +102,7 @@ def read_file(request: Request) -> list[JointSource]:
     """Return the sources of a file, read with all readers for its suffix.
 
     Raises:
-        ModelError: If no reader has this suffix, or the file cannot be read.
+        ModelError: If no reader has this suffix, or the file cannot be read, for example.
     """
     ending = request.path.suffix.lower()
     able = [reader for reader in load_readers() if ending in reader.FILE_SUFFIXES]
@@ -124,9 +120,8 @@ def read_file(request: Request) -> list[JointSource]:
 def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
     """Select the configurations of a file whose joint values are compared with the robot's.
 
-    A configuration is a named set of joint values in the file. Of several configurations with equal
-    content, only the first is kept. In a training file, a configuration is also dropped if another
-    configuration contains all of its values.
+    A configuration is a named set of joint values in the file. Redundant configurations are
+    dropped.
 
     Raises:
         ModelError: If a training file has several configurations left, or if no configuration is
@@ -161,9 +156,9 @@ def read_folder(
 ) -> tuple[list[JointSource], list[Diagnostic]]:
     """Read the deployment files in a folder that belong to this robot.
 
-    Only YAML, JSON and ONNX files are read, without the files of the sources ``read``. A deployment
-    is kept if all joints of the robot are named, or if the listed order consists of joints of the
-    robot. Other deployments are counted in a note, as are files that cannot be read.
+    YAML, JSON and ONNX files are read, without the files of the sources ``read``. A deployment
+    belongs
+    to the robot if the joint names fit; others are counted in a note.
 
     Returns:
         Sources that belong to the robot; notes.
@@ -210,9 +205,7 @@ def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagno
 
     Raises:
         ModelError: If the source states neither a number for a joint of the robot nor a joint
-            order. Default values and derived numbers do not count. A source with settings, but
-            without names and notes, is accepted: for example a network that states the number of
-            joints.
+            order. Default values and derived numbers do not count.
     """
     stated_facts = [
         fact for fact in placed_source.facts.values() if fact.joint and not fact.implied

@@ -57,7 +57,7 @@ def _get_last_name(node: LocatedValue) -> str:
 
 
 def iterate_instances(node: LocatedValue, seen: set[int]) -> Iterator[LocatedValue]:
-    """Yield all objects and tables with a class in a configuration, also nested ones, each once.
+    """Yield the objects and tables with a class in a configuration, also nested ones, each once.
 
     ``seen`` contains the Python ids of the values that were visited before, and is extended.
     """
@@ -73,12 +73,9 @@ def iterate_instances(node: LocatedValue, seen: set[int]) -> Iterator[LocatedVal
 
 
 def list_observation_terms(group: LocatedValue) -> Iterator[ObservedTerm]:
-    """Yield each observation term that is a table or has a function: name, scales, history, clip.
+    """Yield the observation terms of a configuration: name, scales, history, clip.
 
-    The terms are entries of ``group``, or of its table ``terms``. The name of a term is that of its
-    function if `OBSERVATION_ALIASES` contains it, otherwise the key. The scale is 1 for a function
-    without a stated scale, and None if the scale is unknown. The number of time steps (history) is
-    that of the group of terms or, without such a number, that of the term.
+    The terms are entries of ``group``, or of its table ``terms``.
     """
     group_history = group.get("history_length").number
     terms = group.get("terms")
@@ -118,8 +115,7 @@ def is_trainer_config(root: LocatedValue) -> bool:
 def read_settings(root: LocatedValue) -> Iterator[Statement]:
     """Yield the joint values, global settings and observation scales in a legged_gym configuration.
 
-    ``root`` is the top of the configuration. An armature of 0 is left out. Each default angle is
-    also an action offset.
+    ``root`` is the top of the configuration. Each default angle is also an action offset.
 
     Raises:
         ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
@@ -156,9 +152,7 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
     """Yield the source of a top-level configuration ``root``, with the role of a trainer.
 
     The source has the numbers of a robot's actuators and default angles, of the policy's actions,
-    and settings. The joint order is that of the policy's only action, if this action keeps the
-    order of its joint names (``preserve_order``). Nothing is yielded for a configuration with
-    neither robot nor actions, unless it is a trainer's configuration (`is_trainer_config`).
+    and settings. Nothing is yielded for a configuration without these.
     """
     settings = tuple(read_settings(root))
     if is_trainer_config(root):
@@ -239,8 +233,9 @@ def _list_actuators(node: LocatedValue) -> list[LocatedValue]:
 def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
     """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
 
-    The statements select joints by regular expressions. If the configuration has a table of default
-    angles, a joint that is missing in the table has the angle 0, the default of the framework.
+    The statements select joints by regular expressions. A joint that is missing in a table of
+    default
+    angles has the angle 0, the default of the framework.
     """
     angles = robot.get("init_state", "joint_pos")
     first_wins = get_class_name(robot) == "EntityCfg"
@@ -269,9 +264,8 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
     """Yield the scales and offsets of a policy's action.
 
-    A scale that is not stated is 1, the default of the framework. The offsets are the default joint
-    angles ``angles`` if ``use_default_offset`` is True or not stated. Otherwise the offsets are the
-    stated ``offset``.
+    The default joint angles ``angles`` are the offsets if ``use_default_offset`` is True or not
+    stated.
     """
     patterns = action.find_first("patterns").texts
     scale = action.get("scale")

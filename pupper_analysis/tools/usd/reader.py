@@ -451,8 +451,7 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield findings for bodies with a missing mass, CoM or inertia, which engines derive from
-    shapes.
+    """Yield findings for bodies without mass, CoM or inertia, which engines derive from shapes.
 
     The severity is WARNING if only the CoM is missing.
     """

@@ -30,16 +30,14 @@ _MERGED_NAMES = {
     "workspace-ends-at-ground": "links",
 }
 """{code of a limit of the base workspace: key of the diagnostic's value with joint or link names}.
-If the limit has such a code, `_join_limits` lists the names of all directions together.
+The names of all directions are listed together.
 """
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
     """Return the reasons why the base cannot move farther, with their directions, as a text.
 
-    Joint limits and the ground clearance are a reason each, with the joints or links of all
-    directions. Each pair of links without clearance is a separate reason. The reason that limits
-    most directions comes first.
+    The reason that limits most directions comes first.
     """
     limits: dict[tuple[str, object], Diagnostic] = {}
     directions: dict[tuple[str, object], list[str]] = {}
@@ -70,9 +68,7 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with its directions, for the short answer, most directions first.
 
-    Names of joints and links are omitted. With at least four directions, the directions of a limit
-    that applies to all, or to all but a single direction, are abbreviated, for example
-    ``joints (all but x)``.
+    For example, ``joints (all but x)``. Names of joints and links are omitted.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -106,8 +102,7 @@ def _list_names(limit: Diagnostic) -> tuple[str, ...]:
 def _format_rounded_range(low: float, high: float) -> str:
     """Return a range of whole mm or degrees for the short answer: ``-40 to 43``, or ``±40``.
 
-    The ends are rounded inwards from the first decimal, so that both ends are within reach. A range
-    without a whole number is rounded to the nearest whole numbers.
+    The ends are rounded inwards, if possible, so that both ends are within reach.
     """
     ends = math.ceil(round(low, 1)), math.floor(round(high, 1))
     first, last = map(str, ends if ends[0] <= ends[1] else (round(low), round(high)))

@@ -73,10 +73,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 
 def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
-    """Yield each actuator that `list_drives` finds in a robot, after the compiled model.
-
-    Nothing if the model does not compile.
-    """
+    """Yield (compiled model, actuator) of the actuators that `list_drives` finds in a robot."""
     if robot.mj_model is not None:
         for drive in list_drives(robot.mj_model):
             yield robot.mj_model, drive
@@ -119,9 +116,9 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Smallest number of servos in an MJCF with which a single actuator without position feedback is
-reported as a probable mistake, and of positive gears with which a single negative gear is reported.
-Chosen, not tuned."""
+"""Smallest number of servos in an MJCF with which a single exception, such as a negative gear, is
+reported as a probable mistake. Chosen, not tuned.
+"""
 
 
 @rule
@@ -142,10 +139,10 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
-"""Bounds with which `command_range_in_degrees` reports a command range. The first bound is the
-largest difference from the joint's range after conversion from degrees, relative to the width of
-the joint's range. The second bound is the magnitude that an end of the command range must exceed:
-12 rad are nearly two turns. Chosen, not tuned.
+"""Bounds with which `command_range_in_degrees` reports a command range: largest difference from the
+joint's range after conversion from degrees, relative to the width of the joint's range; and
+magnitude that an end of the command range must exceed: 12 rad are nearly two turns. Chosen, not
+tuned.
 """
 
 
@@ -174,8 +171,7 @@ _NAME_PARTS = re.compile(
 def actuator_of_another_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find actuators with the name of a joint that they do not drive.
 
-    Names are compared without words such as joint and motor. Joints with equal short names, and
-    actuators that share a name with their own joint, are skipped.
+    Names are compared without words such as joint and motor.
     """
     short: dict[str, list[str]] = {}
     for name in robot.joints:
@@ -190,11 +186,7 @@ def actuator_of_another_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find position servos of hinges with a ctrlrange that is the joint's range in degrees.
-
-    The ends may differ by `MAX_COMMAND_RANGE_ERROR` of the width of the joint's range. Ranges
-    within +-`MIN_DEGREES` are skipped.
-    """
+    """Find position servos of hinges with a ctrlrange that is the joint's range in degrees."""
     for model, drive in _list_robot_drives(robot):
         hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
         ranged = model.jnt_limited[drive.joint] and model.actuator_ctrllimited[drive.control]
@@ -235,8 +227,7 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find actuators whose forcerange times gear exceeds actuatorfrcrange by more than 1 %.
 
-    The largest magnitudes of both ranges at the joint are compared [N m, N]. Actuators without both
-    ranges are skipped.
+    The largest magnitudes of both ranges at the joint are compared [N m, N].
     """
     for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):

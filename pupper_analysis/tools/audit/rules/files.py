@@ -46,10 +46,9 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by severity, Git LFS pointers, package and folder.
 
-    The severity is ERROR for collision meshes of a URDF, and for all meshes of an MJCF, since
-    MuJoCo refuses an MJCF with a missing mesh. The severity is WARNING for visual meshes of a URDF.
-    Git LFS pointers, URLs and ``package://`` paths have the severity WARNING as well, because the
-    files may exist elsewhere.
+    The severity is WARNING for visual meshes of a URDF, and for files that may exist elsewhere,
+    such as
+    Git LFS pointers, URLs and ``package://`` paths. MuJoCo refuses an MJCF with a missing mesh.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
@@ -134,8 +133,7 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 def find_mesh_problem(path: Path) -> Diagnostic | None:
     """Check whether a file is a valid mesh, and return the reason if not.
 
-    STL and OBJ files are parsed; a COLLADA file must contain the word ``COLLADA`` near the start.
-    Other formats, and files larger than ``MAX_READ_MESH_BYTES`` bytes, are checked by suffix only.
+    STL and OBJ files of usual size are parsed; other formats are hardly checked.
 
     Returns:
         Message of the error; None if no error was found.
@@ -161,12 +159,12 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
 
 
 MIN_JOINT_GAP = 0.03
-"""Largest distance [m] between the shapes of a link and the farthest of the next moving joints
-(`measure_joint_gap`) at which the link's mesh counts as correctly oriented (`choose_mesh_axes`,
-`mesh_lies_across`). In `choose_mesh_axes`, a larger distance also counts as correct if it is at
-most twice the distance after the other choice. Measured on 15 public URDFs whose distances depend
-on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links of each
-of iCub's two files."""
+"""Largest distance [m] between the shapes of a link and the farthest of the next moving joints at
+which the link's mesh counts as correctly oriented. Measured on 15 public URDFs whose distances
+depend on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links
+of
+each of iCub's two files.
+"""
 
 MIN_AXIS_VOTES = 2
 """Smallest number of links that need the turn, with which the meshes of a URDF are turned. Chosen,
@@ -177,9 +175,7 @@ def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
     """Read a URDF, and turn its COLLADA meshes to their up axis if only then the links fit.
 
     RViz, MoveIt and Pinocchio do not turn meshes, and most published files are right without. A
-    link fits if its shapes are at most `MIN_JOINT_GAP` from the next joints, or not more than twice
-    as far as after the other choice. The meshes are turned if `MIN_AXIS_VOTES` links or more fit
-    only turned, and more than three times as many as fit only as read.
+    link fits if its shapes are close to the next joints.
     """
     as_read = read_urdf_model(file)
     names = list_turned_links(file)
@@ -206,8 +202,7 @@ def list_turned_links(file: UrdfFile) -> list[str]:
 def measure_joint_gap(robot: UrdfModel, name: str) -> float:
     """Return the largest distance [m] between the shapes of a link and the next moving joints.
 
-    The distance is a lower bound (`compute_hull_distance`). 0 without shapes of known size or
-    without joints.
+    The distance is a lower bound; 0 if unknown.
     """
     body = robot.links[name]
     points, _ = list_known_points([body], body)
@@ -222,10 +217,10 @@ def measure_joint_gap(robot: UrdfModel, name: str) -> float:
 
 @rule
 def mesh_lies_across(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find a URDF whose COLLADA meshes fit only if they are turned (`choose_mesh_axes`).
+    """Find a URDF whose COLLADA meshes fit only if they are turned.
 
     The finding names the link with the largest decrease of the distance between its shapes and the
-    next joints by the turn. Other links, for example with a box only, are not counted.
+    next joints by the turn.
     """
     if not robot.turned:
         return
@@ -259,7 +254,8 @@ _MESH_SUFFIXES = (
     ".iv",
 )
 """Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads. A file with another
-suffix is reported as no mesh, unless a package has registered the format."""
+suffix is reported as no mesh, unless a package has registered the format.
+"""
 
 _PROLOGUE_BYTES = 4096
 """Number of bytes at the start of a ``.dae`` file that are searched for the word ``COLLADA``; a
@@ -267,12 +263,7 @@ file without the word is reported as no mesh. Chosen, not tuned."""
 
 
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
-    """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS.
-
-    Each mesh file is searched in the folders of the MJCF and of included files, and in ``meshdir``
-    and ``assetdir`` below both. The name of the mesh file is tried with and without folder. In file
-    names of an MJCF, MuJoCo reads backslashes as slashes.
-    """
+    """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS."""
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]

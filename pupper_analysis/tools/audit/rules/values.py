@@ -39,11 +39,10 @@ _SHAPE_SIZES = {
 def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find shapes of size <= 0, and negative damping, friction, armature, stiffness and limits.
 
-    Sizes are only checked in a URDF. A length of 0 is accepted for a cylinder (disc) and a capsule
-    (ball). Effort and velocity limits of a URDF are checked by `effort_negative` instead; position
-    limits may be negative. For MuJoCo's polynomials the first coefficient is checked, because this
-    coefficient dominates at small speeds and deflections. In an MJCF, the friction of geoms is
-    checked too.
+    Sizes are only checked in a URDF; a cylinder or capsule may have the length 0. Of MuJoCo's
+    polynomials the first coefficient is checked, because this coefficient dominates at small speeds
+    and
+    deflections.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:
@@ -67,10 +66,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each size <= 0, length below 0 or mesh scale of 0 in a URDF.
-
-    Negative factors of a mesh scale, which mirror the mesh, are no findings (`mesh_mirrored`).
-    """
+    """Yield a finding for each size <= 0, length below 0 or mesh scale of 0 in a URDF."""
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":

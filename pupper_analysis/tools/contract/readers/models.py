@@ -113,7 +113,7 @@ _RANGE_ATTRIBUTES = ("ctrlrange", "forcerange")
 def read_model_file(path: Path) -> RobotModel:
     """Read the values that a URDF, MJCF or file of a registered format states, as a model.
 
-    Of an MJCF that MuJoCo does not compile, joints and actuators are read.
+    Of an MJCF that MuJoCo does not compile, joints and actuators are read, if possible.
 
     Raises:
         ModelError: If the file cannot be read.
@@ -135,9 +135,8 @@ def read_model_file(path: Path) -> RobotModel:
 def _read_refused_mjcf(model: MjcfModel) -> MjcfModel:
     """Return the joints and actuators of an MJCF that MuJoCo does not compile.
 
-    MuJoCo compiles a copy without contact pairs and exclusions, sensors, keyframes, equality
-    constraints and mesh geoms. Each body of the copy has a minimum mass. The changes do not affect
-    the numbers of joints, except for a kd that MuJoCo computes from a damping ratio.
+    MuJoCo compiles a copy without elements, such as keyframes, that do not affect the numbers of
+    joints, except for a kd that MuJoCo computes from a damping ratio.
 
     Raises:
         ModelError: If MuJoCo does not compile the rest either: the error about the file.
@@ -165,10 +164,9 @@ only numbers of joints and actuators are read from such a file."""
 
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yield kp and kd of an actuator at a joint, each with the line that states the number.
+    """Yield kp [N m/rad, N/m] and kd [N m s/rad, N s/m] of an actuator at a joint, with lines.
 
-    Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m]. A kp of zero is yielded only if the file states
-    kp; kd only if kp and kd are positive. ``drive`` is the id of the actuator.
+    ``drive`` is the id of the actuator.
     """
     kp, kd = read_actuator_law(model.mj_model, drive).joint_gains
     place = _find_actuator_place(model, drive, ("kp", "kv", "biasprm", "gainprm"))
@@ -192,7 +190,7 @@ def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) 
     """Return the file and line that set an attribute of an actuator, or else of the actuator.
 
     ``number`` is the index of the actuator. ``words`` are names of attributes, of which one is
-    sufficient. For an actuator without a name, the result is the place of the actuator.
+    sufficient.
     """
     name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
@@ -205,12 +203,8 @@ def match_joint_names(
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Match the joints of further models to the joints of the first model, as `crosscheck` does.
 
-    Joints are matched by name, link and position. Models with the joint names of the first model
-    are skipped.
-
     Args:
-        models: Sources of models. A USD is read as the format that the comparison of two models
-            still needs, URDF or MJCF.
+        models: Sources of models.
         given: {joint name in another model: joint name in the first model}, passed by the user;
             takes precedence.
 

@@ -85,8 +85,7 @@ def read(request: Request) -> Iterator[JointSource]:
     """Yield a source with the joint values (such as gains) and tensor sizes of an ONNX policy.
 
     Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
-    and of the first output. Nothing is yielded for a file without joint names, joint values and
-    tensor sizes.
+    and of the first output.
 
     Raises:
         ModelError: If the file cannot be read, or is not an ONNX file, for example.
@@ -126,8 +125,7 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
             numbers of fixed size.
 
     Raises:
-        ValueError: If the data is an integer; or if a field has an unknown wire type, or is longer
-            than the rest of the data.
+        ValueError: If the data is no such message, for example.
         IndexError: If the data ends inside an integer.
     """
     if isinstance(data, int):

@@ -30,11 +30,8 @@ def read(request: Request) -> Iterator[JointSource]:
     """Yield a source with joint values (such as gains) for each configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has no
-    such object, tables ``{key: value}`` with joint values are read instead. The tables may be
-    defined in the file or returned by its functions, alone or in a list. If there are no tables,
-    constants of the file are read, and finally constants of the block ``if __name__ ==
-    "__main__"``. Names that contain ``action_scale`` add action scales to sources that state a
-    stiffness but no action scale, unless the request names a configuration. No code is executed.
+    such object, tables ``{key: value}`` with joint values or constants are read instead. No code is
+    executed.
 
     Raises:
         InputError: If the file cannot be read.
@@ -84,8 +81,8 @@ def _read_names(
             the request names a configuration.
 
     Returns:
-        (configuration, source) for each object with a robot, actions or settings of a trainer
-        (`read_configuration`), and the sources of tables ``{key: value}``, alone or in a list.
+        (configuration, source) for each trainer's configuration, and the sources of tables
+        ``{key: value}``.
     """
     roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():
@@ -108,8 +105,7 @@ def _select_whole_configurations(
 ) -> list[JointSource]:
     """Return the sources of configurations that are not part of another configuration.
 
-    All sources are returned if the request names a configuration. An object of a class that was not
-    read is never left out.
+    All sources are returned if the request names a configuration.
 
     Args:
         request: File, and the name of a configuration or "".
@@ -131,11 +127,11 @@ def _select_whole_configurations(
 def _read_constants(
     request: Request, evaluator: py.Evaluator, own_names: dict[str, LocatedValue]
 ) -> Iterator[JointSource]:
-    """Yield a source with the constants of a Python file that defines no tables.
+    """Yield the sources in the constants of a Python file that defines no tables.
 
-    Such a file is for example part of a deployment or a simulation. Constants of the module, of its
-    classes, and constants that a method assigns to ``self`` are read. ``own_names`` is {name:
-    value} of the module.
+    Such a file is for example part of a deployment or a simulation. ``own_names`` is {name: value}
+    of
+    the module.
     """
     table = {
         name.lower(): _make_constant_table(evaluator, node)
@@ -153,9 +149,7 @@ def _read_constants(
 def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
 
-    The table contains the attributes of the class. It also contains the constants that the methods
-    assign to attributes such as ``self.kp``. If methods assign an attribute several times, the
-    table contains the first value, which may be unknown.
+    The table also contains constants that methods assign to attributes such as ``self.kp``.
     """
     if not isinstance(node.value, py.ClassValue):
         return node
@@ -179,10 +173,9 @@ def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> Located
 def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a value that is an instance, table or list; create it by a call if necessary.
 
-    A class or function is called; the arguments of a function are instances of its annotated
-    classes. If the function returns None, the first argument is returned, because the function may
-    modify this argument. The value of the result is None for a node of another type, or if the call
-    cannot be evaluated.
+    The arguments of a function are instances of its annotated classes. The result has the value
+    None
+    if the value is of another type or unknown.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):
