@@ -119,8 +119,8 @@ def _run_rules(
         file: File of the model.
         robot: Model of the file.
         unwanted: Ids of rules that are not run.
-        theirs: {rule id: additional check} of a format that another package registers, such as
-            USD; empty for URDF and MJCF.
+        theirs: {rule id: additional check} of a format that another package registers, such as USD;
+            empty for URDF and MJCF.
     """
     findings, run = [], []
     for rule in RULES.values():

@@ -464,8 +464,7 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
     """Return the mirror image of the tensor of ``twin`` as {attribute of <inertia>: text}.
 
     The tensor [kg m^2] is in the axes of the inertial frame of ``link``, the link on the other
-    side.
-    None if the mirror image is unknown or physically impossible.
+    side. None if the mirror image is unknown or physically impossible.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
@@ -679,8 +678,8 @@ def _read_com_in_metres(robot: UrdfModel, found: CheckFinding) -> Iterator[Value
 
 
 _MIN_MM_OFFSET = 5.0
-"""Distance of a CoM from the convex hull of shapes, frames and child joints, relative to the
-extent of the hull, above which the CoM may be in mm. Chosen, not tuned.
+"""Distance of a CoM from the convex hull of shapes, frames and child joints, relative to the extent
+of the hull, above which the CoM may be in mm. Chosen, not tuned.
 """
 
 MAX_DENSITY_RATIO = 3.0
@@ -918,8 +917,7 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
     """Yield the repair of a URDF joint origin: the mirror image of the partner joint's origin.
 
     If the rotation of a joint nearer to the base explains the displacement, that rotation is
-    repaired
-    instead.
+    repaired instead.
     """
     mirror = find_mirror_plane(robot)
     partner = next(

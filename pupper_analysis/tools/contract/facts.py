@@ -482,8 +482,7 @@ def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
     """Parse the documents of a YAML or JSON file to nodes with line numbers.
 
     Most tags are ignored, and nothing is imported. Aliases are replaced by values. The values of
-    keys
-    ``weights`` are replaced by an empty list.
+    keys ``weights`` are replaced by an empty list.
 
     Raises:
         ModelError: If the text is not valid YAML, or has too many values, for example.

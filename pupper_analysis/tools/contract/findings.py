@@ -49,8 +49,7 @@ _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 
 _MIN_COMPUTED_DECIMALS = 5
 """Smallest number of decimals with which a number counts as computed, not typed: the rounded value
-in
-another source is then no disagreement. Chosen, not tuned.
+in another source is then no disagreement. Chosen, not tuned.
 """
 
 _MAX_ROUNDING_FRACTION = 0.1
@@ -64,8 +63,7 @@ _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 _UNIT_RTOL = 5e-3
 """Relative tolerance with which the ratio of two sources' numbers must equal a factor in
 `_UNIT_FACTORS`, to report a wrong unit as the probable mistake. Chosen, not tuned; angles in
-degrees
-are usually written with three digits.
+degrees are usually written with three digits.
 """
 
 
@@ -214,8 +212,7 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
     """List quantities in sources that are lost for the comparison with other sources.
 
     The reason is, for example, a value that is no number, a list that cannot be assigned to joints,
-    or
-    keys that match no joint of the robot.
+    or keys that match no joint of the robot.
 
     Args:
         placed: Sources.
@@ -311,8 +308,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
     The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
     numbers are equal after rounding if one has few decimals, and is the other number rounded to
-    these
-    decimals.
+    these decimals.
 
     Args:
         first: Number of one source, with its quantity.
@@ -650,8 +646,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each source with another joint order than the first source.
 
     The joint order is that of the policy's arrays. If both sources map joints to motors, each may
-    use
-    any order.
+    use any order.
     """
     feeding = [
         placed_source

@@ -143,8 +143,7 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
     Args:
         form: Format: ``table``, ``trainer`` or ``actuator``.
         source: File to which the rules are applied. The user's ``pupper-analysis.toml`` is searched
-            in
-            its folder and the folders above, then from the current folder.
+            in its folder and the folders above, then from the current folder.
 
     Raises:
         ModelError: If the user's file cannot be read, or an entry is not valid.

@@ -211,8 +211,7 @@ class _JointNames:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
 
         A statement selects joints by name, part of the name, pattern or list index. Empty if no
-        joint
-        matches.
+        joint matches.
         """
         if statement.index is not None:
             if statement.count != len(self.order):

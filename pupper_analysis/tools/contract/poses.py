@@ -46,8 +46,7 @@ def stand_poses(
 
     Returns:
         Stands in the default poses, and notes. There are no stands for a robot with a fixed base,
-        for
-        example.
+        for example.
     """
     stated_angles = {
         placed_source: {

@@ -30,8 +30,7 @@ from pupper_analysis.tools.contract.facts import MAX_VALUES, LocatedValue, count
 
 MAX_INTEGER_BITS: Final = 1_000
 """Largest size [bit] of an integer in the evaluation of a source; a larger result counts as
-unknown.
-Larger integers would grow without bound in a loop. Chosen, not tuned.
+unknown. Larger integers would grow without bound in a loop. Chosen, not tuned.
 """
 
 MAX_CALL_DEPTH: Final = 40

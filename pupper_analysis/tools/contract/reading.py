@@ -157,8 +157,7 @@ def read_folder(
     """Read the deployment files in a folder that belong to this robot.
 
     YAML, JSON and ONNX files are read, without the files of the sources ``read``. A deployment
-    belongs
-    to the robot if the joint names fit; others are counted in a note.
+    belongs to the robot if the joint names fit; others are counted in a note.
 
     Returns:
         Sources that belong to the robot; notes.

@@ -234,8 +234,7 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
     """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
 
     The statements select joints by regular expressions. A joint that is missing in a table of
-    default
-    angles has the angle 0, the default of the framework.
+    default angles has the angle 0, the default of the framework.
     """
     angles = robot.get("init_state", "joint_pos")
     first_wins = get_class_name(robot) == "EntityCfg"

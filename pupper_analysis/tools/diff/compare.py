@@ -477,8 +477,7 @@ class RandomStates:
         """Random configurations with a fixed seed, shape (n, nq).
 
         A floating base is within 1 m of the origin along each axis, with a random orientation.
-        Joint
-        positions are between the limits; a missing limit is replaced by -pi or pi [rad or m].
+        Joint positions are between the limits; a missing limit is replaced by -pi or pi [rad or m].
         """
         rng = np.random.default_rng(0)
         joints = self.values.joints.values()
@@ -528,8 +527,7 @@ class RandomStates:
             {quantity: values, shape (n, ...)}: mass matrix [kg, kg m, kg m^2], gravity [N, N m],
             bias forces minus passive forces such as damping [N, N m], CoM [m], and positions in the
             world frame [m]: "joint positions" of the bodies that the joints move, and "foot
-            positions" of
-            the frames. Quantities without values are left out.
+            positions" of the frames. Quantities without values are left out.
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))

@@ -77,8 +77,7 @@ class ModelElement:
 
 _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
 """{condim of a contact: number of friction coefficients that have an effect}. Further coefficients
-are
-not compared.
+are not compared.
 """
 
 
@@ -177,8 +176,8 @@ def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile)
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
     """Return a name for each geom of a model, in the model's order.
 
-    The name of an unnamed geom consists of the body and the number of the geom in the body:
-    ``calf #2``.
+    The name of an unnamed geom consists of the body and the number of the geom in the body: ``calf
+    #2``.
     """
     names, seen = [], dict[int, int]()
     for geom in range(model.ngeom):
@@ -270,8 +269,7 @@ _NUM_SAMPLES = 200
 
 _MIN_FALL_HEIGHT = 1.0
 """Difference [m] by which the CoM of the new version ends below that of the old version, above
-which
-the new robot is reported as falling through or off the floor. Chosen, not tuned.
+which the new robot is reported as falling through or off the floor. Chosen, not tuned.
 """
 
 NUMBER_RTOL = 1e-9
@@ -305,8 +303,7 @@ def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
 
     The result is a lower bound: the largest difference of the support functions of both shapes
     along `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown, the result is 0 for equal
-    shapes
-    and infinite for different shapes.
+    shapes and infinite for different shapes.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:
@@ -724,8 +721,7 @@ class _SimulatedRun:
 
 ROUNDING_NUDGE = 1e-9
 """Offset of all initial velocities [rad/s, m/s] in a repeated simulation of the old version, to
-test
-whether rounding can cause the difference between the versions. Chosen, not tuned.
+test whether rounding can cause the difference between the versions. Chosen, not tuned.
 """
 
 
@@ -787,8 +783,7 @@ class SimulatedPair:
 
         Returns:
             {quantity: largest difference of a joint coordinate [m, rad]}; messages. Both may be
-            empty, for
-            example if the models have no common joint.
+            empty, for example if the models have no common joint.
         """
         old, new = self.old, self.new
         if not self._common_joints or (

@@ -294,9 +294,9 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     Args:
         given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
             ``REVISION:PATH`` as for ``git show``. PATH is relative to the top of the repository, or
-            to the current folder if PATH begins with ``./`` or ``../``. Files that the model
-            may include are extracted as well. A single letter other than ``@`` is no REVISION, but
-            a drive.
+            to the current folder if PATH begins with ``./`` or ``../``. Files that the model may
+            include are extracted as well. A single letter other than ``@`` is no REVISION, but a
+            drive.
 
     Raises:
         ModelError: If git is not installed or does not contain the file, for example.
@@ -391,8 +391,7 @@ def write_revision(
     """Write the files of a git revision with given suffixes to a folder.
 
     A file keeps its path relative to the root of the repository, and its committed content.
-    Pointers
-    of Git LFS are replaced by the files, if the repository has them.
+    Pointers of Git LFS are replaced by the files, if the repository has them.
 
     Args:
         given: Argument of the user, such as ``REVISION:PATH``, for error messages.

@@ -64,8 +64,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
         side: MJCF with the target values; the plan is stored in its elements.
         mover: Joint that moves the group, or the base.
         keys: Differences (kind, element) of the group; recorded in ``side.unwritten`` if no change
-            is
-            possible.
+            is possible.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
@@ -401,8 +400,7 @@ def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
     """Plan the changes of the MJCF that give a joint the target torque limit.
 
     The present limit is the smallest of the stated bounds, for example of joint and actuator. If
-    the
-    limit cannot be written, the reason is recorded in ``side.unwritten``.
+    the limit cannot be written, the reason is recorded in ``side.unwritten``.
 
     Args:
         side: MJCF.

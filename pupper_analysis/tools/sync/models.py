@@ -251,8 +251,7 @@ def _make_verified_plan(
     """Return a plan whose changes remove the differences, and the comparison after the changes.
 
     Changes that do not remove the difference in copies of the files are removed from the plan. If
-    an
-    engine refuses a copy, all changes are removed.
+    an engine refuses a copy, all changes are removed.
     """
     refused: dict[PropertyKey, Diagnostic] = {}
     while True:
@@ -302,8 +301,7 @@ def _write_files(
 
     Raises:
         OutputError: If a file cannot be written, was changed after reading, or (unless ``force``)
-            has
-            uncommitted changes in git.
+            has uncommitted changes in git.
     """
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)

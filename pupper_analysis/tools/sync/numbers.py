@@ -154,8 +154,7 @@ def write_numbers(
 
     Raises:
         ModelError: If a number cannot be written (the message lists all, with reasons), or the
-            files
-            do not describe the robot, for example.
+            files do not describe the robot, for example.
         UnknownNameError: If an element does not exist, or a kind of number is unknown.
     """
     for kind, _ in numbers:

@@ -277,8 +277,7 @@ def is_absent(
     """Return True if a file states no value for a number in which URDF and MJCF differ.
 
     Placeholders count as no value: a mass of 0 or below, and in a URDF an effort that is 0,
-    negative
-    or infinite, since exporters write 0 for an unknown effort.
+    negative or infinite, since exporters write 0 for an unknown effort.
 
     Args:
         key: Kind and element of the differing number.
@@ -381,8 +380,7 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """Return the layout of the files of a URDF that a copy needs, with meshes and textures.
 
     Files at absolute paths and in other packages are left out, since such paths do not depend on
-    the
-    location of the URDF.
+    the location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []

@@ -461,8 +461,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
 
     Raises:
         ModelError: If the file is inconsistent: a sheared frame, or a joint that refers to a
-            missing
-            prim, for example.
+            missing prim, for example.
     """
     from pxr import UsdGeom
 
@@ -913,8 +912,7 @@ def recover_decimals(value: Any) -> Array:
     """Replace single-precision numbers by the decimals that an author probably typed.
 
     A typed 0.18 is stored in single precision as 0.18000000715. The result is the shortest decimal
-    that
-    rounds to the single-precision number. Other numbers are unchanged.
+    that rounds to the single-precision number. Other numbers are unchanged.
     """
     values = np.array(value, dtype=float)
     with np.errstate(over="ignore"):

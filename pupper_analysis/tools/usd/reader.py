@@ -76,8 +76,7 @@ def read_as_urdf(path: Path) -> UsdAsUrdf:
 
     Raises:
         ModelError: If the file has no readable robot, a joint has no equivalent in a URDF, or
-            engines
-            would derive a mass property from shapes, for example.
+            engines would derive a mass property from shapes, for example.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -217,8 +216,7 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
 
     Raises:
         ModelError: If the file has no readable robot, MuJoCo has no equivalent of a joint, or
-            engines
-            would derive a mass property from shapes, for example.
+            engines would derive a mass property from shapes, for example.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)

@@ -47,8 +47,8 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by severity, Git LFS pointers, package and folder.
 
     The severity is WARNING for visual meshes of a URDF, and for files that may exist elsewhere,
-    such as
-    Git LFS pointers, URLs and ``package://`` paths. MuJoCo refuses an MJCF with a missing mesh.
+    such as Git LFS pointers, URLs and ``package://`` paths. MuJoCo refuses an MJCF with a missing
+    mesh.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
@@ -162,8 +162,7 @@ MIN_JOINT_GAP = 0.03
 """Largest distance [m] between the shapes of a link and the farthest of the next moving joints at
 which the link's mesh counts as correctly oriented. Measured on 15 public URDFs whose distances
 depend on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links
-of
-each of iCub's two files.
+of each of iCub's two files.
 """
 
 MIN_AXIS_VOTES = 2

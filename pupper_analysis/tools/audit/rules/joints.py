@@ -89,10 +89,8 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
     A finding is a joint axis, at zero joint angles, at more than 60 degrees from the axis x, y or z
-    of
-    the base frame that `infer_axis_from_name` derives. Robots whose x axis may not point forwards
-    are
-    skipped.
+    of the base frame that `infer_axis_from_name` derives. Robots whose x axis may not point
+    forwards are skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -218,8 +216,7 @@ def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find position ranges of moving joints with lower >= upper.
 
     In an MJCF with ``limited="auto"``, MuJoCo silently ignores a range with lower > upper; such
-    ranges
-    of joints, actuators and tendons are reported, too.
+    ranges of joints, actuators and tendons are reported, too.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -301,10 +298,8 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
     Limits of 12 to 400 rad are probably degrees; larger limits are degrees if another limb has the
-    same
-    limits in radians. Smaller limits are accepted, since 10 rad is a common way to specify no
-    limit.
-    In a file in degrees, limits that are all below 2 pi degrees are probably radians.
+    same limits in radians. Smaller limits are accepted, since 10 rad is a common way to specify no
+    limit. In a file in degrees, limits that are all below 2 pi degrees are probably radians.
     """
     hinges = [
         j
@@ -678,8 +673,7 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The test uses the fraction of the knee range in which a hip angle within the limits puts the
     foot below the hip. With the stated limits, the fraction is below `MIN_REACHED_FRACTION`. With
-    the
-    opposite sign of the knee limits, or of the hip limits, the fraction is above 95 %.
+    the opposite sign of the knee limits, or of the hip limits, the fraction is above 95 %.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

@@ -79,8 +79,7 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moving links without mass, or with less than 0.1 % of the mass that each link moves.
 
     Links fixed to the moving link are included. The free base of a URDF with legs is checked, too.
-    In
-    1500 published links with mass, the smallest ratio is five thousandths.
+    In 1500 published links with mass, the smallest ratio is five thousandths.
     """
     if robot.format == "urdf" and robot.has_free_base and len(_list_legs(robot)) > 1:
         group = robot.fixed_group(robot.base)
@@ -195,8 +194,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The torque of the weight is the weight [N] times the longest distance between successive hinges
     [m]. This torque must not exceed the sum of the efforts of all hinges [N m]. Robots with an
-    unknown
-    effort are skipped.
+    unknown effort are skipped.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -376,9 +374,8 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find inertias whose largest principal moment exceeds the sum of the other two.
 
     The tolerance depends on the rounding of the written digits; an excess up to
-    `MIN_GYRATION_SQUARED`
-    times the mass is accepted. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch.
-    2.
+    `MIN_GYRATION_SQUARED` times the mass is accepted. Source: R. Featherstone, "Rigid Body Dynamics
+    Algorithms", 2008, ch. 2.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, middle, greatest = inertial.moments
@@ -405,10 +402,8 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The upper limit is k m R^2. R is the largest distance of the shapes from the CoM, and k is 2,
     since shapes may be simplified; k is larger if sizes are unknown. The moments about the
-    principal
-    axes of the shapes are limited as well. The lower limit is 1 % of the largest moment of a solid
-    box
-    around the link's shapes, m (a^2 + b^2) / 12.
+    principal axes of the shapes are limited as well. The lower limit is 1 % of the largest moment
+    of a solid box around the link's shapes, m (a^2 + b^2) / 12.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
@@ -472,9 +467,8 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
 
     Returns:
         Axis (3,), moment [kg m^2] and largest possible moment [kg m^2]. None if the ratio of both
-        is
-        small, or the shapes do not cover the link: for example a calf with the sphere of its foot
-            only.
+        is small, or the shapes do not cover the link: for example a calf with the sphere of its
+        foot only.
     """
     is_covered = (points.min(axis=0) <= inertial.com) & (inertial.com <= points.max(axis=0))
     if not is_covered.all() or inertial.mass > MAX_DENSITY * compute_hull_volume(points):
@@ -500,10 +494,8 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
     An inertia is a finding if at least two links have this inertia, and the three moments are the
-    same
-    power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten (1,
-    0.1,
-    0.01 ... kg) and common to all moving links.
+    same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten
+    (1, 0.1, 0.01 ... kg) and common to all moving links.
     """
     balls: dict[float, list[str]] = {}
     for body, inertial in _list_moving_inertials(robot):

@@ -189,12 +189,11 @@ between the predictions of both hypotheses. Chosen, not tuned."""
 def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
     """Return the names of the links of limbs that are moved copies of the partner's limb.
 
-    Let R1, R2 be the rotations of two partners' frames, and S the reflection. A copy predicts
-    R2 R1^T d for a vector d of the first limb, a mirror image predicts S d. A limb is a copy if at
+    Let R1, R2 be the rotations of two partners' frames, and S the reflection. A copy predicts R2
+    R1^T d for a vector d of the first limb, a mirror image predicts S d. A limb is a copy if at
     least `MIN_COPIED_TERMS` terms (offsets between joints, CoMs, inertias) agree with the copy
-    only,
-    and fewer with the mirror image only. Some limbs are excluded, for example if another limb with
-    the same name apart from the sides is rather a mirror image.
+    only, and fewer with the mirror image only. Some limbs are excluded, for example if another limb
+    with the same name apart from the sides is rather a mirror image.
     """
     limbs: dict[str, list[tuple[Link, Link]]] = {}
     roots: dict[tuple[str, str], str] = {}
@@ -520,9 +519,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
     I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection.
-    An
-    entry of S I S - I' may have up to 10 % of the largest entry, or more if the written digits are
-    rounded. Products of inertia of the wrong sign are reported, too.
+    An entry of S I S - I' may have up to 10 % of the largest entry, or more if the written digits
+    are rounded. Products of inertia of the wrong sign are reported, too.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -608,8 +606,7 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg.
 
     A pair is a finding, too, if the sense of the axes differs from all other pairs. Copied limbs
-    are
-    skipped.
+    are skipped.
     """
     yield from _find_reversed_axis(robot)
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
@@ -713,8 +710,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right joints whose ranges differ by over 0.02 rad (m), or efforts by over 1 %.
 
     Velocity limits are compared, too. Of a pair a single difference is reported. Pairs whose axes
-    are
-    no mirror images, and copied limbs, are skipped.
+    are no mirror images, and copied limbs, are skipped.
     """
     for mirror, first, second in _omit_copied_limbs(robot, list_joint_pairs(robot)):
         sense = _compute_axis_sense(mirror, first, second)

@@ -90,8 +90,7 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
     The length without caps may be about 2 % too long. It may be 20 % too short, since shapes are
-    often
-    shortened on purpose to avoid contact with the neighbour.
+    often shortened on purpose to avoid contact with the neighbour.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -222,10 +221,8 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
     The foot's sphere is the nearest collision sphere that moves with the frame; spheres with "foot"
-    in
-    the name of sphere or link have precedence. The severity is NOTE if the frame is inside the
-    sphere,
-    which some models use for a flat sole.
+    in the name of sphere or link have precedence. The severity is NOTE if the frame is inside the
+    sphere, which some models use for a flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -298,8 +295,8 @@ which the density is checked. Smaller shapes may show only a part of the link. C
 """
 
 MIN_EXTENT = 0.01
-"""Smallest extent [m] of a link's shapes with which the link's density is checked, and of all
-joint positions with which the size of shapes is checked. Chosen, not tuned.
+"""Smallest extent [m] of a link's shapes with which the link's density is checked, and of all joint
+positions with which the size of shapes is checked. Chosen, not tuned.
 """
 
 MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
@@ -323,9 +320,8 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A root link or moving link is checked together with the links fixed to it. The hull contains
     visual and collision shapes, and the origins of link, frames and children. The density is
-    compared
-    with fixed bounds (`MIN_DENSITY`, `MAX_DENSITY`) and with the median density of the other links.
-    Light bodies and small shapes, for example, are skipped.
+    compared with fixed bounds (`MIN_DENSITY`, `MAX_DENSITY`) and with the median density of the
+    other links. Light bodies and small shapes, for example, are skipped.
     """
     for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)
@@ -387,8 +383,7 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
     """Compute the median density of a robot's links except one: mass / hull volume [kg/m^3].
 
     Links without volume or with a shape of unknown size, and light links, are left out. None if
-    fewer
-    than `MIN_OTHER_LINKS` remain.
+    fewer than `MIN_OTHER_LINKS` remain.
 
     Args:
         robot: Model of the robot.
@@ -472,11 +467,10 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
     The gap [m] between the bounding boxes of the collision and visual shapes along the axes of the
-    link
-    is compared with `POSITION_TOLERANCE` and a fraction of the extent. If the size of a shape is
-    unknown, origins of equal meshes are compared instead. A gap that several limbs have in common
-    may
-    be intended, and is not reported: the hips of Go1 collide where the thighs draw the shoulder.
+    link is compared with `POSITION_TOLERANCE` and a fraction of the extent. If the size of a shape
+    is unknown, origins of equal meshes are compared instead. A gap that several limbs have in
+    common may be intended, and is not reported: the hips of Go1 collide where the thighs draw the
+    shoulder.
     """
     gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
     gaps = {name: gap for name, gap in gaps.items() if gap > 0}

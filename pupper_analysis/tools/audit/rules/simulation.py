@@ -70,8 +70,7 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
 
     Contact parameters are combined as in MuJoCo. If the file has no ground, MuJoCo's default ground
     is assumed; a foot without friction is then reported nevertheless, since the ground of another
-    scene
-    may have no friction.
+    scene may have no friction.
     """
     model = robot.mj_model
     if model is None:
@@ -101,8 +100,7 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
     A foot is a geom of a moving body with "foot" in the name of geom or body, or at a site with
-    "foot"
-    in the name. Empty if the model does not compile.
+    "foot" in the name. Empty if the model does not compile.
     """
     model = robot.mj_model
     if model is None:

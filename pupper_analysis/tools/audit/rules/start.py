@@ -142,8 +142,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes with servo commands that are far from the joint positions.
 
     The accepted difference of command and position is about the effort limit divided by the
-    stiffness,
-    or `MAX_SAG` without effort limit. The severity is NOTE if the keyframe has no ctrl.
+    stiffness, or `MAX_SAG` without effort limit. The severity is NOTE if the keyframe has no ctrl.
     """
     model = robot.mj_model
     if model is None:
@@ -254,9 +253,8 @@ def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe ``home``, or first keyframe, in which the feet are above other shapes.
 
     All feet are at least `MIN_FOOT_CLEARANCE` above the lowest other shape that can touch the
-    ground,
-    and no such shape penetrates the ground. If the opposite sign of some joint angles, in all legs,
-    puts the feet at the ground, the message names the joints.
+    ground, and no such shape penetrates the ground. If the opposite sign of some joint angles, in
+    all legs, puts the feet at the ground, the message names the joints.
     """
     model = robot.mj_model
     key = None if model is None or robot.refusal is not None else _choose_keyframe(model)
@@ -311,8 +309,8 @@ def _find_opposite_signs(
 ) -> tuple[tuple[str, ...], float] | None:
     """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
-    The angles of these joints are negated in all legs alike: for example, of each second joint of
-    a leg. The result is the smallest such set, inside the joint limits.
+    The angles of these joints are negated in all legs alike: for example, of each second joint of a
+    leg. The result is the smallest such set, inside the joint limits.
 
     Args:
         robot: Model of the MJCF, which MuJoCo compiles.
@@ -323,8 +321,7 @@ def _find_opposite_signs(
 
     Returns:
         Names of the joints, and the largest distance of a foot from the ground [m]. None if there
-        is no
-        unique solution.
+        is no unique solution.
     """
     model = robot.mj_model
     assert model is not None
@@ -379,8 +376,7 @@ def _compute_heights(
     """Return the height above the ground of the lowest point of each geom, shape (n,) [m].
 
     ``ground`` is the id of the ground plane's geom; None for the plane z = 0. ``qpos``, shape
-    (nq,),
-    is the configuration; ``data`` is changed in place.
+    (nq,), is the configuration; ``data`` is changed in place.
     """
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)

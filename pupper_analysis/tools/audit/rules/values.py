@@ -41,8 +41,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     Sizes are only checked in a URDF; a cylinder or capsule may have the length 0. Of MuJoCo's
     polynomials the first coefficient is checked, because this coefficient dominates at small speeds
-    and
-    deflections.
+    and deflections.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:

@@ -121,8 +121,8 @@ def gather_fields(data: int | memoryview) -> ProtobufMessage:
         data: Bytes of the message. An integer is a field that is not a message, and is refused.
 
     Returns:
-        {field number: values in order}: integers, or bytes of nested messages, texts and
-            numbers of fixed size.
+        {field number: values in order}: integers, or bytes of nested messages, texts and numbers of
+        fixed size.
 
     Raises:
         ValueError: If the data is no such message, for example.

@@ -81,8 +81,8 @@ def _read_names(
             the request names a configuration.
 
     Returns:
-        (configuration, source) for each trainer's configuration, and the sources of tables
-        ``{key: value}``.
+        (configuration, source) for each trainer's configuration, and the sources of tables ``{key:
+        value}``.
     """
     roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():
@@ -130,8 +130,7 @@ def _read_constants(
     """Yield the sources in the constants of a Python file that defines no tables.
 
     Such a file is for example part of a deployment or a simulation. ``own_names`` is {name: value}
-    of
-    the module.
+    of the module.
     """
     table = {
         name.lower(): _make_constant_table(evaluator, node)
@@ -174,8 +173,7 @@ def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a value that is an instance, table or list; create it by a call if necessary.
 
     The arguments of a function are instances of its annotated classes. The result has the value
-    None
-    if the value is of another type or unknown.
+    None if the value is of another type or unknown.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):

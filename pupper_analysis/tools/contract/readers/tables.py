@@ -181,8 +181,7 @@ def read_nested_tables(
 
     Args:
         request: Request with the path of the file. With a name, the source with this name is read:
-            the
-            key of the table, with or without the keys of the tables that contain it (``a/b``).
+            the key of the table, with or without the keys of the tables that contain it (``a/b``).
         document: Table {key: value or table}.
         role: Role of the sources; `Role.DRIVER` for nodes of ROS 2, ``TRAINER`` for configurations
             of trainers.
