@@ -114,13 +114,8 @@ def _run_rules(
 ) -> Audit:
     """Run the checks of the rules for the format of a model, and collect the findings.
 
-    Args:
-        path: Path that the result states.
-        file: File of the model.
-        robot: Model of the file.
-        unwanted: Ids of rules that are not run.
-        theirs: {rule id: additional check} of a format that another package registers, such as USD;
-            empty for URDF and MJCF.
+    ``theirs`` is {rule id: additional check} of a format that another package registers, such as
+    USD.
     """
     findings, run = [], []
     for rule in RULES.values():

@@ -161,12 +161,8 @@ def _print_rules() -> None:
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
     """Print the patch of all findings with a single repair, and write the files if confirmed.
 
-    Args:
-        audits: Results of audits.
-        confirmed: Whether the files are written without a question, as with ``--yes``.
-        force: Whether files with uncommitted changes are written.
-        prints_patch: Whether the patch is on standard output. Otherwise the patch is on standard
-            error, since standard output is a document of another format.
+    Without ``confirmed``, the user is asked. Without ``prints_patch``, the patch is on standard
+    error, since standard output is a document of another format.
 
     Returns:
         Number of repairs in the written files; 0 if nothing was written.

@@ -114,10 +114,7 @@ def _describe_finding_group(
 ) -> doc.FileFinding:
     """Describe findings of a rule with equal messages, with place and repairs of the first finding.
 
-    Args:
-        audit: Audit with the findings.
-        group: Findings for different elements of the file, for example links; not empty.
-        advice: Texts about the rule and the general repair, which follow the concrete repairs.
+    ``advice`` are texts about the rule and the general repair.
     """
     first, *others = group
     message = doc.diagnostic_text(first.diagnostic)

@@ -77,12 +77,7 @@ def _read_catalogue() -> dict[str, Rule]:
 def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
     """Complete the texts of a rule with those of a similar rule: {"title", "why" or "todo": text}.
 
-    An entry of the catalogue names the similar rule under the key ``like``.
-
-    Args:
-        own: Texts of the rule: ``title`` and, optionally, ``more`` to add to the reason.
-        model: Texts of the similar rule (or of the rule itself): ``why`` and ``todo``.
-        space: Separator between both parts of the reason: a space in English, none in Chinese.
+    ``space`` separates both parts of the reason: a space in English, none in Chinese.
     """
     why = space.join([model["why"], *([own["more"]] if "more" in own else [])])
     return {"title": own["title"], "why": why, "todo": model["todo"]}

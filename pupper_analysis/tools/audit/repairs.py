@@ -229,14 +229,7 @@ def _repair_number(
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
     A partner gets the number of the other partner; other limbs may decide which partner is wrong.
-
-    Args:
-        robot: Model of the URDF.
-        pair: Names of both partners.
-        tag: Tag of the partners.
-        child: Path to the element with the number.
-        attribute: Attribute with the number.
-        values: {name: number} of links or joints.
+    The number is the ``attribute`` of the element ``child``; ``values`` is {link or joint: number}.
     """
     kind = strip_sides(pair[0])
     others = [
@@ -489,18 +482,11 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
 def _find_common_attributes(
     robot: UrdfModel, name: str, child: str, *, own: bool = False
 ) -> dict[str, str] | None:
-    """Return the attributes of an element that the corresponding links of all other limbs share.
+    """Return the {attribute: text} of an element that the corresponding links of other limbs share.
 
-    On such robots the four calves, for example, are copies of the same part, and no mirror images.
-
-    Args:
-        robot: Model of a URDF.
-        name: Link.
-        child: Path of the element below a link.
-        own: Whether the element of the link ``name`` must have the common attributes, too.
-
-    Returns:
-        {attribute: text}. None if the links differ, or there are too few other limbs, for example.
+    None if the attributes differ, for example. On such robots the four calves are copies of the
+    same part, and no mirror images. With ``own``, the link ``name`` must have the attributes, too.
+    ``child`` is the path of the element below a link.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -642,9 +628,7 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 def _replace_deviating_coordinates(link: Link, image: Array) -> str:
     """Format the CoM of a link with its deviating coordinates replaced by those of ``image``.
 
-    Args:
-        link: Link whose CoM deviates.
-        image: Mirror image of the partner's CoM in the frame of the link, shape (3,) [m].
+    ``image`` is the mirror image of the partner's CoM in the frame of the link, shape (3,) [m].
     """
     if link.inertial is None:
         return _format_vector(image)
@@ -964,12 +948,6 @@ def _turn_ancestors(
     robot: UrdfModel, mirror: MirrorPlane, name: str, partner: str
 ) -> list[ValueRepair]:
     """Return the new rotation of an ancestor that would make two joints mirror images.
-
-    Args:
-        robot: Model of a URDF.
-        mirror: Plane between left and right.
-        name: Displaced joint.
-        partner: Corresponding joint on the other side.
 
     Returns:
         Repairs of a single ancestor; one, or a candidate for each side. Empty if no rotation of an

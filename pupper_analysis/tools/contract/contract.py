@@ -153,13 +153,7 @@ def read_contract(
 def _compare_sources(
     sources: Sequence[str | Path], names: Mapping[str, str], *, stand: bool, fail_on: str
 ) -> Contract:
-    """Read files and folders, and compare the numbers of the robot's joints in these.
-
-    Args:
-        sources: Files and folders, at least one of which is a model.
-        names: {joint name in a source: joint name in the model}.
-        stand: Whether to compute how the robot stands in the default pose of each source.
-        fail_on: Lowest severity of a disagreement that makes ``passed`` False.
+    """Read files and folders, and compare the numbers of the robot's joints; see `read_contract`.
 
     Raises:
         ConfigurationError: If no model is passed, or an argument is invalid.
@@ -264,10 +258,7 @@ def _place_sources(
 ) -> tuple[list[PlacedSource], list[Diagnostic], list[ModelError]]:
     """Assign the numbers in all sources to joints of the robot.
 
-    Args:
-        first: Model that defines the joint order.
-        others: Other sources.
-        joints: Joints of the robot.
+    ``first`` is the model that defines the joint order.
 
     Returns:
         Sources that can be compared; notes about these; errors of the sources that cannot.

@@ -262,13 +262,8 @@ def _find_missing_sides(
 ) -> Iterator[Diagnostic]:
     """Yield a message for each quantity that a source states on one side of the robot only.
 
-    Another source must state the missing number. Nothing is reported if most pairs are one-sided,
-    because the source may belong to a single arm.
-
-    Args:
-        source: Source.
-        stated: (quantity, joint) of the numbers of all other sources.
-        model: Joints of the robot.
+    The missing number must be in ``stated``, the (quantity, joint) of all other sources. Nothing is
+    reported for many one-sided pairs, because the source may belong to a single arm.
     """
     pairs = find_mirror_pairs(model.order)
     for quantity in dict.fromkeys(what for what, joint in source.facts if joint):
@@ -307,8 +302,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 
     The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
-    numbers are equal after rounding if one has few decimals, and is the other number rounded to
-    these decimals.
+    numbers are equal after rounding if one is the other number, rounded to fewer decimals.
 
     Args:
         first: Number of one source, with its quantity.
@@ -416,12 +410,8 @@ def _group_by_values(
 ) -> Iterator[Disagreement]:
     """Yield the disagreements about a quantity between two sources, grouped by the numbers.
 
-    Args:
-        quantity: Quantity.
-        kind: Properties of the quantity.
-        differing: {joint: differing facts}.
-        is_range_difference: True if the quantity is a limit, and exactly one of both sources is a
-            robot model: a configuration may narrow the range of the model on purpose.
+    ``differing`` is {joint: differing facts}. With ``is_range_difference``, one source is a model,
+    whose range a configuration may narrow on purpose.
     """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
@@ -493,9 +483,6 @@ joints, are reported together.
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     """Match joints whose numbers the second source has exchanged, as with a wrong joint order.
-
-    Args:
-        differing: {joint: facts of both sources with different numbers}.
 
     Returns:
         {joint a: joint b}: the second source states for joint a the number that the first source
@@ -580,15 +567,8 @@ def _make_disagreement(
 ) -> Disagreement:
     """Create a disagreement with the names, values and places of two facts.
 
-    Args:
-        kind_name: Quantity, ``order`` or ``observations``.
-        message: Message without the effects.
-        sides: Facts of both sources (or of both joints, within a source); the first is the
-            reference.
-        kind: Unit and severity of the disagreement; without severity, it is a note.
-        joints: Joints concerned; empty names are omitted.
-        mistake: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
-        effects: Effects on the robot.
+    ``sides`` are the facts of both sources (or of both joints, within a source); ``mistake`` is the
+    probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
     """
     names, values, places = zip(
         *((fact.source, fact.value, fact.place) for fact in sides), strict=True

@@ -140,10 +140,8 @@ def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
 def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
     """Return all rules of a format; rules of the user, which have precedence, are the last.
 
-    Args:
-        form: Format: ``table``, ``trainer`` or ``actuator``.
-        source: File to which the rules are applied. The user's ``pupper-analysis.toml`` is searched
-            in its folder and the folders above, then from the current folder.
+    The user's ``pupper-analysis.toml`` is searched in the folder of ``source`` and the folders
+    above, then from the current folder.
 
     Raises:
         ModelError: If the user's file cannot be read, or an entry is not valid.

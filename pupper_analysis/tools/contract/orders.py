@@ -306,11 +306,7 @@ def _describe_unread_lists(
 ) -> dict[str, Diagnostic]:
     """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
-    Args:
-        source: Source of the lists.
-        lists: {quantity: first number of the list}.
-        order: Joints in the order of the source; empty if the order is not known.
-        num_model_joints: Number of joints of the robot model.
+    ``lists`` is {quantity: first number of the list}; ``order`` is the joint order of the source.
     """
     order_place = source.order_place or Place(source.path)
     messages = dict[str, Diagnostic]()
@@ -342,14 +338,7 @@ def _describe_unread_lists(
 def _list_unknown_names(
     source: JointSource, model: RobotJoints, names: Sequence[str], matched: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """Return the names of a source that match no joint of the robot.
-
-    Args:
-        source: Source.
-        model: Joints of the robot.
-        names: Names, or parts of names, of joints in the source.
-        matched: {name in the source: joint of the robot}.
-    """
+    """Return the ``names``, or parts of names, in a source that match no joint of the robot."""
     name_parts = {statement.joint for statement in source.statements if statement.is_part}
     return tuple(
         name
@@ -431,11 +420,7 @@ def _determine_order(
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
     """Determine the joint order of the lists in a source, and how this order is known.
 
-    Args:
-        source: Source, for example a trainer's configuration.
-        model: Joints of the robot model.
-        others: Other sources, which may state an order.
-        matched: {joint name in ``source``: joint of the model}.
+    ``matched`` is {joint name in ``source``: joint of the model}.
 
     Returns:
         Joints ("" for an unknown name), empty if the order is unknown; ``named``, ``motors``,
@@ -493,12 +478,7 @@ def _find_motor_lists(
 ) -> dict[str, tuple[str, ...]]:
     """Find the lists of motor limits that have the order of the motors, not that of the policy.
 
-    The order is decided by the mirror symmetry of the values.
-
-    Args:
-        source: Source.
-        model: Joints of the robot.
-        order: Joints in the order of the policy.
+    The mirror symmetry of the values decides. ``order`` are the joints in the order of the policy.
 
     Returns:
         {quantity: joints in the order of the motors}.
@@ -546,11 +526,7 @@ def _compute_unlike_fraction(
 ) -> float:
     """Return the fraction of left-right pairs of values that are no mirror images; 0 without pairs.
 
-    Args:
-        order: Joint of each value in the lists of the source.
-        source: Source whose lists are evaluated.
-        model: Joints of the robot.
-        quantities: Quantities whose lists are evaluated, such as ``kp``.
+    ``order`` is the joint of each value in the lists of the source.
     """
     values = {
         (statement.quantity, order[statement.index]): statement.value

@@ -115,16 +115,9 @@ def _stand_in_pose(
 ) -> DefaultPoseStand:
     """Compute the stand in a default pose, with height [m] and largest motor utilisation.
 
-    With ``kp`` and ``kd``, the stand is also simulated, and the height loss [m] is computed.
-
-    Args:
-        robot: Robot.
-        name: Name of the source.
-        angles: {joint: default angle [rad]}; other joints have the angles of the start pose
-            (``Robot.home``).
-        kp: Stiffnesses, shape (nu,) [N m/rad, N/m]; None if the source does not state all.
-        kd: Dampings, shape (nu,) [N m s/rad, N s/m]; None if the source does not state all.
-        efforts: Effort limits, shape (nu,) [N m, N].
+    ``angles`` is {joint: default angle [rad]}. With the gains ``kp`` [N m/rad, N/m] and ``kd`` [N m
+    s/rad, N s/m], shape (nu,), the stand is also simulated. ``efforts`` are limits, shape (nu,) [N
+    m, N].
     """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
     pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])

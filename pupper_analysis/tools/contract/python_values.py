@@ -284,7 +284,7 @@ class Evaluator:
 
         Raises:
             InputError: If the file cannot be read.
-            ModelError: If the file cannot be parsed, or its evaluation takes too many steps.
+            ModelError: If the file cannot be parsed, or needs too many steps, for example.
         """
         if not path.is_absolute():  # show relative paths if the request was relative
             self.shown = Path.cwd()
@@ -312,7 +312,7 @@ class Evaluator:
 
         Raises:
             InputError: If the file cannot be read.
-            ModelError: If the file cannot be parsed, or its evaluation takes too many steps.
+            ModelError: If the file cannot be parsed, or needs too many steps, for example.
         """
         result = self.load_module(path)
         for statement in ast.parse(read_text(path)).body:
@@ -561,12 +561,9 @@ class Evaluator:
                     scope[name] = self._make_lost(node, node, scope)
 
     def _make_lost(self, said: ast.AST, node: ast.AST, scope: Scope) -> LocatedValue:
-        """Make an unknown value whose text is the first line of a statement.
+        """Make an unknown value with the first line of the statement ``said`` as text.
 
-        Args:
-            said: Statement.
-            node: Syntax element whose place (file and line) the value gets.
-            scope: Visible names.
+        ``node`` is the syntax element whose place (file and line) the value gets.
         """
         shown = ast.unparse(said).partition("\n")[0][:80]
         return self._make_node(UnknownValue(shown), node, scope)
@@ -1195,10 +1192,7 @@ class Evaluator:
     ) -> Any:
         """Evaluate the call of a library function, or of a class whose module was not read.
 
-        Args:
-            called: Text of the called expression, such as ``math.radians``.
-            arguments: Positional arguments.
-            keywords: Keyword arguments. An object of an unread class has them as fields.
+        ``called`` is the text of the called expression, such as ``math.radians``.
         """
         name = called.rpartition(".")[2]
         if name in (*_PURE_FUNCTIONS, *_LIST_FUNCTIONS) and arguments:
@@ -1352,9 +1346,7 @@ class Evaluator:
     def _copy_value(self, value: Any, keywords: dict[str, LocatedValue]) -> Any:
         """Return a deep copy of a value, with changed fields, as ``dataclasses.replace``.
 
-        Args:
-            value: Value.
-            keywords: {field: new value}; ignored for a value without fields.
+        ``keywords`` is {field: new value}.
         """
         memo: dict[int, Any] = {}
         fresh = deepcopy(value, memo)

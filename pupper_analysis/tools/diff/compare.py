@@ -200,14 +200,7 @@ def _open_version_or_variant(
     packages: Mapping[str, Path] | None,
     xacro: Mapping[str, str] | None,
 ) -> Iterator[VersionedFile]:
-    """Yield a version of a model; the file of a variant gets the format of the other version.
-
-    Args:
-        given: Version to open: file, robot in memory or variant.
-        other: Version with which ``given`` is compared. If both are variants, the format is MJCF.
-        packages: {ROS package: folder}.
-        xacro: {argument: value} with which xacro files are expanded; None: nothing is evaluated.
-    """
+    """Yield a version of a model; the file of a variant gets the format of ``other``."""
     if not is_variant(given):
         with open_version(find_model(given, "mjcf")) as version:
             yield version

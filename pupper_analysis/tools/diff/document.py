@@ -111,12 +111,8 @@ def _make_file_place(
 ) -> doc.FilePlace:
     """Create the place of a value in a file, with the quoted line or else the value.
 
-    Args:
-        file: Version of the model.
-        place: Path and line as text; empty if the file does not contain the value, or if the line
-            is unknown.
-        values: Value in this version and in the other version.
-        unit: Unit of both.
+    ``place`` is path and line, may be empty; ``values`` are those of this version and of the other
+    one.
     """
     value, other = values
     line = quote_line(place, file) or f"{shorten(value, other)} {unit}".rstrip()

@@ -591,12 +591,7 @@ def _make_difference(
 ) -> ElementDifference:
     """Create the difference that reports an equal change of an attribute in all ``keys``.
 
-    Args:
-        kind: Tag of the elements.
-        word: Attribute; "" for added or removed elements.
-        keys: Elements, the first of which gives values and places.
-        old: Elements of the old version.
-        new: Elements of the new version.
+    ``word`` is the attribute; "" for added or removed elements.
     """
     names = tuple(name for _, name in keys)
     old_element, new_element = old.get(keys[0]), new.get(keys[0])
@@ -655,12 +650,9 @@ _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
 
 
 def _format_value(element: ModelElement | None, word: str, other: ModelElement | None) -> object:
-    """Return the value of an attribute for a message.
+    """Return the value of an attribute for a message, with enough digits to differ from ``other``.
 
-    Args:
-        element: Element of a version; None without such an element.
-        word: Name of the attribute; "" for the element itself.
-        other: Element of the other version; numbers get as many digits as show the difference.
+    ``word`` is the attribute; "" for the element itself.
     """
     if element is None:
         return Term("none")
@@ -855,10 +847,8 @@ def _simulate_model(
 ) -> _SimulatedRun:
     """Simulate a model from the first keyframe, or from ``qpos0`` if there is none.
 
-    Args:
-        model: Model.
-        joints: Indices of the joints that are recorded.
-        nudge: Offset of all initial velocities [rad/s, m/s].
+    ``joints`` are the ids of the recorded joints; ``nudge`` is an offset of all initial velocities
+    [rad/s, m/s].
     """
     data = mujoco.MjData(model)
     if model.nkey:
@@ -915,14 +905,11 @@ def _compare_runs(
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
     """Compare the recorded motions of two simulations; return the difference and the messages.
 
-    Args:
-        before: Simulation of the old model.
-        after: Simulation of the new model.
-        where: Further fields of the message: duration, keyframe, and whether a ground was added.
+    ``where`` are further fields of the message: duration, keyframe, and whether a ground was added.
 
     Returns:
         {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]}, empty up to
-        `MIN_FELT_MOTION`; messages. Both are empty if the states have different sizes.
+        `MIN_FELT_MOTION`; messages.
     """
     if before.qpos.shape != after.qpos.shape:
         return {}, ()

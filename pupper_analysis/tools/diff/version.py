@@ -445,12 +445,9 @@ def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
 
 
 def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> bytes:
-    """Run git in a folder, and return the standard output as bytes.
+    """Run git in a folder, by default the current folder, and return the standard output.
 
-    Args:
-        given: Argument of the user, which errors name.
-        *arguments: Arguments of git.
-        folder: Folder in the repository; by default the current folder.
+    ``given`` is the argument of the user, which errors name.
 
     Raises:
         ModelError: If git is not installed, or fails; with git's message.

@@ -369,13 +369,8 @@ def _plan_position_servo(
 ) -> None:
     """Plan the changes of the attributes ``kp`` and ``kv`` of a <position> actuator.
 
-    Args:
-        side: MJCF.
-        element: Actuator.
-        name: Joint.
-        target_gains: Gains to be written: {("kp" or "kd", joint): gain}.
-        stiffness: Target kp, divided by the square of the gear.
-        damping: Target kd, divided by the square of the gear.
+    ``target_gains`` is {("kp" or "kd", joint): gain}; ``stiffness`` and ``damping`` are divided by
+    the square of the gear.
     """
     if ("kp", name) in target_gains:
         side.elements.write(element, "kp", stiffness)

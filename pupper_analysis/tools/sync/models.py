@@ -323,12 +323,7 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Args:
-        plan: Planned changes.
-        before: Comparison of the original files.
-        after: Comparison of the changed files.
-        keys: {difference that the user has chosen: side whose value is taken}.
-        labels: {difference before the changes: name of the difference}.
+    ``keys`` is {chosen difference: side whose value is taken}; ``labels`` is {difference: name}.
     """
     remaining = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():

@@ -339,10 +339,7 @@ def _find_wrong_numbers(
 ) -> Iterator[PropertyKey]:
     """Yield the numbers (kind, element) whose value in the written files differs from the target.
 
-    Args:
-        changes: Requested numbers.
-        after: Robot, read from the written files.
-        sides: Models to be checked: ``"urdf"``, ``"mjcf"``.
+    ``after`` is the robot, read from the written files; ``sides`` are ``"urdf"``, ``"mjcf"``.
     """
     trees = dict(zip(("urdf", "mjcf"), kinematic_trees(after), strict=True))
     for side in sides:

@@ -220,10 +220,8 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, 
 def _find_unwritten_reason(key: PropertyKey, whose: str, both: MatchedRobots) -> Diagnostic | None:
     """Return the reason why a file cannot state the new value of a difference, if any.
 
-    Args:
-        key: Difference: kind and element.
-        whose: File whose value is taken, ``"urdf"`` or ``"mjcf"``.
-        both: Matched robots of both files.
+    ``key`` is (kind, element); ``whose`` is the file whose value is taken, ``"urdf"`` or
+    ``"mjcf"``.
     """
     kind, name = key
     if kind not in _WRITTEN_KINDS:

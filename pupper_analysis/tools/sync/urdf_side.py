@@ -111,12 +111,7 @@ class UrdfSide(Side):
     def _write_number(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
         """Set a number of a joint in the URDF, in SI units, unless the file already has this value.
 
-        Args:
-            joint: Joint.
-            kind: Kind of the attribute, such as ``effort`` or ``damping``.
-            value: Number.
-            floor: Smallest reference of the relative tolerance `NUMBER_RTOL`, in the unit of the
-                number.
+        ``floor`` is the smallest reference of the relative tolerance `NUMBER_RTOL`.
         """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
@@ -187,12 +182,7 @@ class UrdfSide(Side):
     def _plan_inertial(self, mover: str, keys: list[PropertyKey]) -> None:
         """Plan the change of the inertial of one link so that a rigid body has the target inertia.
 
-        The rigid body consists of the links that move together with ``mover``.
-
-        Args:
-            mover: Joint that moves the body, or the base.
-            keys: Differences (kind, ``mover``); recorded in ``unwritten`` if no link can be
-                changed.
+        The rigid body consists of the links that move together with ``mover``, a joint or the base.
         """
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
@@ -260,9 +250,8 @@ def _list_tensor_changes(
 ) -> Iterator[tuple[tuple[str, str], str]]:
     """Yield the new text of each changed entry of an inertia tensor: ((``inertia``, entry), text).
 
-    Args:
-        old_entries: Stated texts in the order of `INERTIA_ENTRIES`; None if not stated.
-        values: New entries in the same order, shape (6,) [kg m^2].
+    Stated texts (or None) and new ``values``, shape (6,) [kg m^2], have the order of
+    `INERTIA_ENTRIES`.
     """
     scale = float(np.abs(values).max())
     for name, old, value in zip(INERTIA_ENTRIES, old_entries, values, strict=True):

@@ -215,18 +215,9 @@ def _read_numbers(
     is_hinge: bool,
     units: StageUnits,
 ) -> dict[str, float]:
-    """Return the numbers of a kind that the attributes of a joint state, in SI units.
+    """Return {attribute: finite number in SI units} of the stated attributes of a joint.
 
-    Args:
-        prim: Prim of the joint.
-        number_kind: Kind, such as ``effort``.
-        statements: Attributes that may state a number of this kind.
-        axis_word: Word for the axis in the names of the attributes.
-        is_hinge: Whether the joint rotates.
-        units: Units of the file.
-
-    Returns:
-        {attribute: finite number} of the stated attributes.
+    ``axis_word`` is the word for the axis in the names of the attributes.
     """
     numbers = {}
     for statement in statements:
@@ -511,11 +502,7 @@ def _read_placements(
 ) -> dict[str, PrimPlacement]:
     """Return {body: pose [m] and scale of the body in the axes of the stage} for prims of a stage.
 
-    Args:
-        file: USD file.
-        prims: {body: prim}.
-        units: Units of the stage.
-        cache: USD's cache of transforms.
+    ``cache`` is USD's cache of transforms.
 
     Raises:
         ModelError: If a body is scaled unevenly, or its transform is not valid.
@@ -542,12 +529,8 @@ def _make_link_joints(
 ) -> tuple[Joint, ...]:
     """Create the joint of a link to its parent or to the world; none if fixed to the world.
 
-    Args:
-        name: Link.
-        parent_edge: Parent link, and the joint to this link; None for a link without parent.
-        world_edge: Joint between link and world; None if there is no such joint.
-        poses: {link: pose in the axes of the stage [m], at zero joint positions}.
-        to_base: Transform from the axes of the stage to the base.
+    ``poses`` is {link: pose in the axes of the stage [m], at zero joint positions}; ``to_base``
+    transforms from the axes of the stage to the base.
     """
     if parent_edge is not None:
         parent, edge = parent_edge
@@ -564,11 +547,7 @@ def _read_edges(
 ) -> Iterator[Edge]:
     """Yield the enabled joints between different bodies, with the joint frames in both bodies [m].
 
-    Args:
-        file: USD file.
-        placements: {body: pose and scale of the body}.
-        units: Units of the stage.
-        cache: USD's cache of transforms.
+    ``cache`` is USD's cache of transforms.
 
     Raises:
         ModelError: If a joint refers to a prim that does not exist, for example.

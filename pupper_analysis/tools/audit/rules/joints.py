@@ -613,7 +613,7 @@ def _project_across(vector: Array, axis: Array) -> Array:
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
     """Yield the hip and knee of each leg of a robot, found by names, joint axes and lengths.
 
-    Hip and knee axes must be parallel and nearly horizontal, thigh and shank of similar length.
+    Hip and knee axes must be parallel and nearly horizontal, thigh and shank of comparable length.
     """
     for link in robot.links.values():
         if not link.moving or link.joints[-1].kind != HINGE_JOINT:

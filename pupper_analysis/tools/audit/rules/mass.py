@@ -135,8 +135,8 @@ or a mass may be missing. Chosen, not tuned.
 def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
-    The tolerance is `MAX_COM_OFFSET` plus a fraction of the extent. If the sizes of the shapes are
-    unknown, joints and frames form the hull, and the tolerance is the length of the longest limb.
+    The tolerance is `MAX_COM_OFFSET` plus a fraction of the extent. Without shapes of known size,
+    joints and frames form the hull, and the tolerance is the length of the longest limb.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -344,7 +344,7 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The tolerance of a negative moment depends on the greatest moment and on the rounding of the
     stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each axis is a finding. Zero
-    moments are findings for moving links without fixed links, or with light fixed links.
+    moments are findings for moving links without fixed links, or with lighter fixed links.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -459,11 +459,7 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
     """Find the axis about which the mass would have to be outside of the shapes.
 
     The moment about an axis through the CoM is at most m d^2, with the largest distance d between
-    the shapes and the axis.
-
-    Args:
-        inertial: Inertial of a link, in the frame of the link.
-        points: Points that span the shapes, shape (n, 3) [m].
+    the shapes and the axis. ``points`` span the shapes, shape (n, 3) [m], in the frame of the link.
 
     Returns:
         Axis (3,), moment [kg m^2] and largest possible moment [kg m^2]. None if the ratio of both
@@ -495,7 +491,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
     An inertia is a finding if at least two links have this inertia, and the three moments are the
     same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten
-    (1, 0.1, 0.01 ... kg) and common to all moving links.
+    (1, 0.1, 0.01 ... kg), and common to at least three links, which are all moving links.
     """
     balls: dict[float, list[str]] = {}
     for body, inertial in _list_moving_inertials(robot):

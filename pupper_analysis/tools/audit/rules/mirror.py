@@ -270,8 +270,8 @@ def _compare_hypotheses(
         second: The same quantity of the second limb.
         turn: Rotation from the first to the second limb, shape (3, 3), in base axes.
         mirror: Plane between left and right.
-        least: Distance between both predictions, in the unit of ``first``, up to which the
-            predictions count as equal.
+        least: Distance between both predictions, in the unit of ``first``, up to which they are
+            equal.
 
     Returns:
         (1, 0) for a copy, (0, 1) for a mirror image, (0, 0) if undecided.
@@ -561,12 +561,8 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
     """Return True if two inertias differ only in the sign of one or three products of inertia.
 
     With two opposite signs the result is False: such a part is not mirrored, but turned by 180
-    degrees.
-
-    Args:
-        image: Entries of the mirrored inertia, shape (6,) [kg m^2], in the order of
-            `INERTIA_ENTRIES`: ixx, iyy, izz, ixy, ixz, iyz.
-        entries: Entries of the compared inertia, with the same shape, unit and order.
+    degrees. ``image`` is the mirrored inertia. Both have shape (6,) [kg m^2], in the order of
+    `INERTIA_ENTRIES`: ixx, iyy, izz, ixy, ixz, iyz.
     """
     tolerance = SIGN_RTOL * np.abs(image)
     is_equal = np.abs(image - entries) <= tolerance
@@ -682,11 +678,8 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 def _compare_senses(first: Joint, second: Joint, mirror: MirrorPlane | None) -> float:
     """Return 1 if the axes of two joints have the same sense, -1 if opposite, 0 if not parallel.
 
-    Args:
-        first: Joint.
-        second: Joint.
-        mirror: Plane between left and right, if the axes of the sides are mirror images: then the
-            axis of a joint on the other side is mirrored. None if all axes are parallel.
+    ``mirror`` is None if all axes are parallel. With a plane, the axis of a joint on the other side
+    is mirrored.
     """
     cosine = float(first.axis @ second.axis)
     if mirror is not None:

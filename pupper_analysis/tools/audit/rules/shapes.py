@@ -206,10 +206,8 @@ def _get_shape_tag(robot: RobotModel, shape: Shape) -> str:
 def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
     """Return True if a point is near the axis of a rod, beyond the joint where the rod begins.
 
-    Args:
-        offset: Point relative to the joint, shape (3,) [m].
-        direction: Unit vector along the rod, away from the joint, shape (3,).
-        radius: Radius of the rod [m].
+    ``offset`` is the point relative to the joint, shape (3,) [m]; ``direction`` is the unit vector
+    along the rod, shape (3,).
     """
     along = float(offset @ direction)
     across = float(np.linalg.norm(offset - along * direction))
@@ -483,11 +481,7 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
     """Return the links of several limbs with about the same gap, whose next links draw the shapes.
 
-    A single link with a defect, such as a missing mesh, does not change the result.
-
-    Args:
-        robot: Model of the robot.
-        gaps: {link: gap between collision and visual shapes [m]}.
+    ``gaps`` is {link: gap between collision and visual shapes [m]}.
     """
     kinds: dict[str, list[str]] = {}
     for name in gaps:

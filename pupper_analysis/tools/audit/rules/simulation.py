@@ -236,12 +236,8 @@ def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Arra
     """Return the unit vectors that point down if a shank is inclined by `_SHANK_ANGLES`, (n, 3).
 
     The vectors are expressed in the world frame for the configuration of ``data``. Without
-    inclination, down is the direction from the knee to the foot, normal to the knee axis.
-
-    Args:
-        data: MuJoCo data with the kinematics at any configuration, such as qpos0.
-        knee: Id of the knee joint.
-        foot: Id of the geom of the foot.
+    inclination, down is the direction from the knee to the foot, normal to the knee axis. ``knee``
+    is the id of a joint, ``foot`` of a geom.
     """
     axis = data.xaxis[knee]
     down = data.geom_xpos[foot] - data.xanchor[knee]

@@ -310,14 +310,8 @@ def _find_opposite_signs(
     """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
     The angles of these joints are negated in all legs alike: for example, of each second joint of a
-    leg. The result is the smallest such set, inside the joint limits.
-
-    Args:
-        robot: Model of the MJCF, which MuJoCo compiles.
-        qpos: Configuration of the keyframe, shape (nq,).
-        feet: Ids of the foot geoms.
-        others: Ids of the geoms that must be above the feet.
-        heights: Returns the height [m] of the lowest point of each geom, from qpos and ids.
+    leg. ``feet`` and ``others`` are ids of geoms; ``heights`` returns the height [m] of the lowest
+    point of each geom, from qpos and ids.
 
     Returns:
         Names of the joints, and the largest distance of a foot from the ground [m]. None if there
@@ -438,11 +432,8 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 def _find_collapse(robot: MjcfModel, base: int) -> Iterator[CheckFinding]:
     """Find a keyframe from which a robot falls, rises or moves away, or the simulation diverges.
 
-    If the keyframe has no ctrl, position servos are commanded to the pose.
-
-    Args:
-        robot: Model of an MJCF with keyframes, which MuJoCo compiles.
-        base: Body id of the base, which has a free joint.
+    If the keyframe has no ctrl, position servos are commanded to the pose. ``base`` is the body id
+    of the base, which has a free joint.
     """
     model = robot.mj_model
     key = None if model is None else _choose_keyframe(model)
@@ -464,10 +455,7 @@ def _find_collapse(robot: MjcfModel, base: int) -> Iterator[CheckFinding]:
 def _describe_fall(motion: BodyMotion, run: OwnRun | None = None) -> Diagnostic:
     """Create the message about a simulation from a keyframe that does not end in the stance.
 
-    Args:
-        motion: Motion of the robot.
-        run: The same simulation with the joints of the robot and the causes; None if the joints are
-            unknown, and the robot collapses.
+    ``run`` is the same simulation with the joints of the robot and the causes; None if unknown.
     """
     causes: tuple[Diagnostic, ...] = ()
     if run is not None:

@@ -74,11 +74,7 @@ def _read_names(
 ) -> tuple[list[tuple[LocatedValue, JointSource]], list[JointSource]]:
     """Return the joint numbers (`JointSource`) that the top-level names of a Python file define.
 
-    Args:
-        request: File.
-        evaluator: Evaluator that has loaded the file.
-        own_names: {name: value} of the module, without imported names; only the requested name if
-            the request names a configuration.
+    ``own_names`` is {name: value} of the module, without imported names.
 
     Returns:
         (configuration, source) for each trainer's configuration, and the sources of tables ``{key:
@@ -105,11 +101,8 @@ def _select_whole_configurations(
 ) -> list[JointSource]:
     """Return the sources of configurations that are not part of another configuration.
 
-    All sources are returned if the request names a configuration.
-
-    Args:
-        request: File, and the name of a configuration or "".
-        roots: (configuration, source) for each source in the file.
+    ``roots`` are (configuration, source). All sources are returned if the request names a
+    configuration.
     """
     parts = {
         training.get_class_name(instance)

@@ -212,10 +212,6 @@ def _split_document(own: _View, depth: int) -> list[_View]:
 
     Tables are usually one source if no two of them state the same quantity of joints, or joint
     names.
-
-    Args:
-        own: The table, with keys in lower case.
-        depth: Number of tables that contain this table.
     """
     (node,) = own.tables
     if depth >= _MAX_TABLE_DEPTH:
@@ -276,12 +272,7 @@ def _read_view(
 ) -> Iterator[JointSource]:
     """Yield at most one source: joint order, numbers and observations of the tables of ``view``.
 
-    Args:
-        request: Request with the path of the file.
-        name: Name of the source.
-        view: Tables.
-        role: Role of the source; ``TRAINER`` instead if the first table configures a trainer.
-        sizes: Statements from elsewhere, such as the sizes of a network.
+    ``sizes`` are statements from elsewhere, such as the sizes of a network.
     """
     root = view.tables[0]
     joint_names = view.find_first("joints")
@@ -465,14 +456,9 @@ def _list_table_statements(
 ) -> Iterator[Statement]:
     """Yield a statement for each number under a known key, such as a joint's gain.
 
-    If the tables list joint names, numbers of other names are left out.
-
-    Args:
-        view: Tables with keys in lower case.
-        order: Joint names that the tables list; empty if they list no names.
-        motors: Motor index of each joint; empty if not stated.
-        is_standing_table: True if gains, efforts and default angles of the tables are for standing
-            up, not for the policy. Such values are skipped.
+    If the tables list joint names (``order``), numbers of other names are left out. ``motors`` are
+    the motor indices of the joints. With ``is_standing_table``, gains are for standing up, and are
+    skipped.
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
@@ -511,11 +497,7 @@ def _list_table_statements(
 
 
 def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
-    """Return the tables of a policy's actions that are joint positions, not velocities or efforts.
-
-    Args:
-        node: Table of the policy's actions, {name of an action: table}.
-    """
+    """Return the position actions of a policy's actions, {name of an action: table}."""
     return [
         one
         for key, one in node.table.items()
