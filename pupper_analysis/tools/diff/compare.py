@@ -200,7 +200,7 @@ def _open_version_or_variant(
     packages: Mapping[str, Path] | None,
     xacro: Mapping[str, str] | None,
 ) -> Iterator[VersionedFile]:
-    """Yield a version of a model; the file of a variant gets the format of ``other``."""
+    """Yield a version of a model; the file of a variant gets the format of ``other``, or MJCF."""
     if not is_variant(given):
         with open_version(find_model(given, "mjcf")) as version:
             yield version

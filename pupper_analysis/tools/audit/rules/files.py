@@ -159,10 +159,10 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
 
 
 MIN_JOINT_GAP = 0.03
-"""Largest distance [m] between the shapes of a link and the farthest of the next moving joints at
-which the link's mesh counts as correctly oriented. Measured on 15 public URDFs whose distances
-depend on the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links
-of each of iCub's two files.
+"""Distance [m] between the shapes of a link and the farthest of the next moving joints, up to which
+the link's mesh counts as correctly oriented. Measured on 15 public URDFs whose distances depend on
+the up axis of the meshes: at most 18 mm in 13 files (Laikago), 78 to 170 mm in 11 links of each of
+iCub's two files.
 """
 
 MIN_AXIS_VOTES = 2

@@ -47,9 +47,8 @@ MAX_KEYFRAMES = 100
 """Largest number of keyframes of a file that a rule checks. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Largest accepted difference between a servo command and the joint position in a keyframe [rad,
-m], for a servo without torque limit. A keyframe with a larger difference is reported. Chosen, not
-tuned.
+"""Difference between a servo command and the joint position in a keyframe [rad, m], for a servo
+without torque limit, above which (plus 1 mrad or 1 mm) the keyframe is reported. Chosen, not tuned.
 """
 
 _MIN_TIMESTEP = 1e-4
