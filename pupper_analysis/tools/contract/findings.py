@@ -260,7 +260,7 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
 def _find_missing_sides(
     source: PlacedSource, stated: Set[tuple[str, str]], model: RobotJoints
 ) -> Iterator[Diagnostic]:
-    """Yield a message for each quantity that a source states on one side of the robot only.
+    """Yield messages for quantities that a source states on one side of the robot only.
 
     The missing number must be in ``stated``, the (quantity, joint) of all other sources. Nothing is
     reported for many one-sided pairs, because the source may belong to a single arm.
@@ -623,7 +623,7 @@ def _compare_sides(
 
 
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
-    """Yield a disagreement for each source with another joint order than the first source.
+    """Yield disagreements for sources with another joint order than the first source.
 
     The joint order is that of the policy's arrays. If both sources map joints to motors, each may
     use any order.

@@ -394,7 +394,7 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Raise the signal of a ``raise`` statement, up to the next ``try`` with handlers."""
+        """Raise the signal of a ``raise`` statement, which a ``try`` with handlers ends."""
         raise _RaiseSignal
 
     def _run_break(self, *_: object) -> None:

@@ -454,7 +454,7 @@ def _read_motor_numbers(motors: LocatedValue) -> list[int]:
 def _list_table_statements(
     view: _View, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
-    """Yield a statement for each number under a known key, such as a joint's gain.
+    """Yield statements for the numbers under known keys, such as a joint's gain.
 
     If the tables list joint names (``order``), numbers of other names are left out. ``motors`` are
     the motor indices of the joints. With ``is_standing_table``, gains are for standing up, and are
