@@ -89,28 +89,30 @@ from pupper_analysis.statics.equilibrium import gravity_compensation
 
 SETTLING_TIME = 1.0
 """Simulated time [s] between the start in the predicted equilibrium and the nudge (a small
-velocity). Chosen: servos with natural frequencies of some hertz are then at rest."""
+velocity). Chosen: servos with natural frequencies of some hertz are then usually at rest.
+"""
 
 NUDGED_TIME = 4.0
-"""Simulated time [s] between the nudge and the comparison with the predicted equilibrium. Chosen,
-not tuned."""
+"""Usual simulated time [s] between the nudge and the comparison with the predicted equilibrium.
+Chosen, not tuned.
+"""
 
 _MAX_NUDGED_TIME = 40.0
-"""Upper bound of the simulated time after the nudge [s]. The simulation lasts longer than
-`NUDGED_TIME` only while the torques deviate from the predicted torques, but approach them. Chosen,
-not tuned."""
+"""Upper bound of the simulated time after the small nudge [s], while the torques approach the
+predicted torques. Chosen, not tuned.
+"""
 
 _APPROACH_INTERVAL = 2.0
-"""Simulated time between two evaluations of the deviation from the predicted torques [s]. Two
-successive deviations show whether the torques still approach the predicted torques
-(`_MAX_APPROACH_RATIO`). Chosen as a divisor of `NUDGED_TIME`."""
+"""Simulated time between two evaluations of the deviation from the predicted torques [s]. Chosen as
+a divisor of `NUDGED_TIME`.
+"""
 
 _MAX_APPROACH_RATIO = 0.9
-"""Upper bound of the ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart [1]. If
-the ratio is smaller, the torques approach the predicted torques: the simulation continues. A larger
-ratio after a large nudge is shaking without decay (`_find_shaken_state`). Measured after the nudge
-of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces relax with a
-time constant of 6.8 s, which is a ratio of 0.75."""
+"""Upper bound of the ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart [1],
+with which the torques count as approaching the predicted torques. Measured after the nudge of a
+robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces relax with a time
+constant of 6.8 s, which is a ratio of 0.75.
+"""
 
 _MAX_BASE_NUDGE_WINDOWS = 6
 """Upper bound of the simulated time after a large nudge of the base [1], in windows of
@@ -124,13 +126,13 @@ the deviation would still have to fall by a factor of five."""
 TORQUE_RTOL = 0.01
 """Upper bound of the deviation from the predicted torques, divided by ``torque_scale`` [1], with
 which the published file agrees with the predicted equilibrium. Chosen as for a verified stand
-(``FORCE_TOLERANCE``). Also the largest range of a torque at rest, and the largest difference of two
-deviations that count as equal."""
+(``FORCE_TOLERANCE``).
+"""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Height error of the CoM [m] up to which switched-off elements count as the cause of a deviation,
-if switching them off repairs the torques and the joint positions agree. Otherwise `HEIGHT_RTOL`
-applies. Chosen, not tuned."""
+"""Upper bound of the height error of the CoM [m] with which switched-off elements can count as the
+cause of a torque deviation. Chosen, not tuned.
+"""
 
 HEIGHT_RTOL = 1e-3
 """Upper bound of the height error of the CoM, divided by the CoM height [1], with which the
@@ -146,14 +148,8 @@ def compare_as_published(
 ) -> Published | None:
     """Simulate the unmodified model file in a stand; compare it with the predicted equilibrium.
 
-    Sometimes another stand than ``stand`` is compared:
-
-    - If the robot was changed after loading, has welds or grips, or stands on ground that is not
-      level: the nominal stand (default `StandTask`) of the robot as loaded.
-    - If the base is fixed and no foot carries load: the same joint positions of the robot as
-      loaded.
-
-    If the caller passed gains, the model of the file gets the same gains.
+    The nominal stand of the robot as loaded (default `StandTask`) may be compared instead of
+    ``stand``, for example if the robot was changed after loading.
 
     Args:
         robot: Prepared robot.
@@ -163,8 +159,7 @@ def compare_as_published(
         kd: Requested servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Returns:
-        Comparison. None, for example, if the robot has no file, if the prepared robot is the
-        unchanged file, or if no equilibrium can be predicted for the stand.
+        Comparison; None if there is nothing to compare, for example no file.
     """
     if robot.published is None or robot.published.is_unchanged:
         return None
@@ -184,10 +179,7 @@ def compare_as_published(
 
 
 def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
-    """Return True if a stand has the same task and the same qpos as the robot's nominal stand.
-
-    The nominal stand is the solution of the default `StandTask`.
-    """
+    """Return True if a stand has the task and qpos of the nominal stand (default `StandTask`)."""
     with contextlib.suppress(PupperAnalysisError):
         nominal = solve_stand(robot, explain=False)
         return nominal.task == stand.task and np.array_equal(nominal.qpos, stand.qpos)
@@ -209,8 +201,7 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
         robot: Prepared robot.
 
     Returns:
-        Comparison. None, for example, if the robot has no nominal stand, or if no equilibrium can
-        be predicted for this stand.
+        Comparison; None, for example, if the robot has no nominal stand.
     """
     return _compare_nominal(robot, None)
 
@@ -218,9 +209,7 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
 def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
     """Compare the published file with the predicted equilibrium of the nominal stand, for gains.
 
-    ``gains`` are servo gains that the published model gets; None: those of the file. The result is
-    None if the nominal stand (default `StandTask`) cannot be solved, if an error of this package
-    ends the comparison, or if `_compare_in` returns None.
+    ``gains`` None: those of the model. The result is None if no comparison is possible.
     """
     with contextlib.suppress(PupperAnalysisError):
         return _compare_in(robot, solve_stand(robot, explain=False), gains)
@@ -230,13 +219,7 @@ def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | 
 def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
     """Compare the published file with the predicted equilibrium of a stand, and find causes.
 
-    ``gains`` are servo gains that the published model gets; None: those of the file.
-
-    Returns:
-        Comparison, with the causes of deviations. None if the robot has no file, or a free base
-        without feet. None if no equilibrium is predicted for the stand, or if MuJoCo refuses the
-        URDF. With a fixed base, None also if there is no published model, or if the file frees the
-        base.
+    ``gains`` None: those of the model. The result is None if no comparison is possible.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
@@ -260,10 +243,7 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Add the line of the first element in the MJCF to each cause of a deviation from equilibrium.
-
-    Without an MJCF, the causes are returned unchanged.
-    """
+    """Add the line of the first element in the MJCF, if known, to each cause of a deviation."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
@@ -273,14 +253,12 @@ def compare_with_file(
 ) -> Published:
     """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
 
-    The file is not simulated if an actuator has a built-in controller, or if a free base has no
-    level ground. This is then listed as the cause. If no cause is found, and the prepared robot
-    deviates from the equilibrium in the same way, the deviation does not count (`_moves_alike`).
+    If the file cannot be simulated, for example without ground, the cause is listed.
 
     Args:
         published: Published model: the user's file as compiled.
         robot: Prepared robot.
-        predictions: Predicted equilibria; the file is simulated from each equilibrium.
+        predictions: Predicted equilibria, in which the simulations start.
     """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
@@ -308,11 +286,7 @@ def compare_with_file(
 
 
 def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
-    """Simulate the prepared robot from a predicted equilibrium, and compare both.
-
-    Unlike the published file, the prepared robot has the additions of this package. None if the
-    base cannot be placed, or if MuJoCo stops with a fatal error.
-    """
+    """Simulate the prepared robot from a predicted equilibrium; None if this is not possible."""
     model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
     return simulate_prediction(model, robot, prediction)
 
@@ -322,15 +296,8 @@ def _moves_alike(
 ) -> bool:
     """Return True if published file and prepared robot fail alike without feed-forward.
 
-    Neither comes to rest with position commands alone, the file does not collapse, and the
-    deviations from the predicted torques are equal within ``TORQUE_RTOL``. The file is then no
-    cause: the verdict reports the failure without feed-forward, with its cause. Measured for the
-    reduced Talos of example-robot-data, whose soles chatter: both deviate by 42.3 % in torque.
-
-    Args:
-        prediction: Predicted state of rest.
-        run: Simulation of the published model.
-        prepared: Simulation of the prepared robot; None if there is none.
+    The file is then no cause. Measured for the reduced Talos of example-robot-data, whose soles
+    chatter: both deviate by 42.3 % in torque.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
@@ -350,26 +317,8 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find out if a deviation is due to the preparation, or to differences between URDF and MJCF.
 
-    - If the simulation of the prepared robot agrees with the predicted equilibrium, the changes of
-      the preparation (`list_loading_changes`) are the cause.
-    - If this simulation deviates as much as the published MJCF, URDF and MJCF differ: the
-      equilibrium is predicted from the URDF. The deviation of the published MJCF is evaluated
-      twice: for the unmodified file, and with all candidate causes switched off. One of both must
-      match. The cause is the first difference found by ``compare_files`` that affects mass matrix,
-      gravity, or positions of joints and feet. Without such a difference, the cause is the first
-      part of the robot that differs.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
-        prediction: Predicted state of rest.
-        run: Simulation of the published model.
-        prepared: Simulation of the prepared robot; without it, no cause is found.
-
-    Returns:
-        Causes. Empty if neither case applies, if no change by the preparation is listed, or if
-        ``compare_files`` finds no difference or fails. Empty in the second case for a robot without
-        an MJCF, or with a converted URDF or MJCF.
+    If the prepared robot agrees with the prediction, changes of the preparation are the cause. If
+    the prepared robot deviates as well, a difference between URDF and MJCF may be the cause.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -416,22 +365,15 @@ class PredictedRest:
 def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Predict the equilibrium of a stand, with feed-forward and with position commands alone.
 
-    The stand is solved on soft ground. If this stand is out of reach, or does not converge because
-    of closed loops, the stand on rigid ground is used.
+    The stand of a free base is solved on soft ground if possible.
 
     Args:
         robot: Prepared robot.
         stand: Stand.
 
     Returns:
-        Two predictions: with feed-forward, then with position commands alone. Empty if the stand on
-            a free base cannot be solved, or is not in equilibrium. The second prediction is omitted
-            in the following cases:
-
-        - The base is fixed.
-        - A joint of the prepared robot has no position servo.
-        - A servo of the file was replaced, or the file drives a joint only through a tendon.
-        - No steady state without failures is found.
+        Prediction with feed-forward, then, if possible, prediction with position commands alone.
+        Empty without equilibrium.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -465,27 +407,19 @@ def simulate_prediction(
 ) -> PublishedRun | None:
     """Simulate the published model from a predicted equilibrium, and compare both.
 
-    The model settles for `SETTLING_TIME` (1 s), is nudged (gets a small velocity), and is then
-    simulated for `NUDGED_TIME` (4 s). The simulation continues, up to `_MAX_NUDGED_TIME` (40 s),
-    while the torques deviate from the predicted torques, but approach them. CoM height [m] and
-    joint positions [rad, m] are compared at the end; joint torques [N m, N] over the last second.
-
-    The model then gets large nudges of the base (`_find_shaken_state`) under four conditions: the
-    base is free, the commands include feed-forward, the torques agree, and the time step is longer
-    than that of the prepared robot. If the model shakes without decay, this motion is compared.
+    The model settles, is nudged (gets a small velocity), and may later get large nudges of the
+    base. CoM height [m] and joint positions [rad, m] are compared at the end; joint torques [N m,
+    N] over the last second.
 
     Args:
         published: Published model: the user's file as compiled.
         robot: Prepared robot.
         prediction: Predicted state of rest.
-        until_decided: Whether the simulation may end `_APPROACH_INTERVAL` after the nudge. The
-            simulation ends then if the torque deviation is large and does not fall (`_is_lasting`),
-            the base is free, and the actuators have no activations. The result is the comparison at
-            this time.
+        until_decided: Whether the simulation may end early if the torque deviation is large and
+            does not fall (`_is_lasting`).
 
     Returns:
-        Comparison; None if the base cannot be placed, for example if the base is fixed, or if
-        MuJoCo stops with a fatal error.
+        Comparison; None if the base cannot be placed, or if MuJoCo stops with a fatal error.
     """
     place_model = place_published if robot.floating else place_fixed_base
     data = place_model(published, robot, prediction.qpos)
@@ -543,7 +477,7 @@ class _PredictedTorques:
             high: Maximum force on each degree of freedom, shape (nv,) [N m, N].
 
         Returns:
-            Larger deviation of minimum and maximum, shape (number of driven joints,) [N m, N].
+            Deviations, shape (number of driven joints,) [N m, N].
         """
         above, below = high[self.dofs] - self.torques, self.torques - low[self.dofs]
         return np.asarray(np.maximum(above, below)[self.driven])
@@ -589,21 +523,9 @@ def _simulate_nudges(
     *,
     until_decided: bool,
 ) -> _NudgedState:
-    """Simulate a published model with a nudge, then with large nudges under four conditions.
+    """Simulate a published model with a nudge, and perhaps with large nudges of the base.
 
-    The conditions are those of `simulate_prediction`.
-
-    Args:
-        published: Published model.
-        robot: Prepared robot.
-        data: Initial state; changed to the state before large nudges.
-        hold: Commands of the actuators, and external servos.
-        torques: Predicted torques.
-        prediction: Predicted state of rest.
-        until_decided: As for `simulate_prediction`.
-
-    Raises:
-        mujoco.FatalError: If MuJoCo stops.
+    ``data`` is the initial state, and is changed in place.
     """
     model = published.model
     low, high, nudged_time = _simulate_until_compared(
@@ -630,16 +552,7 @@ def _compare_end_state(
     end: _NudgedState,
     torques: _PredictedTorques,
 ) -> PublishedRun:
-    """Compare the height, joint positions and torques at the end of a simulation with a prediction.
-
-    Args:
-        published: Published model.
-        robot: Prepared robot.
-        prediction: Predicted state of rest.
-        start: State at the start of the simulation.
-        end: State at the end.
-        torques: Predicted torques.
-    """
+    """Compare height, joint positions and torques at the end of a simulation with a prediction."""
     torque_deviations = torques.compute_deviations(end.low, end.high)
     joints = [published.model.joint(name).id for name in robot.joint_names]
     positions = end.data.qpos[published.model.jnt_qposadr[joints]]
@@ -696,19 +609,8 @@ def _simulate_until_compared(
 ) -> tuple[Array, Array, float]:
     """Simulate a published model before and after a nudge, until its torques can be compared.
 
-    The nudge is a small velocity at `SETTLING_TIME`. The simulation ends `NUDGED_TIME` after the
-    nudge. It continues, up to `_MAX_NUDGED_TIME`, while the torques deviate from the predicted
-    torques, but approach them.
-
-    Args:
-        published: Published model.
-        data: Initial state; changed to the final state.
-        hold: Commands of the actuators, and external servos.
-        find_deviation: Function that returns the largest deviation from the predicted torques,
-            divided by the torque scale [1]. Arguments are the minimum and maximum forces on the
-            degrees of freedom, shape (model.nv,) each [N m, N].
-        may_end_early: True to end the simulation `_APPROACH_INTERVAL` after the nudge if the
-            deviation is large and does not fall (`_is_lasting`).
+    ``data`` is changed to the final state. ``find_deviation`` converts minimum and maximum forces,
+    shape (model.nv,) each [N m, N], to the torque deviation divided by the torque scale [1].
 
     Returns:
         Minimum and maximum forces in the last `FORCE_WINDOW`, shape (model.nv,) each [N m, N], and
@@ -743,20 +645,12 @@ def _find_shaken_state(
 ) -> tuple[mujoco.MjData, Array, Array] | None:
     """Nudge the base of a resting published model, and find a motion that shakes without decay.
 
-    The base gets ``LARGE_NUDGE_SPEED`` along +-x, +-y and +-z of the world. The preparation
-    shortens a time step at which feet chatter after such nudges in the start pose. Other stands
-    may chatter only after a nudge that lifts a foot. Measured for a random robot with a time step
-    of 2 ms: after an upward nudge it hops, and moves by 0.4 m in 20 s.
-
-    Args:
-        published: Published model.
-        rest: State at rest; not changed.
-        hold: Commands of the actuators, and external servos.
-        find_deviation: As for `_simulate_until_compared`.
+    Measured for a random robot with a time step of 2 ms: after an upward nudge it hops, and moves
+    by 0.4 m in 20 s.
 
     Returns:
-        State, minimum and maximum forces of the first such motion, as `_simulate_until_compared`
-        returns the forces. None without such motion.
+        State, minimum and maximum forces, shape (model.nv,) each [N m, N]; None without such
+        motion.
     """
     base = int(published.model.body_dofadr[published.base_body])
     for axis in range(3):
@@ -775,32 +669,20 @@ def _find_shaken_state(
 
 
 def _is_lasting(earlier: float, deviation: float) -> bool:
-    """Return True if torques deviate much from the predicted torques, and do not approach them.
+    """Return True if torques deviate much from the predicted torques, and hardly approach them.
 
-    Two conditions must hold:
-
-    - The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`.
-    - The deviation falls so slowly that after `_APPROACH_INTERVAL` more than the fraction
-      `_MAX_APPROACH_RATIO` would remain.
-
-    Args:
-        earlier: Largest torque deviation in the first of two successive windows of `FORCE_WINDOW`,
-            relative to the torque scale [1].
-        deviation: Largest relative torque deviation in the second window [1].
+    The arguments are the torque deviations, divided by the torque scale [1], in two successive
+    windows of `FORCE_WINDOW`.
     """
     ratio = float(_MAX_APPROACH_RATIO ** (FORCE_WINDOW / _APPROACH_INTERVAL))
     return deviation > max(_MIN_LASTING_RATIO * TORQUE_RTOL, ratio * earlier)
 
 
 def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
-    """Return the name of the joint that deviates most from the predicted equilibrium.
+    """Return the joint that deviates most from the predicted equilibrium.
 
-    Args:
-        robot: Prepared robot.
-        moved: Displacement of each joint, shape (nu,) [rad, m].
-        torque_error: Torque or force deviation of each driven joint, shape (n,) [N m, N].
-        collapses: True to compare displacements instead of torque deviations. Displacements are
-            also compared if no joint is driven.
+    If the robot collapses, the displacements ``moved``, shape (nu,) [rad, m], decide; otherwise
+    usually ``torque_error`` of the driven joints [N m, N].
     """
     names = np.array(robot.joint_names)
     if collapses or not torque_error.size:
@@ -812,20 +694,15 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
     """Simulate a robot's unmodified file from its keyframe, and name the causes of a failure.
 
     The result is cached per loaded robot. Causes are elements of the file (`prepare.causes`).
-    Causes are not searched if a servo of the file has a stiffness of zero or below.
 
     Returns:
-        Simulation with causes. None in the cases in which `own_run` returns None, for example for a
-        fixed base.
+        Simulation with the causes that were found; None, for example, for a fixed base.
     """
     return get_loaded_robot(robot).compute_once(_own_run_explained)
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Simulate the unmodified file from its keyframe (`own_run`); add the causes if it fails.
-
-    No causes are searched if a servo has a stiffness of zero or below. None if `own_run` is None.
-    """
+    """Simulate the unmodified file from its keyframe (`own_run`); add the causes of a failure."""
     run = own_run(robot)
     model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:
@@ -842,11 +719,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def _list_pose_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the keyframe of a simulation as cause if the robot is not upright at reset.
-
-    This is so if the tilt of the base from the start pose (`Robot.home`) exceeds ``FALLEN_TILT``.
-    Empty otherwise, without a keyframe, or if the start pose cannot be placed.
-    """
+    """Return the keyframe of a simulation as cause if its base is tilted from the start pose."""
     upright = place_published(published, robot, robot.home)
     if not run.keyframe or upright is None:
         return ()
@@ -862,13 +735,9 @@ def _list_pose_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> t
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
-    """Return the cause of a failed simulation from a keyframe, if the keyframe's ctrl is the cause.
+    """Return the ctrl of the keyframe, if it causes the failure of a simulation from the keyframe.
 
-    The ctrl is the cause in two cases:
-
-    - The keyframe has no ctrl, and the robot does not fall if the joint positions of the keyframe
-      are commanded.
-    - The keyframe has a ctrl, and most joints have no position servo.
+    The ctrl may be absent, or may be meant for position servos that the file lacks.
 
     Args:
         run: Simulation of the unmodified file.
@@ -889,15 +758,7 @@ def name_remaining_cause(
 ) -> tuple[OwnRun | None, Published | None]:
     """Add the most probable cause to a failed simulation for which no other cause was found.
 
-    The published file is simulated in two ways: from its keyframe, and from the equilibrium that
-    this package computes for the prepared robot. The first possible cause that applies is added:
-
-    1. Ball joints of the file, which the prepared robot holds at rest.
-    2. If the simulation from the keyframe fails, and the file stands with stiffer servos: the
-       stiffness of the servos.
-    3. If the simulation from the keyframe fails: a joint that is not held, the joint that deviates
-       most, or the divergence (`_deviating_joint`).
-    4. If only the simulation from the equilibrium deviates: the joint that deviates most.
+    Possible causes are ball joints, too soft servos, and the joint that deviates most, for example.
 
     Args:
         robot: Prepared robot.
@@ -905,8 +766,7 @@ def name_remaining_cause(
         published: Simulations from the equilibrium; None if there are none.
 
     Returns:
-        ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst
-        simulation deviates. The other result is returned unchanged.
+        ``own`` and ``published``, at most one of them with a cause.
     """
     balls = list_ball_joints(robot)
     if own is not None and own.fails:
@@ -920,12 +780,9 @@ def name_remaining_cause(
 
 
 def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
-    """Return the ball joints of the published MJCF as causes of a failed simulation.
+    """Return ball joints of the published MJCF as causes of a failed simulation.
 
-    The prepared robot lacks ball joints: the joints are held at rest.
-
-    Returns:
-        Causes. Empty without ball joints, or without a published model.
+    The prepared robot holds these joints at rest. Empty without such joints.
     """
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
@@ -970,11 +827,7 @@ def _report_ties(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
-    """Test by a simulation if too soft servos of the file are the cause of a failure.
-
-    The servos are the cause if the file stands with stiffer servos. Otherwise the result is empty,
-    as without a published model or a free base.
-    """
+    """Return too soft servos as cause if the file stands with stiffer servos; empty otherwise."""
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:
@@ -990,11 +843,7 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the probable cause of a failed simulation of the file, without further simulations.
-
-    The cause is the joint without servo that moved, else a joint of a lifted leg, else the joint
-    with the largest displacement. If no joint is known, the cause is that the simulation diverges.
-    """
+    """Return the probable cause of a failed simulation of the file, without further simulations."""
     joint = run.unheld or run.lifted_leg or run.worst
     if joint is None:
         return (Cause("diverges", ()),)
@@ -1006,10 +855,7 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
 
 
 def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Find the elements of the file that cause the failure of its simulation from a keyframe.
-
-    The elements are changed in copies of the model, which are simulated again (`_test_causes`).
-    """
+    """Find the elements of the file that cause the failure of its simulation from a keyframe."""
     model = published.model
     candidates, physical = (
         list_difference_causes(published, robot),
@@ -1024,11 +870,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
         )
 
     def test_model(changed: mujoco.MjModel) -> float | None:
-        """Simulate a changed model from the keyframe; return 0.0 if it stands, None if it fails.
-
-        A model with a shorter time step than the file must also stand with a half and a quarter of
-        this time step.
-        """
+        """Simulate a changed model from the keyframe; return 0.0 if it stands, None if not."""
         # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
@@ -1047,16 +889,7 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    Groups of candidate elements are tested in turn, in copies of the model (`_test_causes`):
-
-    1. All elements of a group are switched off. The simulation must then agree with the predicted
-       equilibrium.
-    2. Each element is switched on again alone. The element is a cause if the agreement is then
-       lost, both for the group and for the largest set of candidates whose removal restores it.
-    3. Only the causes are switched off. If the simulation agrees, these causes are returned.
-
-    If switching off repairs the torques, a CoM height error of up to `MAX_REMAINING_SINKAGE` is
-    accepted.
+    Elements are switched off in copies of the model, which are simulated again (`_test_causes`).
 
     Args:
         published: Published model: the user's file as compiled.
@@ -1065,18 +898,11 @@ def find_difference_causes(
         run: Simulation of the published model, which deviates.
 
     Returns:
-        Causes. Empty if there is no such group, or if a servo of the file has a stiffness of zero
-        or below.
+        Causes; empty if no cause is found.
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Simulate a changed model from the predicted equilibrium, and return the torque error.
-
-        Returns:
-            Deviation from the predicted torques, divided by the torque scale [1]. None if the robot
-            collapses, or still deviates. If the change repairs the torques, a CoM height error of
-            up to `MAX_REMAINING_SINKAGE` is accepted.
-        """
+        """Simulate a changed model; return its torque error [1], or None if it still deviates."""
         changed = replace(published, model=model)
         new_run = simulate_prediction(changed, robot, prediction, until_decided=True)
         if new_run is None or new_run.collapses:
@@ -1106,31 +932,19 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a failed simulation, by switching off candidates in copies of the model.
 
-    A model is sound if ``test_model`` returns a number. Groups of candidates are tested in this
-    order: integration and solver; the other candidates; both; both and ``physical``. A group passes
-    under two conditions:
-
-    - The model is sound if the complete group is switched off.
-    - The model is sound if only the causes in the group are switched off. A candidate is a cause if
-      the model becomes unsound when this candidate alone is switched on again. This must be so for
-      the group, and for the largest set of candidates that makes the model sound.
+    Without the causes, the model passes the test. With one of the causes switched on again, it
+    fails.
 
     Args:
         published: Published model: the user's file as compiled.
         candidates: Candidates from `list_difference_causes`.
-        physical: Candidates from `list_shared_causes`.
-        test_model: Returns the remaining deviation of a sound model; None for an unsound model.
-
-    Returns:
-        Causes of the first group that passes; empty if no group passes.
+        physical: Candidates from `list_shared_causes`, tested last.
+        test_model: Function that returns the remaining deviation; None if a model fails the test.
     """
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Run ``test_model`` with candidate causes switched off; return its deviation.
-
-        None if the model still fails the test.
-        """
+        """Run ``test_model`` with candidates switched off; return its deviation or None."""
         model = copy.copy(published.model)
         for candidate in removed:
             candidate.switch_off(model)

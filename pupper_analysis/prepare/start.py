@@ -62,8 +62,9 @@ the angle between the vertical and the nearest axis of the base; the bound is 1.
 tuned."""
 
 _WEIGHT_RTOL = 0.01
-"""Upper bound of |ground force - weight| / weight [1] with which a keyframe counts as at rest. In a
-keyframe whose height was set by hand, the ratio is far larger. Chosen, not tuned."""
+"""Upper bound of |sum of the contacts' normal forces - weight| / weight [1] with which a keyframe
+counts as at rest. If a height was set by hand, the ratio is usually far larger. Chosen, not tuned.
+"""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
@@ -74,13 +75,11 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
         source: File of the MJCF, for errors.
 
     Returns:
-        {keyframe: {joint: position [rad, m]}}. Free joints are omitted. The value of a ball joint
-        is the first element of the quaternion. A keyframe without a name is called "keyframe 1"
-        etc.
+        {keyframe: {joint: position [rad, m]}}, without free joints. The value of a ball joint is
+        the first element of the quaternion. A keyframe without a name is called "keyframe 1" etc.
 
     Raises:
-        ModelError: If there are keyframes, and MuJoCo refuses the spec, or the model contains an
-            invalid number.
+        ModelError: If MuJoCo refuses the spec, for example.
     """
     if not len(spec.keys):
         return {}
@@ -97,22 +96,17 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
 
 
 def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
-    """Compute how deep the feet are in the ground in keyframes whose contact forces balance weight.
+    """Compute the ground penetration in keyframes whose contact forces balance the weight.
 
-    In such a keyframe the ground carries the robot, so the height of the base is meaningful. A
-    keyframe is used under three conditions:
-
-    - The sum of the normal forces of the contacts with the world equals the weight within 1 %
-      (`_WEIGHT_RTOL`): on level ground the robot would neither fall nor be thrown up.
-    - The keyframe contains a ctrl that is not zero.
-    - An axis of the base is vertical.
+    In such a keyframe the ground carries the robot, so the height of the base is meaningful.
+    Keyframes without a ctrl, or whose base is not level, are omitted.
 
     Args:
         model: Unmodified model of the MJCF.
 
     Returns:
-        {keyframe: largest penetration of a contact with the world [m]}; other keyframes are
-        omitted. Empty unless the model has exactly one free joint.
+        {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model has
+        exactly one free joint.
     """
     found, free = {}, list_free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():
@@ -164,14 +158,9 @@ def choose_keyframes(
 def with_keyframes(
     description: Description, known: Mapping[str, Mapping[str, float]]
 ) -> Description:
-    """Return a copy of a description with keyframes added to the MJCF.
+    """Return a description with keyframes added to its MJCF.
 
-    The keyframes of the file were removed before, when the names of URDF and MJCF were matched.
-
-    Args:
-        description: URDF and MJCF with matched names.
-        known: {keyframe: {joint: position [rad, m]}}; a joint without a position keeps the value in
-            ``qpos0``. If empty, the description is returned unchanged.
+    ``known`` is {keyframe: {joint: position [rad, m]}}; joints without a position are at ``qpos0``.
     """
     if not known:
         return description
@@ -187,9 +176,8 @@ def with_keyframes(
 
 
 _LIMIT_ATOL = 1e-3
-"""Tolerance [rad, m] of joint limits in a keyframe. If a joint exceeds its limit by more, the
-keyframe is no standing pose. The tolerance is needed since keyframes are rounded. Chosen, not
-tuned.
+"""Tolerance [rad, m] of joint limits in a keyframe that may be a standing pose: keyframes are
+rounded. Chosen, not tuned.
 """
 
 _MAX_FOOT_HEIGHT_SPREAD = 0.1
@@ -198,7 +186,8 @@ height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
 """Upper bound of the number of combinations of the legs' IK branches that are tried as initial
-guesses at each base height, in the order of `combine_branches`. Chosen, not tuned."""
+guesses at a base height. Chosen, not tuned.
+"""
 
 _NUM_HEIGHTS = 12
 """Number of base heights at which a stand is searched, between folded and straight legs
@@ -227,33 +216,36 @@ and hip [1]. Outside of the bounds, the foot is moved to `_TARGET_SIDE_DISTANCE`
 tuned."""
 
 _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
-"""Horizontal distance of a moved foot from the hip, and depth of a foot below the hip, divided by
-the distance between foot and hip [1]. All feet get the height of the lowest of these feet
-(`_spread_feet`). Chosen, not tuned."""
+"""Horizontal distance of a moved foot from the hip, and least depth of a foot's target below the
+hip, divided by the distance between foot and hip [1]. Chosen, not tuned.
+"""
 
 _NUM_KEYFRAME_DIGITS = 6
-"""Decimals of a written keyframe's joint positions [rad, m], height [m] and ctrl: 1 um. Chosen, not
-tuned."""
+"""Decimals of a written keyframe's joint positions [rad, m], base height [m] and ctrl. Chosen, not
+tuned.
+"""
 
 _POSE_WEIGHT = 1e-3
 """Weight of a joint's distance from the pose [rad, m] in a least-squares problem, relative to the
-other residuals: height errors of the contact points and offset of the CoM, both divided by the base
-height. The small weight only selects among the postures in which the soles lie flat. Chosen, not
-tuned."""
+other residuals, which are lengths divided by the base height. The small weight selects among the
+postures in which the soles lie flat. Chosen, not tuned.
+"""
 
 _MAX_SOLE_ERROR = 1e-3
-"""Upper bound of two errors with which `_level_soles` accepts joint positions as initial guess of a
-stand [1]: height error of a contact point, and horizontal CoM offset, both divided by the base
-height. Chosen, not tuned: the stand is solved exactly afterwards."""
+"""Upper bound of the height error of a contact point, and of the horizontal CoM offset, both
+divided by the base height [1], with which `_level_soles` accepts joint positions. Chosen, not
+tuned: the stand is solved afterwards.
+"""
 
 _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad, m]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
 _MIN_CONTACT_RATE = 1e-9
-"""Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint moves a
-contact point. Smaller elements are rounding. Chosen, not tuned: the elements of legs are 1e-2 m/rad
-or larger."""
+"""Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint counts as
+moving a contact point. Smaller elements are rounding. Chosen, not tuned: the elements of legs are
+usually above 1e-2 m/rad.
+"""
 
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 """Lowest and highest base height at which a stand is searched, as fractions of the leg length
@@ -274,12 +266,7 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
     """Return True if a pose may be a stand: joints within limits, feet at about the same height.
 
-    Three conditions must hold, with the base level:
-
-    - No joint exceeds its limits by more than 1e-3 rad or m (`_LIMIT_ATOL`).
-    - All feet are below the origin of the base.
-    - The heights of the feet differ by less than 10 % of the height of the base above the lowest
-      foot (`_MAX_FOOT_HEIGHT_SPREAD`).
+    The feet must also be below the origin of the base, which is level.
 
     Args:
         robot: Robot with feet.
@@ -300,12 +287,8 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 def solve_nominal_stand(robot: Robot) -> Stand | None:
     """Solve the nominal stand of a robot: the stand of the default `StandTask`.
 
-    The default task has a level base at the height of the start pose, and the CoM above the centre
-    of the feet. If the legs cannot move the CoM, the CoM is only inside of the support polygon.
-
     Returns:
-        The stand. None if the stand is out of reach, is not in static equilibrium, or if another
-        error of this package occurs.
+        The stand; None if no stand in static equilibrium is found.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -316,22 +299,15 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 
 
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
-    """Search for a start pose: a stand at the middle of the base heights that the legs can reach.
-
-    Three choices of the horizontal foot positions are tried until a stand is found:
-
-    1. The foot positions in ``poses``.
-    2. Foot positions near the hips (`_spread_feet`).
-    3. Foot positions at which the soles of bent legs are level (`_find_level_soles`).
+    """Search for a start pose near the middle of the base heights that the legs can reach.
 
     Args:
         robot: Robot with feet.
-        poses: Joint positions of each pose, shape (nu,) [rad, m].
+        poses: Joint positions near which a stand is searched, shape (nu,) each [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand. None if no stand is found, or if
-        gravity does not press the robot onto the ground. None also if no joint moves a contact
-        point in the first pose, as with wheels: the base then has a single height.
+        Copy of the robot with this start pose. None if no stand is found, for example if the joints
+        do not move the contact points, as with wheels.
     """
     if robot.gravity[2] >= 0:
         return None  # no contact force balances the weight
@@ -346,27 +322,19 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 
 def _can_move_contacts(robot: Robot, pose: Array) -> bool:
-    """Return True if a joint moves a contact point relative to the base, unlike that of a wheel.
+    """Return True if a joint moves a contact point relative to the base at ``pose`` (nu,) [rad, m].
 
-    The Jacobian is evaluated at the joint positions ``pose``, shape (nu,) [rad, m]. The contact
-    point of a wheel is on the axis of its joint, which therefore does not move the point.
+    The contact point of a wheel is on the axis of its joint.
     """
     jacobians = Configuration(robot, robot.make_qpos(pose)).foot_jacobians().values()
     return any((np.abs(jacobian[:, 6:]) > _MIN_CONTACT_RATE).any() for jacobian in jacobians)
 
 
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
-    """Find a start pose with flat soles, without prescribing the horizontal positions of the feet.
+    """Find a start pose with flat soles, at free horizontal foot positions; None if not found.
 
-    The horizontal positions are free because a bent leg may not reach a level sole at prescribed
-    positions: with fewer than six joints and axes that are not parallel, bending moves and tilts
-    the sole sideways. The start pose is searched near ``pose``, joint positions of shape (nu,)
-    [rad, m], at several base heights. The nominal stand (default `StandTask`) must exist. If no
-    start pose has the CoM above the centre of the feet, and at least three feet have a polygon, the
-    CoM is free as well: legs of two joints cannot move it sideways.
-
-    Returns:
-        Robot with this start pose; None if no start pose is found.
+    A bent leg with few joints may not reach a level sole at prescribed positions: bending moves and
+    tilts the sole sideways. ``pose`` is the initial guess, joint positions (nu,) [rad, m].
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = np.round(
@@ -377,7 +345,7 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     def level_at_heights(margin: float, *, centred: bool) -> list[Robot]:
         """Return a robot per base height at which the joints can lay all soles flat.
 
-        The joints are at least ``margin`` [rad, m] from the limits.
+        ``margin`` [rad, m] is the wanted distance of the joints from the limits.
         """
         guesses = [
             (height, _level_soles(robot, pose, height, margin, centred=centred))
@@ -397,7 +365,8 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
 
 _MIN_FEET_OF_POLYGON = 3
 """Number of feet from which a start pose is also searched with the CoM off the centre of the feet:
-point feet then have a support polygon."""
+three point feet can have a support polygon.
+"""
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
 """Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``) and largest number of evaluations of the
@@ -408,22 +377,11 @@ quadratically from errors of 1e-8 m. Chosen, not tuned."""
 def _level_soles(
     robot: Robot, pose: Array, height: float, margin: float, *, centred: bool = True
 ) -> Array | None:
-    """Bend the joints until all contact points are on the ground, with their centre below the CoM.
+    """Compute joint positions (nu,) [rad, m] that place all contact points on level ground.
 
-    The joint positions are a least-squares solution with a level base. The distance from ``pose``
-    is a small regularisation. The horizontal positions and the yaw of the feet are free. Limits
-    beyond +-pi [rad, m] count as +-pi.
-
-    Args:
-        robot: Robot with feet.
-        pose: Joint positions that the solution is close to, shape (nu,) [rad, m].
-        height: Height of the base above the ground [m].
-        margin: Distance of the joints from the limits [rad, m]; at most 40 % of a joint's range.
-        centred: Whether the CoM must be above the centre of the contact points.
-
-    Returns:
-        Joint positions, shape (nu,) [rad, m]; None if an error divided by ``height`` is
-        ``_MAX_SOLE_ERROR`` or more.
+    The least-squares solution is close to ``pose``, (nu,) [rad, m]. The base is ``height`` [m]
+    above the ground, and the joints are about ``margin`` [rad, m] from the limits. If ``centred``,
+    the CoM is above the centre of the contact points. None if no accurate solution is found.
     """
     from scipy import optimize  # slow to import
 
@@ -434,29 +392,14 @@ def _level_soles(
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
-        """Compute how far contact points are off the ground, and the CoM is off their centre.
-
-        Args:
-            joints: Joint positions, shape (nu,) [rad, m].
-
-        Returns:
-            Shape (number of points + 2,) [m]: height of each contact point above the ground, then x
-            and y of the CoM relative to the mean contact point; the latter only if ``centred``.
-        """
+        """Compute the contact points' heights, then the CoM's offset x, y if ``centred`` [m]."""
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_centres(points)
         com_offset = (config.center_of_mass() - touching.mean(axis=0))[: 2 * centred]
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
 
     def derivative(joints: Array) -> Array:
-        """Compute the Jacobian of the function ``errors`` with respect to the joint positions.
-
-        Args:
-            joints: Joint positions, shape (nu,) [rad, m].
-
-        Returns:
-            Shape (number of points + 2, nu) [m/rad, 1].
-        """
+        """Compute the Jacobian of ``errors``, shape (number of errors, nu) [m/rad, 1]."""
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_twist_jacobians(points)[:, :3, 6:]
         rows = slice(2 * centred)
@@ -488,30 +431,15 @@ def _level_soles(
 
 
 def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
-    """Return a robot with other joint positions of the start pose, and another nominal base height.
-
-    Args:
-        robot: Robot.
-        joints: Joint positions, shape (nu,) [rad, m].
-        height: Height of the base above the ground in the nominal stand (default `StandTask`) [m].
-    """
+    """Return a robot with start joint positions (nu,) [rad, m] and a nominal base height [m]."""
     return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
 
 
 def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
-    """Choose the start pose among candidates at successive base heights, the middle height first.
+    """Choose a start pose from series of robots at successive base heights, near the middle height.
 
-    Each series of candidates is tried from the middle outwards. The first candidate whose nominal
-    stand (default `StandTask`) remains within reach on soft ground is returned. Without such a
-    candidate, the first with a nominal stand is returned. A candidate may fail: the nominal stand
-    needs the CoM above the centre of the feet, and bending straight legs moves the CoM.
-
-    Args:
-        runs: Series of robots that differ only in the start pose, each in the order of the base
-            heights. A later series is used only if no robot before is within reach on soft ground.
-
-    Returns:
-        Robot with the chosen start pose; None if no candidate has a nominal stand.
+    A start pose that remains within reach on soft ground is preferred. None if no robot has a
+    nominal stand.
     """
     on_rigid_ground: Robot | None = None
     for starts in runs:
@@ -527,11 +455,9 @@ def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
 
 
 def _is_within_reach_on_soft_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if a stand remains within reach of the legs on ground into which the feet sink.
+    """Return True if a stand remains within reach on soft ground, into which the feet sink.
 
-    The legs must be extended by the depth of the feet in the ground. The result is therefore False
-    near the largest height that the legs reach. Other errors on soft ground, such as depths that do
-    not converge, do not count.
+    Other errors on soft ground, such as depths that do not converge, do not count.
     """
     try:
         solve_stand_on_soft_ground(robot, stand, explain=False)
@@ -543,28 +469,15 @@ def _is_within_reach_on_soft_ground(robot: Robot, stand: Stand) -> bool:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Search for a start pose at the middle of the base heights that are reached from given poses.
+    """Search for a start pose near the middle of the base heights that are reached from poses.
 
-    1. From each pose, stands are searched at successive base heights.
-    2. The pose with the most consecutive stands is used.
-    3. The start pose is the stand at the middle height. If the nominal stand (default `StandTask`)
-       does not exist there, the next heights are tried.
-
-    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand is
-    found that remains within reach on soft ground. Without such a stand, the first stand is used.
-
-    Args:
-        robot: Robot with feet.
-        poses: Joint positions of each pose, shape (nu,) [rad, m].
-
-    Returns:
-        Robot with the start pose; None if there is no stand.
+    The poses are joint positions, (nu,) each [rad, m]. None if no stand is found.
     """
 
     def find_run(margin: float) -> list[Robot]:
         """Return a robot per stand of the longest series, with this stand as start pose.
 
-        The joints are at least ``margin`` [rad, m] from the limits.
+        ``margin`` [rad, m] is the distance of the joints from the limits.
         """
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
@@ -583,20 +496,10 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:
-    """Compute joint positions that place the feet below and beside the hips, where legs can bend.
+    """Compute joint positions (nu,) [rad, m] with the feet below and beside the hips.
 
-    A foot that is too near or too far (`_MIN_SIDE_DISTANCE`, `_MAX_SIDE_DISTANCE`) gets a target at
-    `_TARGET_SIDE_DISTANCE`. All targets have the same height. Reason: legs that are straight to the
-    side, such as a spider's at zero angles, cannot reach the ground below their feet.
-
-    Args:
-        robot: Robot with feet.
-        pose: Joint positions, shape (nu,) [rad, m].
-
-    Returns:
-        Joint positions, shape (nu,) [rad, m]; ``pose`` if inverse kinematics finds no solution. If
-        the legs cannot reach the targets, the foot errors are the smallest found. A foot on the
-        base keeps its position.
+    Legs that are straight to the side, such as a spider's at zero angles, cannot reach the ground
+    below their feet. The result is ``pose`` if inverse kinematics finds no solution.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
@@ -632,14 +535,12 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
 def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
     """Find the longest series of stands at successive base heights, from high to low.
 
-    The heights are fixed fractions of the leg length. A series ends at a height without a stand.
-
     Args:
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
         margin: Distance of the joints from the limits [rad, m].
-        known: Number of stands in the longest series for other poses. The search ends once no
-            longer series is possible; the result may then be shorter, or empty.
+        known: Number of stands in the longest series for other poses. A series that is not longer
+            may be returned incomplete.
     """
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = [
@@ -649,15 +550,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
     ]
 
     def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
-        """Solve a stand at a base height in which only the feet are close to the ground.
-
-        Args:
-            height: Height of the base [m].
-            guess: Stand whose joint positions are the initial guess; None: the preferred positions.
-
-        Returns:
-            Stand; None without such a stand.
-        """
+        """Solve a stand at a base height [m] that is clear of the ground; None if not found."""
         joints = None if guess is None else guess.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _solve_near_pose(robot, task, pose)
@@ -699,11 +592,7 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
 
 
 def list_foot_bodies(robot: Robot) -> set[int]:
-    """Return the MuJoCo ids of the moving bodies that have a foot.
-
-    If a foot is on a body without joints, the id is that of the moving body to which this body is
-    fixed (``body_weldid``).
-    """
+    """Return the MuJoCo ids (``body_weldid``) of the bodies that carry the feet."""
     weld = robot.mj_model.body_weldid
     return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
@@ -711,8 +600,7 @@ def list_foot_bodies(robot: Robot) -> set[int]:
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
     """Return True if no body is near the ground in a stand, except the bodies of the feet.
 
-    A body is near the ground if a geom of the body touches the ground when the base is lowered by 1
-    cm (`_MIN_GROUND_CLEARANCE`).
+    A body is near the ground if it touches the ground with the base lowered by 1 cm.
     """
     model = robot.mj_model
     foot_bodies = list_foot_bodies(robot)
@@ -723,18 +611,9 @@ def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
 
 
 def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
-    """Solve a stand whose joints outside the legs (arms, waist) are near a pose.
+    """Solve a stand whose joints outside the legs (arms, waist) are near ``pose`` (nu,) [rad, m].
 
-    The stand is solved up to `_MAX_RESET_PASSES` times. Each solve after the first starts from the
-    last stand, with the joints outside the legs reset to ``pose``.
-
-    Args:
-        robot: Robot with feet.
-        task: Stand task.
-        pose: Joint positions, shape (nu,) [rad, m].
-
-    Returns:
-        Last solved stand; None without a stand.
+    These joints are reset between successive solves. None if no stand is found.
     """
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
@@ -759,11 +638,7 @@ def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None
 def _yield_bent_legs(robot: Robot, targets: StandTargets, pose: Array) -> Iterator[Array]:
     """Yield initial guesses of joint positions (nu,) [rad, m] from inverse kinematics of the legs.
 
-    The base is level at the position in ``targets``. Each guess combines a solution branch of each
-    leg for the foot targets in ``targets``, for example with the knee forwards or backwards.
-    Guesses that reach the targets come first, sorted by the distance of the joints from ``pose``.
-    At most `_MAX_BRANCHES` guesses are yielded. The branches are computed only when the first guess
-    is requested.
+    The guesses combine IK branches of the legs, for example with the knee forwards or backwards.
     """
     qpos = robot.make_qpos(pose)
     qpos[:3] = (*targets.place, targets.height)
@@ -774,20 +649,9 @@ def _yield_bent_legs(robot: Robot, targets: StandTargets, pose: Array) -> Iterat
 def _solve_first_guess(
     context: SearchContext, targets: StandTargets, guesses: Iterable[Array]
 ) -> Stand | None:
-    """Solve a stand from initial guesses of the joint positions, in order, until a guess succeeds.
+    """Solve a stand from the first initial guess (nu,) [rad, m] that succeeds; None without one.
 
-    If the task permits any CoM within the support polygon, the nonlinear program
-    (`solve_constraints`) is tried after each guess that fails. Its stand must be clear of the
-    ground.
-
-    Args:
-        context: Search context of the robot.
-        targets: Targets and limits of the stand task.
-        guesses: Joint positions, shape (nu,) each [rad, m].
-
-    Returns:
-        Stand. None if all guesses fail. None also if two guesses end at the same minimum of the
-        foot errors, above ``NEAR_MISS``: the stand then counts as out of reach.
+    Two guesses that end at the same minimum of the foot errors may end the search.
     """
     misses: list[float] = []
     for joints in guesses:
@@ -812,20 +676,15 @@ def _solve_first_guess(
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the base height above the ground at which the longest leg would be straight.
 
-    The height of a leg is a sum of three terms:
-
-    - Length of the chain from the contact point over the joints of the leg to the first joint.
-      Slides have the positions in ``qpos``.
-    - Height of the base above the first joint in ``qpos``.
-    - Radius of the contact sphere. If the sphere contains the last joint, as for a nearly flat
-      sole, the chain begins at the lowest point of the sphere instead.
+    The height of a leg is about the length of the chain from its first joint to the contact point,
+    plus the height of the base above this joint in ``qpos``, plus the radius of the contact sphere.
 
     Args:
         robot: Robot with feet.
         qpos: Configuration, shape (nq,), with a level base.
 
     Returns:
-        Largest height of all contact points [m].
+        Largest height of the legs [m].
     """
     config, model = Configuration(robot, qpos), robot.pin_model
     lengths = []
@@ -845,9 +704,7 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 def with_foot_contacts_only(robot: Robot) -> Robot:
     """Return a robot whose foot bodies collide with their foot geoms only, in the MuJoCo model.
 
-    Other geoms of the foot bodies have contype and conaffinity 0. Contacts of a ``<pair>`` remain.
-    Only the compiled model is changed, not the description (URDF and MJCF): a robot that is built
-    from the description has all collisions again.
+    Contacts of a ``<pair>`` remain. The description (URDF and MJCF) is not changed.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
@@ -860,16 +717,14 @@ def with_foot_contacts_only(robot: Robot) -> Robot:
 
 
 def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
-    """Simulate an unmodified model from a keyframe; return the penetration of its feet at rest [m].
+    """Simulate an unmodified model from a keyframe; return its ground penetration at the end [m].
 
     Args:
         model: Model of the unmodified MJCF.
         name: Name of the keyframe; "keyframe 1" etc. for keyframes without a name.
 
     Returns:
-        Largest penetration of a contact with the world at the end of the simulation. None if the
-        model collapses with the ctrl of the keyframe, if the keyframe is missing, or if the model
-        does not have exactly one free joint.
+        Largest penetration of a contact with the world. None if the model collapses, for example.
     """
     names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
     free = list_free_joints(model)
@@ -895,13 +750,7 @@ def _list_objections(
 ) -> tuple[Diagnostic, ...]:
     """Return a message with the reason against a keyframe from which the unmodified file stands.
 
-    The reasons, of which the first is stated: joints are beyond their limits, the feet are uneven,
-    or no nominal stand exists with the joint positions of the keyframe.
-
-    Args:
-        robot: Robot with feet.
-        name: Name of the keyframe.
-        joints: {joint: position [rad, m]} of the keyframe.
+    ``joints`` is {joint: position [rad, m]} of the keyframe.
     """
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
@@ -927,29 +776,19 @@ def find_start_pose(
 ) -> tuple[Robot, list[Diagnostic]]:
     """Choose the start pose (`Robot.home`) of a robot: a keyframe, or else a searched pose.
 
-    The start pose is the first of these poses from which the nominal stand is found:
-
-    1. A keyframe whose feet are level, and whose joints are within the limits.
-    2. A keyframe from which the unmodified file stands in a simulation (``rest_depth``). The joints
-       are clipped to the limits, and the base is lowered by the penetration of the feet at rest.
-       Without a stand at this height, the base is not lowered.
-    3. A searched pose (`search_start`).
-
-    If no pose is found, a note reports the failure. The start pose is then a keyframe that step 1
-    or 2 tried; without such a keyframe, the start pose is unchanged. Contacts of shapes
-    other than the feet are ignored here: `touching` disables such contacts later.
+    A keyframe with level feet and a nominal stand is preferred, then a keyframe from which the
+    unmodified file stands in a simulation. If no pose is found, a note reports the failure.
 
     Args:
         robot: Robot with feet.
         known: {keyframe: {joint: position [rad, m]}}, in the order of the trials.
-        sunk: {keyframe: penetration of the feet [m] at rest} (`compute_resting_depths`). The base
-            height of the start pose is corrected by the penetration.
+        sunk: {keyframe: penetration of the feet [m] at rest}, by which the base is lowered
+            (`compute_resting_depths`).
         rest_depth: Function that returns the penetration of the feet [m] with which the unmodified
-            file stands from a keyframe; None if the file falls. Called only in step 2.
+            file stands from a keyframe; None if the file falls.
 
     Returns:
-        Robot with the start pose, and notes: the chosen pose, and the reasons against keyframes
-            from which the unmodified file stands.
+        Robot with the start pose, and notes on the choice of the pose.
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}
@@ -1000,10 +839,7 @@ def find_start_pose(
 
 
 def _mark_used_keyframe(notes: Iterable[Diagnostic], name: str) -> list[Diagnostic]:
-    """Return notes, of which that on joints beyond limits states that the start pose is clipped.
-
-    ``name`` is the keyframe of the start pose; notes on other keyframes are not changed.
-    """
+    """Return notes in which keyframe ``name`` is marked as used if its joints exceed the limits."""
     return [
         replace(note, values=FrozenDict({**note.values, "used": True}))
         if note.code == "keyframe-beyond-limits" and note.subject == Subject("keyframe", name)
@@ -1019,7 +855,7 @@ def _find_keyframe_stand(
     *,
     also_without_depth: bool = False,
 ) -> tuple[str, Robot] | None:
-    """Find the first keyframe with whose joint positions the nominal stand exists.
+    """Find a keyframe with whose joint positions the nominal stand exists; None without one.
 
     Args:
         robot: Robot with feet.
@@ -1028,9 +864,7 @@ def _find_keyframe_stand(
         also_without_depth: Whether keyframes in ``sunk`` are also tried without penetration.
 
     Returns:
-        Name of the keyframe, and robot with the start pose. The nominal joint positions are those
-        of the keyframe if ``sunk`` contains the keyframe, or if zero positions have no stand. None
-        without such a keyframe.
+        Name of the keyframe, and robot with the start pose.
     """
     for name, pose in poses.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
@@ -1082,10 +916,9 @@ def round_start_configuration(robot: Robot, stand: Stand) -> Array:
 
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
-    """Set the start pose of a robot to joint positions, with the lowest foot ``sunk`` [m] deep.
+    """Set joint positions (nu,) [rad, m] as start pose, with the lowest foot ``sunk`` [m] deep.
 
-    The joint positions are ``joints``, shape (nu,) [rad, m]; the base is level. The base height of
-    the nominal stand is set accordingly.
+    The base is level; its height in the nominal stand is set accordingly.
     """
     qpos = robot.make_qpos(joints)
     places = Configuration(robot, qpos).foot_positions()
@@ -1094,10 +927,9 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
 
 
 def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Copy the start pose and the nominal joint positions of the robot ``posed`` to ``whole``.
+    """Copy the start pose and nominal joint positions of ``posed`` to ``whole`` and to its MJCF.
 
-    The MJCF of the returned robot's description gets the start pose as well, with the base level at
-    x = y = 0. Both robots have the same joints.
+    Both robots must have the same joints.
     """
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)
