@@ -79,9 +79,9 @@ weight."""
 
 _CTRL_DEGREE_RTOL = 1e-3
 """Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the
-ctrl of a keyframe counts as joint angles in degrees. Chosen as a bound of rounding: an angle in
-radians with five digits differs by 1e-5. The bound is small since torques of tens of N m may be
-near angles in degrees by chance."""
+ctrl of a keyframe counts as joint angles in degrees. Chosen as a bound of rounding, and small since
+torques of tens of N m may be near angles in degrees by chance.
+"""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
@@ -100,9 +100,7 @@ feet of ANYmal B that creep apart move at 1e-3; robots that shake oscillate with
 def get_loaded_robot(robot: Robot) -> Robot:
     """Return the robot as it was loaded from files, without later changes such as a payload.
 
-    Omitted are changes that rebuilt the models, for example an added payload, and contact points
-    that a stand task added. Other changes remain: MuJoCo options (`with_options`); and servo gains
-    that a design of the tool ``study`` set, if the models were not rebuilt before.
+    Changed MuJoCo options remain, for example (`with_options`).
     """
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
@@ -115,13 +113,7 @@ def own_run(robot: Robot) -> OwnRun | None:
     Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
     Returns:
-        Simulation result. None in the following cases:
-
-        - The robot has no feet, or a fixed base.
-        - There is no published model (`get_published_model`).
-        - The base has fewer than six degrees of freedom in the file.
-        - There is no keyframe, and the start pose cannot be simulated
-          (`simulate_model_from_keyframe`).
+        Simulation result; None if the file cannot be simulated, for example with a fixed base.
     """
     return get_loaded_robot(robot).compute_once(_simulate_from_keyframe)
 
@@ -129,12 +121,11 @@ def own_run(robot: Robot) -> OwnRun | None:
 def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     """Return the compiled model of the published file, with the MuJoCo options that the caller set.
 
-    The published file is the MJCF of the user. For a robot with a URDF alone, the file is MuJoCo's
-    import of the URDF.
+    The published file is the MJCF of the user, or MuJoCo's import of a URDF without MJCF.
 
     Returns:
-        Model, with a floor if necessary (`compile_published_model`). None if the robot has no file,
-        if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the robot.
+        Model, with a floor if necessary (`compile_published_model`). None, for example, if the
+        robot has no file.
     """
     if robot.published is None:
         return None
@@ -155,7 +146,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
     """Create the message that states why MuJoCo cannot import the URDF of a robot, as a tuple.
 
-    Empty if the import works, or if the robot has an MJCF: the URDF is then not imported.
+    Empty without such a failure.
     """
     found, _ = get_loaded_robot(robot).compute_once(_import_urdf)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
@@ -180,21 +171,10 @@ class _NudgedStates:
     def advance(
         self, model: mujoco.MjModel, state: mujoco.MjData, hold: HoldCommands, seconds: float
     ) -> float:
-        """Advance a simulation to a recorded state, if it repeats the recorded simulation.
-
-        Reason: this saves computation time. The simulation repeats the recorded one if model,
-        commands and state are equal. ``state`` is then replaced by the latest recorded state within
-        the time ``seconds``.
-
-        Args:
-            model: Published model of the simulation.
-            state: State, the initial one or one of ``reached``; changed in place.
-            hold: Commands of the simulation.
-            seconds: Time [s] by which the caller advances the state.
+        """Advance ``state`` in place to a recorded state, if it repeats the recorded simulation.
 
         Returns:
-            Time [s] by which the caller must still simulate the state; ``seconds`` if no recorded
-            state can be used.
+            Part of ``seconds`` that the caller must still simulate [s].
         """
         if model is not self.model or not _are_equal_commands(hold, self.hold):
             return seconds
@@ -210,10 +190,7 @@ class _NudgedStates:
 
 
 def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
-    """Return the recorded simulation in which the imported URDF of a robot comes to rest.
-
-    None for a robot with an MJCF or without a file, and without such a simulation.
-    """
+    """Return the recorded simulation in which the imported URDF comes to rest; None without one."""
     published = robot.published
     if published is None or published.is_unchanged or published.file is not None:
         return None
@@ -244,15 +221,11 @@ def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
 def _import_urdf(
     robot: Robot,
 ) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedStates | None]:
-    """Import the URDF of a robot without MJCF by MuJoCo's own importer, with a stable time step.
-
-    The time step of a robot on feet is reduced if the robot does not settle otherwise. If the robot
-    settles with no time step, the time step is not reduced.
+    """Import a URDF by MuJoCo's importer, with a time step at which the robot settles, if any.
 
     Returns:
-        A pair. First: the model; the error message if MuJoCo refuses the URDF; None if the robot
-        has an MJCF or no file. Second: the simulation in which the robot settles; None if there is
-        none.
+        Model; or the error message if MuJoCo refuses the URDF; or None without a URDF to import.
+        And the simulation in which the robot settles, or None.
     """
     if robot.published is None or robot.published.imported is None:
         return None, None
@@ -275,8 +248,7 @@ def _import_urdf(
 def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Return True if a nudged model still stands, and is at rest, after 2 s (``_SETTLING_TIME``).
 
-    The nudge is a small initial velocity. The result is False if the base cannot be placed at the
-    configuration.
+    The nudge is a small initial velocity.
 
     Args:
         model: Published model: the user's file as compiled.
@@ -291,19 +263,11 @@ def _simulate_settling(
 ) -> tuple[bool, _NudgedStates | None]:
     """Simulate a nudged model for 2 s (`_SETTLING_TIME`), to find out if it comes to rest.
 
-    The nudge is a small initial velocity. The joint positions in ``qpos`` are commanded.
-
-    Args:
-        model: Published model: the user's file as compiled.
-        robot: Prepared robot, with the gains of the added servos.
-        qpos: Configuration of the stand, shape (nq,).
+    The joint positions in ``qpos``, shape (nq,), are commanded.
 
     Returns:
-        True if the robot still stands and is at rest; and the recorded simulation. (False, None) if
-        the base cannot be placed.
-
-        The record contains the final state. It also contains the state at half the duration of a
-        run from a keyframe, if this time is shorter: such a run starts in the same way.
+        True if the robot still stands and is at rest; and the recorded simulation, or None if the
+        base cannot be placed.
     """
     published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
@@ -336,10 +300,7 @@ def _simulate_settling(
 
 
 def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
-    """Simulate the published file of a loaded robot from its keyframe (`own_run`, uncached).
-
-    None in the cases that ``own_run`` lists.
-    """
+    """Simulate the published file of a loaded robot from its keyframe (`own_run`, uncached)."""
     if not robot.floating or not robot.feet or robot.published is None:
         return None
     model = robot.compute_once(get_published_model)
@@ -349,7 +310,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model from its initial keyframe, to find out if the file alone stands.
+    """Simulate a published model from a keyframe, to find out if the file alone stands.
 
     Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
@@ -358,10 +319,7 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
         robot: Prepared robot.
 
     Returns:
-        Simulation result. None if the robot has no file, or if the base has fewer than six degrees
-        of freedom in the model. Without a keyframe (or without the requested keyframe), None also
-        if the world has no level plane, the base cannot be placed, or an actuator has a built-in
-        controller.
+        Simulation result; None, for example, if the base is not free in the model.
     """
     if robot.published is None or not published.floating:
         return None
@@ -374,17 +332,9 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
 
 
 def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
-    """Select the keyframe from which the published model is simulated; return its index.
+    """Return the index of the keyframe from which a published model is simulated, or None.
 
-    Args:
-        model: Published model: the user's file as compiled.
-        robot: Prepared robot: with the additions of this package.
-        wanted: Name of the keyframe. None: keyframes whose feet are level and whose joints are
-            within the limits come first, then ``home``, then the other keyframes in the order of
-            the file.
-
-    Returns:
-        Index of the keyframe. None if the model has no keyframe, or none with the wanted name.
+    ``wanted`` is the name of a requested keyframe. If None, a standing pose is preferred.
     """
     names = [keyframe_name(model, key) for key in range(model.nkey)]
     if wanted is not None:
@@ -402,9 +352,8 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe (zeros if absent).
 
-    If the keyframe specifies no ctrl, the result contains a second run (``OwnRun.held``), in which
-    the servos of the file hold the joint positions of the keyframe. There is no second run if most
-    joints have no servo, or if an actuator has a built-in controller such as ``pid``.
+    If ctrl is absent, a second run may command the joint positions of the keyframe
+    (``OwnRun.held``).
     """
     model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -430,11 +379,7 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
 
 
 def _simulate_holding(published: PublishedModel, robot: Robot, data: mujoco.MjData) -> OwnRun:
-    """Simulate if a published model holds the joint positions of the state ``data``.
-
-    The servos are commanded to hold these positions. The published model is the user's file as
-    compiled.
-    """
+    """Simulate a published model that is commanded to hold the joint positions in ``data``."""
     pose = data.qpos[joint_qpos_addresses(published, robot)].copy()
     run = _simulate_commands(
         published, robot, data, _commands_to_hold(published, robot, data, pose)
@@ -455,13 +400,9 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 @silence_mujoco()
 def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model without a usable keyframe, from the robot's start pose.
+    """Simulate a published model from the start pose (``Robot.home``), which is commanded.
 
-    The joint positions of the start pose (``Robot.home``) are commanded.
-
-    Returns:
-        Simulation result. None if the world has no level plane, if the base cannot be placed, or if
-        an actuator has a built-in controller.
+    None, for example, if the world has no level plane.
     """
     published = with_unstated_options(published, robot)
     data = place_published(published, robot, robot.home)
@@ -477,17 +418,9 @@ def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun |
 def _commands_to_hold(
     published: PublishedModel, robot: Robot, data: mujoco.MjData, pose: Array
 ) -> HoldCommands:
-    """Compute the commands with which the servos of a published model hold joint positions.
+    """Compute commands with which a published model holds joint positions (nu,) [rad, m].
 
-    If most joints of the file have no servo, external servos hold these joints, with the gains of
-    the servos that the preparation added. Otherwise joints without a servo are not held, for
-    example joints with a torque motor.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot, with the gains of the added servos.
-        data: State of the published model.
-        pose: Joint positions to hold, shape (nu,) [rad, m].
+    External servos are used if most joints of the file have no servo.
     """
     hold = compute_hold_commands(published, robot, data, None, pose)
     return (
@@ -509,23 +442,22 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe. From such a
-posture, the simulation uses the ctrl of the keyframe. Chosen, not tuned."""
+"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe, whose ctrl is
+then used. Chosen, not tuned.
+"""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     """Simulate the published file of a robot with a fixed base, to find out if a posture is held.
 
-    If a keyframe of the file has this posture and specifies ctrl, this ctrl is commanded. Otherwise
-    the joint positions are commanded.
+    The ctrl of a keyframe with this posture is commanded, or else the joint positions.
 
     Args:
         robot: Prepared robot.
         joints: Joint positions of the posture, shape (nu,) [rad, m].
 
     Returns:
-        Simulation result. None if the robot or the file has a free base, if there is no published
-        model (`get_published_model`), or if an actuator has a built-in controller, such as ``pid``.
+        Simulation result; None if the file cannot be simulated, for example with a free base.
     """
     model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:
@@ -553,26 +485,14 @@ def _simulate_commands(
 ) -> OwnRun:
     """Simulate a published model with constant commands, and measure the joint displacements.
 
-    The caller may set the fields ``keyframe``, ``commands``, ``limp`` (most joints have no servo
-    and no command) and ``held`` (second run) of the result.
-
-    Args:
-        published: Published model: compiled from the file of the robot.
-        robot: Prepared robot: with the additions of this package.
-        data: Initial state; not modified.
-        hold: Commands of the actuators.
+    The initial state ``data`` is not modified.
     """
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
     known = _find_nudged_run(robot)
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
-        """Advance a state of the published model, in place; do nothing after a reset by MuJoCo.
-
-        Args:
-            state: State.
-            seconds: Simulated time [s].
-        """
+        """Advance a state of the published model by ``seconds`` [s], in place."""
         if not was_reset_by_mujoco(state):  # a reset ends the simulation
             rest = (
                 seconds if known is None else known.advance(published.model, state, hold, seconds)
@@ -634,21 +554,8 @@ def _list_lifted_legs(
 ) -> list[JointOff]:
     """Return the joints of legs that are on the ground at reset, but not at the end of a run.
 
-    The norm of the displacements of a leg's joints (rad and m mixed) must exceed
-    `MIN_POSTURE_DEVIATION`. A leg is on the ground if the distance of a body of the leg from a
-    fixed geom is below ``_MAX_GROUND_DISTANCE_RATIO`` times the CoM height. Such a body may be a
-    heel behind a toe joint. The leg's bodies are that of the first joint that is in no other leg,
-    and its descendants. Without such a joint, the last joint is used. At reset, the clearance of
-    the robot does not count. A leg that the keyframe itself lifts is not returned. Empty for a
-    fixed base.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
-        joints: Displacements of the joints.
-        start: State at reset.
-        end: State at the end.
-        motion: Motion of the robot, with the initial CoM height and clearance.
+    The joints of the leg must have moved. A leg is on the ground if a body of the leg is near a
+    fixed geom; this may be a heel behind a toe joint.
     """
     offsets = {joint.joint: joint for joint in joints}
     legs = (
@@ -688,17 +595,7 @@ def _measure_lean_from_upright(
 ) -> BodyMotion:
     """Replace the final tilt of a motion, so that a tilted keyframe does not decide about a fall.
 
-    The final tilt is measured from the start pose (`Robot.home`), and from reset. The tilt from the
-    start pose is returned in two cases: this tilt exceeds ``FALLEN_TILT`` and the robot lies on its
-    trunk, or this tilt exceeds 90 deg. Otherwise the smaller tilt is returned. Reason: a humanoid
-    whose keyframe bends the base forward has not fallen. A diverged motion is unchanged; so is each
-    motion if the start pose cannot be placed.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
-        motion: Motion from the keyframe.
-        end: State at the end.
+    Reason: a humanoid whose keyframe bends the base forward has not fallen.
     """
     upright = place_published(published, robot, robot.home)
     if upright is None or motion.diverged:
@@ -723,11 +620,7 @@ def _missing_files(robot: Robot) -> tuple[str, ...]:
 def _joint_deviations(
     published: PublishedModel, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
 ) -> list[JointOff]:
-    """Return the displacement of each joint from state ``start`` to state ``end``, [rad, m].
-
-    The results are in actuator order. ``ctrl`` are the controls of the published model. Each result
-    also contains the commanded minus the initial position, if known (`_command_offset`).
-    """
+    """Return the displacement of each joint from state ``start`` to state ``end``, [rad, m]."""
     addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]
     return [
@@ -747,10 +640,7 @@ def _unheld_joints(
 ) -> list[JointOff]:
     """Return the joints that moved because no position servo holds them.
 
-    The displacement must exceed `MIN_UNHELD_DISPLACEMENT`. A joint is held by its position servo,
-    or by a position servo at a tendon. Joints with neither actuator nor added servo are omitted:
-    they are coupled or passive. The result is empty unless more than half of the joints have a
-    position servo.
+    The result is empty unless more than half of the joints have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):
@@ -777,20 +667,10 @@ def _absolute_displacement(joint: JointOff) -> float:
 def _command_offset(
     published: PublishedModel, joint: str, ctrl: Array, position: float
 ) -> float | None:
-    """Compute how far the ctrl of a position servo commands a joint away from its position.
+    """Compute the position commanded by a servo's ctrl, minus the joint's ``position`` [rad, m].
 
-    The commanded position is gain * ctrl / (stiffness * gear). At this position the actuator force,
-    gain * ctrl - stiffness * gear * position, is zero.
-
-    Args:
-        published: Published model.
-        joint: Name of the joint.
-        ctrl: Controls of the model, shape (model.nu,).
-        position: Position of the joint [rad, m].
-
-    Returns:
-        Commanded position minus ``position`` [rad, m]. None unless the joint has a single actuator,
-        with positive stiffness.
+    The commanded position, at which the actuator exerts no force, is gain * ctrl / (stiffness *
+    gear). None unless the joint has a single actuator, with positive stiffness.
     """
     actuators = list_joint_actuators(published.model, published.model.joint(joint).id)
     laws = [read_actuator_law(published.model, actuator) for actuator in actuators]
@@ -803,10 +683,7 @@ def _command_offset(
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
     """Return True if the values of a keyframe's ctrl are joint angles, not torques.
 
-    A file with torque motors may contain such a ctrl by mistake. The first control of each actuator
-    at a joint is compared with the joint position times the gear. Angles are in radians or in
-    degrees. The result is False if all controls are zero: a torque of zero and an angle of zero are
-    written alike.
+    A file with torque motors may contain such a ctrl by mistake.
     """
     at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
     ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]

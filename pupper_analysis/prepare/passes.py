@@ -172,10 +172,7 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the preparation may fix the base although the user did not request this.
 
-        This is permitted only if the base is not free in the MJCF. The base counts as free if the
-        MJCF has a free joint, or if a child body of the world has four or more joints
-        (`_MIN_PARTIAL_FREE_JOINTS`). False if the user requested a fixed base, or if the URDF has a
-        free base and the user passed an empty list of feet.
+        False, for example, if the MJCF has a free joint.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
@@ -242,11 +239,7 @@ class Pass:
     deferred: bool = False
 
     def applies(self, draft: Draft) -> bool:
-        """Return True if this pass must be applied to a draft (the robot in preparation).
-
-        The condition of the pass must hold. If no robot with a free base can be made
-        (`Draft.refused`), only passes with `after_refusal` are applied.
-        """
+        """Return True if this pass must be applied to a draft (the robot in preparation)."""
         return (draft.refused is None or self.after_refusal) and self.condition(draft)
 
 
@@ -263,10 +256,7 @@ def _register_pass(
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
     """Create a decorator that appends a function to the preparation passes.
 
-    The pass is named after the function. The arguments are the fields of `Pass`. ``does`` is the
-    purpose of the pass in words. ``condition`` returns True if a draft (the robot in preparation)
-    needs the pass. ``after_refusal`` applies the pass also if no robot with a free base can be
-    made. ``deferred`` postpones the pass until its result is first needed.
+    The pass is named after the function. The arguments are the fields of `Pass`.
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
@@ -279,7 +269,7 @@ def _register_pass(
 
 
 def _applies_always(_draft: Draft) -> bool:
-    """Return True for every draft: the condition of preparation steps that always run."""
+    """Return True for every draft (the robot in preparation)."""
     return True
 
 
@@ -304,43 +294,29 @@ def _stands_on_feet(draft: Draft) -> bool:
 
 
 def _may_be_altered(draft: Draft) -> bool:
-    """Return True if contacts and actuators of a robot on feet may be changed.
-
-    The robot must have feet and a free base, and the user must permit changes (no ``as_is``).
-    """
+    """Return True if contacts and actuators of a robot on feet may be changed (no ``as_is``)."""
     return _stands_on_feet(draft) and not draft.request.as_is
 
 
 def _may_get_servos(draft: Draft) -> bool:
-    """Return True if servos may be added to the robot.
-
-    The robot must have feet, a fixed base, or a URDF with a free base, and the user must permit
-    changes (no ``as_is``).
-    """
+    """Return True if servos may be added to the robot; False with ``as_is``, for example."""
     if draft.request.as_is:
         return False
     return _stands_on_feet(draft) or _has_fixed_base(draft) or draft.urdf_is_free
 
 
 def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
-    """Return a draft (robot in preparation) whose robot is built from ``description``.
-
-    The same draft is returned if ``description`` is None.
-    """
+    """Return a draft whose robot is built from ``description``; the same draft for None."""
     return draft if description is None else replace(draft, built=build_robot(description))
 
 
 def _find_requested_feet(
     robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
-    """Find the feet that the user names, or the feet at the ends of limbs.
+    """Find the feet that the user names, or else the feet at the ends of limbs.
 
-    Args:
-        robot: Robot without feet.
-        frames: {foot: (link in the URDF, element in the MJCF)} of named feet; if None, the feet are
-            found at the ends of limbs.
-        poses: Joint positions in which feet are searched, (nu,) each [rad, m]; for named feet only
-            the first is used.
+    ``frames`` is {foot: (link in the URDF, element in the MJCF)}. ``poses`` are joint positions in
+    which feet are searched, (nu,) each [rad, m].
     """
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
@@ -350,12 +326,8 @@ def _find_requested_feet(
 def _must_fix_base(draft: Draft) -> bool:
     """Return True if the robot must be prepared again with a fixed base, as it cannot stand.
 
-    Two conditions must hold. The base may be fixed (`Draft.may_fix_base`). The robot cannot stand
-    with a free base: an earlier pass has failed, or there is no nominal stand (default
-    `StandTask`).
-
-    Exception: if the user named the feet and no earlier pass has failed, the base stays free.
-    Commands then report why the robot does not stand.
+    If the user named feet, the base may stay free: commands then report why the robot does not
+    stand.
     """
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
@@ -366,10 +338,7 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name all bodies and joints, select keyframes, and discard visual geoms of the MJCF.
-
-    Visual geoms are kept if the user named feet: a foot may be a visual geom.
-    """
+    """Name bodies and joints, select keyframes, and discard visual geoms if no feet are named."""
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom
@@ -382,11 +351,7 @@ def _name_elements(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("frees the base of a robot with limbs"), _has_free_base_request)
 def _free_base(draft: Draft) -> PassOutput:
-    """Add a free joint to a fixed base with two limbs, or with a free base in the URDF.
-
-    The conditions are those of the function `free_base`. The free joint replaces slides and hinges,
-    or slides and a ball, that move the base and that the URDF lacks.
-    """
+    """Add a free joint to a fixed base, for example of a robot with two limbs (`free_base`)."""
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
@@ -432,9 +397,7 @@ def _build_with_fixed_base(draft: Draft) -> PassOutput:
 def _level_ground(draft: Draft) -> PassOutput:
     """Make the ground of the MJCF a level plane at z = 0; add a missing floor (`level_ground`).
 
-    Solver options that reduce the creep of contacts (`STIFF_FRICTION_OPTIONS`) are added in two
-    cases: the MJCF was converted from a URDF; or a floor was added to a file with neither a free
-    joint nor these options.
+    Solver options that reduce the creep of contacts may be added (`STIFF_FRICTION_OPTIONS`).
     """
     leveled = draft.matched_description.mjcf.copy()  # passes before ``build`` modify it in place
     messages = level_ground(leveled)
@@ -490,13 +453,7 @@ def _check_masses(draft: Draft) -> PassOutput:
 def _find_feet(draft: Draft) -> PassOutput:
     """Find the feet and their contact points, and build the robot with these contact points.
 
-    If spheres replace ellipsoids, they are fitted again at the joint positions of the nominal
-    stand, until the contact points no longer move, at most `_MAX_ELLIPSOID_FITS` times. The draft
-    is unchanged if there are no feet, for example if the user passed an empty list.
-
-    Raises:
-        ModelError: If no limb ends below the base in a pose, or a named foot touches nothing.
-        UnknownNameError: If a named foot does not exist.
+    Spheres that replace ellipsoids are fitted again in the nominal stand.
     """
     footless, names = draft.robot, draft.request.feet
     poses = [start.clip_to_limits(footless, pose) for pose in (*draft.keyframes.values(), None)]
@@ -538,10 +495,9 @@ def _find_feet(draft: Draft) -> PassOutput:
 def _add_short_legs(
     draft: Draft, feet: tuple[Foot, ...], poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
-    """Add the feet of shorter legs if the found feet have no support polygon.
+    """Add the feet of shorter legs, such as forelegs, if the feet have no support polygon.
 
-    Shorter legs are those within `MAX_SHORT_LEG_HEIGHT_FRACTION`, for example the forelegs of a
-    robot with longer hind legs. The feet are added only if the robot then has a nominal stand.
+    The robot must then have a nominal stand.
     """
     if sum(len(foot.points) for foot in feet) >= _MIN_POLYGON_POINTS:
         return feet
@@ -550,13 +506,13 @@ def _add_short_legs(
 
 
 _MIN_POLYGON_POINTS = 3
-"""Number of contact points from which feet have a support polygon."""
+"""Number of contact points from which feet can have a support polygon."""
 
 
 def _stands_on(draft: Draft, feet: tuple[Foot, ...]) -> bool:
-    """Return True if a robot without feet has a nominal stand on some feet.
+    """Return True if a robot without feet has a nominal stand on ``feet``.
 
-    As later, contacts of shapes beside the feet are disabled: a tilted foot would touch with them.
+    Contacts of shapes beside the feet are disabled: a tilted foot would touch with them.
     """
     sunk = start.compute_resting_depths(draft.mjcf.model)
     try:
@@ -576,10 +532,7 @@ axes.
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
-    """Return the joint positions of the nominal stand, (nu,) [rad, m]; None if there is none.
-
-    The nominal stand is the solution of the default `StandTask`.
-    """
+    """Return joint positions (nu,) [rad, m] of the nominal stand (default `StandTask`), or None."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]
@@ -589,18 +542,17 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 def _add_loop_motors(draft: Draft) -> PassOutput:
     """Add missing torque motors to a robot with closed loops, before stands are solved.
 
-    Reason: joints with motors come first in the actuator order. The motors later become servos, so
-    that the order of the joints no longer changes (`add_loop_motors`).
+    Joints with motors come first in the actuator order, which must not change when servos are
+    added.
     """
     return replace(draft, built=drives.add_loop_motors(draft.robot)), ()
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Create a function that computes how deep the feet of the unmodified file rest in the ground.
+    """Create a function that returns how deep the unmodified file rests in the ground [m].
 
-    The argument of the function is the name of a keyframe, from which the file is simulated. The
-    result is the penetration at rest [m]; None if the file falls, lacks the keyframe, or does not
-    have exactly one free joint.
+    The argument of the function is the name of a keyframe. The result is None if the file falls,
+    for example.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -617,9 +569,7 @@ def _find_start_pose(draft: Draft) -> PassOutput:
 def _use_hulls_as_feet(draft: Draft) -> PassOutput:
     """Move the contact points of soft feet to another shape that carries most of the load.
 
-    An example is the hull of the shank (`touching.find_carrying_hulls`). The draft is unchanged
-    without such a shape, with closed loops, or if the robot with these contact points has no
-    nominal stand (default `StandTask`).
+    An example is the hull of the shank (`touching.find_carrying_hulls`).
     """
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
@@ -677,8 +627,7 @@ def _choose_solver(draft: Draft) -> PassOutput:
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
     """Report coupled joints and uncommanded actuators in notes; return the unchanged draft.
 
-    The position of a coupled joint depends on other joints, by a closed loop or a coupling. An
-    actuator is not commanded if it does not act on a single hinge or slide.
+    An uncommanded actuator does not act on a single hinge or slide.
     """
     return draft, (
         *notes.report_coupled_joints(draft.robot),
@@ -687,11 +636,7 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 
 
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
-    """Create the message that states why a robot has no nominal stand (default `StandTask`).
-
-    If fewer than `_MIN_STANDING_FEET` feet were found, the message names no reason: the feet may be
-    the fingers of a gripper.
-    """
+    """Create the message that a robot has no nominal stand (default `StandTask`)."""
     names = tuple(foot.name for foot in draft.feet)
     if len(names) >= _MIN_STANDING_FEET:
         try:
@@ -711,10 +656,6 @@ def _fix_base(draft: Draft) -> PassOutput:
     """Prepare the robot again with the base fixed, because the robot does not stand.
 
     If the URDF has a free base, the base stays free, and the robot gets no feet.
-
-    Raises:
-        ModelError: Error of the preparation with a free base, if there is such an error; otherwise
-            the error of the second preparation.
     """
     refused, free = draft.refused, draft.urdf_is_free
     request = replace(draft.request, feet={}) if free else replace(draft.request, fixed_base=True)
@@ -735,20 +676,14 @@ def _fix_base(draft: Draft) -> PassOutput:
 
 
 def _lacks_servos(robot: Robot) -> bool:
-    """Return True if a joint has no position servo; dependent joints are ignored.
-
-    The position of a dependent joint follows from closed loops or couplings.
-    """
+    """Return True if a joint that is not dependent (loops, couplings) has no position servo."""
     dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
     return not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent
 
 
 @_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos, deferred=True)
 def _add_servos(draft: Draft) -> PassOutput:
-    """Add position servos to joints without a position servo, except dependent joints.
-
-    The position of a dependent joint follows from closed loops or couplings.
-    """
+    """Add missing position servos, except at dependent joints (of closed loops or couplings)."""
     robot = draft.robot
     if _lacks_servos(robot):
         add = drives.add_suggested_servos if robot.floating else drives.add_fixed_base_servos
@@ -763,12 +698,7 @@ def _add_servos(draft: Draft) -> PassOutput:
     deferred=True,
 )
 def _store_rest_pose(draft: Draft) -> PassOutput:
-    """Replace a searched start pose by the pose in which the robot rests on soft ground.
-
-    The pose is the nominal stand (default `StandTask`) with the feet in the ground. The start pose
-    is kept if no search found it, if the stand on soft ground cannot be solved, or if the new
-    keyframe cannot be made.
-    """
+    """Replace a searched start pose by the nominal stand on soft ground, if it can be solved."""
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)
     stand = None if reason is None else _solve_rest_pose(draft.robot)
@@ -790,9 +720,7 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
 def _pose_without_servos(draft: Draft) -> Robot:
     """Return the robot before servos are added, but with final start pose and passive joints.
 
-    Stands and statics need both, and give the same results as with the completed robot: neither
-    depends on the added servos. The notes of the passes are included, since they contain the reason
-    why a robot cannot stand.
+    Stands and statics need both, and do not depend on the added servos.
     """
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
@@ -810,9 +738,8 @@ def _pose_without_servos(draft: Draft) -> Robot:
 def _convert_visual_meshes(draft: Draft) -> PassOutput:
     """Convert visual meshes; build the robot again with visual geoms if they were removed.
 
-    Nothing is done if the robot is not drawn (`LoadRequest.visuals`): its model then lacks visual
-    geoms. A model of G1 without its visual meshes takes 1 MB instead of 71 MB, and each simulation
-    of a stand copies the model.
+    A model of G1 without its visual meshes takes 1 MB instead of 71 MB, and each simulation of a
+    stand copies the model.
     """
     if not draft.request.visuals:
         return draft, ()
@@ -857,13 +784,7 @@ pose and visual meshes."""
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
     """Apply passes in order to a draft (the robot in preparation), and return the new draft.
 
-    If a pass raises a `ModelError`, and the robot may be prepared again with a fixed base
-    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run afterwards (``fix-base``).
-
-    Raises:
-        ModelError: If no robot can be made: the base may not be fixed, the pass is deferred, or a
-            second pass fails.
-        UnknownNameError: If a foot, joint or keyframe does not exist.
+    After a `ModelError`, the robot may be prepared again with a fixed base (``fix-base``).
     """
     for step in passes:
         if step.applies(draft):
@@ -901,14 +822,9 @@ def make_robot(
 ) -> Robot:
     """Prepare a robot from two files as read; postpone the slow steps until needed.
 
-    The options are those of `load_robot`. Three steps are slow: servos, rest pose (the start pose
-    with the feet in soft ground) and visual meshes. The slow steps are postponed until their
-    results are first needed, for example by a simulation or by access to ``notes``, or until the
-    robot is pickled or copied (`defer_stages`). Kinematics in Pinocchio, and statics, do not need
-    the slow steps.
-
-    Servos and rest pose are computed immediately if added servos change the order of the joints.
-    Visual meshes are then postponed only with a fixed base.
+    The slow steps are servos, rest pose (the start pose with the feet in soft ground) and visual
+    meshes. They are usually postponed until their results are first needed, for example by a
+    simulation (`defer_stages`).
 
     Args:
         urdf: URDF as read.
@@ -924,8 +840,8 @@ def make_robot(
             servos that `Robot.before_servos` returns. None: no function.
 
     Raises:
-        ConfigurationError: If the frame of a foot is neither a name nor a pair of names, or a foot
-            is named twice.
+        ConfigurationError: If the frame of a foot is neither a name nor a pair of names, for
+            example.
         ModelError: If no robot can be made of the files.
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """
@@ -934,11 +850,7 @@ def make_robot(
     draft = _begin_preparation(urdf, mjcf, request)
 
     def complete_preparation(*, visuals: bool = visuals) -> Robot:
-        """Run the postponed steps: servos, rest pose and visual meshes; return the complete robot.
-
-        Args:
-            visuals: True to convert the visual meshes. Default: the option of `make_robot`.
-        """
+        """Run postponed steps (servos, rest pose, meshes if ``visuals``); return the robot."""
         robot, _ = _complete_preparation(replace(draft, request=replace(request, visuals=visuals)))
         return robot if finish is None else finish(robot)
 
@@ -958,10 +870,7 @@ def make_robot(
 def _keeps_joint_order(draft: Draft) -> bool:
     """Return True if added servos do not change the order of a robot's joints.
 
-    Joints are in actuator order. The order does not change if servos are added to all joints in
-    this order, or to none. The order may change if some joints have no actuator, already have a
-    servo, or depend on other joints. In these cases a robot with servos is built, and both orders
-    are compared.
+    Joints are in actuator order.
     """
     robot = draft.robot
     if not _may_get_servos(draft) or not _lacks_servos(robot):
@@ -995,22 +904,14 @@ def prepare_robot(
 
 
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Run the immediate preparation passes, without servos, rest pose and visual meshes.
-
-    Returns:
-        Draft: the robot in preparation.
-    """
+    """Run the immediate preparation passes, without servos, rest pose and visual meshes."""
     check_simulable(mjcf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 
 
 @silence_mujoco()
 def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
-    """Run the deferred preparation passes: servos, rest pose (on soft ground), visual meshes.
-
-    Returns:
-        Robot with all notes, and all passes that were run on the draft.
-    """
+    """Run the deferred preparation passes; return the robot with notes, and the passes run."""
     draft = _run_passes(_DEFERRED_PASSES, draft)
     # The reason for a fixed base is the last note.
     runs = sorted(draft.runs, key=lambda run: run.name == _FIX_BASE)
@@ -1018,10 +919,7 @@ def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
 
 
 def _add_notes(robot: Robot, runs: Sequence[PassRun]) -> Robot:
-    """Return a copy of a robot with the notes of preparation passes before the robot's own notes.
-
-    A note about joints without a stated torque limit is appended.
-    """
+    """Return a robot with the notes of preparation passes, followed by the robot's own notes."""
     notes_by_pass = {run.name: run.done for run in runs}
     # Meshes that were left out are reported with the other parts of the files that were left out.
     left_meshes = notes_by_pass.pop(_CONVERT_MESHES, ())

@@ -58,8 +58,9 @@ _BASE_POSE_ATOL = 1e-10
 `place_at_state` accepts the pose of the base. Chosen, not tuned."""
 
 _MAX_NEWTON_STEPS = 20
-"""Upper bound of the Newton steps in `place_at_state`; a free joint needs two. Chosen, not
-tuned."""
+"""Upper bound of the Newton steps in `place_at_state`; a free joint usually needs two. Chosen, not
+tuned.
+"""
 
 _TRIAL_COMMAND = 1e-6
 """Step of ctrl, in its own unit, in the finite difference of `_measure_command_law`. Chosen small
@@ -72,9 +73,9 @@ the actuator. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
-value. The state of a slower filter, for example with ``timeconst="1e5"``, starts at zero, since
-such a filter does not settle within the simulated time. A slower filter is a candidate cause of a
-deviation (`prepare.causes`), and gets this time constant in the test. Chosen, not tuned."""
+value. A slower filter, for example with ``timeconst="1e5"``, starts at zero: it does not settle
+within the simulated time. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +117,9 @@ class PublishedModel:
 
 
 _STEPPING_ATTRIBUTES = ("timestep", "integrator")
-"""Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If most joints of
-a file have no servo, and the file lacks such an attribute, the simulation of the file uses the
-value of the prepared robot."""
+"""Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If a file with
+few servos lacks such an attribute, its simulation uses the value of the prepared robot.
+"""
 
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
@@ -130,9 +131,8 @@ or below is not in the list: such a servo is meant to hold a position, and is a 
 def has_few_servos(published: PublishedModel) -> bool:
     """Return True if more than half of the joints have no actuator that can hold a position.
 
-    These are joints without actuator, and joints with a torque motor, velocity servo or other
-    actuator whose force does not depend on the position. A position servo with a stiffness of zero
-    or below counts as able to hold: such a servo is a defect of the file.
+    A position servo with a stiffness of zero or below counts as able to hold: such a servo is a
+    defect of the file.
     """
     count = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
     return 2 * count > len(published.drives)
@@ -142,9 +142,7 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
     """Use the prepared robot's time step and integrator in a published model that states none.
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
-    added. An attribute that the file states is kept. The model is returned unchanged if the robot
-    has no published MJCF (`PublishedFile.file`) or no added servos, or if at most half of the
-    joints of ``published`` lack an actuator that can hold a position (`has_few_servos`).
+    added. Without such servos, the model is returned unchanged.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -166,10 +164,8 @@ def with_requested_gains(
 ) -> tuple[PublishedModel, Robot]:
     """Return a published model, and a robot, whose joints have the requested servo gains.
 
-    The actuator of a joint becomes a position servo with these gains. Some joints get an external
-    servo instead (`HoldCommands`): joints without actuator, with several actuators, or with an
-    actuator that is not meant to hold a position, such as a torque motor. Passive joints and
-    dependent joints are unchanged.
+    If the actuator of a joint is not meant to hold a position, such as a torque motor, the joint
+    gets an external servo (`HoldCommands`).
 
     Args:
         published: Published model: the user's file as compiled.
@@ -183,9 +179,8 @@ def with_requested_gains(
         only: the MuJoCo model has gains that the description lacks.
 
     Raises:
-        ConfigurationError: If a gain is not a number, has another shape or is out of range.
-        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
-            both given; except dependent joints of loops and couplings.
+        ConfigurationError: If a gain is not valid, for example negative.
+        ModelError: If a joint has no motor, for example.
     """
     drive, model = model_with_servos(robot, kp, kd), copy.copy(published.model)
     added = []
@@ -205,14 +200,7 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Compile an MJCF as published, with the changes that a simulation needs.
-
-    - A floor is added if the robot has a free base, and the world has neither a level plane nor a
-      collidable geom.
-    - The base is fixed, and the ground disabled, if the base is fixed in the robot and free in the
-      file.
-    - Bodies and joints without a name get a name in both cases above, and if the file does not
-      contain all body and joint names of the robot.
+    """Compile an MJCF as published, with the changes that a simulation needs, such as a floor.
 
     Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 
@@ -248,9 +236,7 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:
     """Compile a URDF by MuJoCo's own importer, with floor and servos as in the prepared robot.
 
-    Added are a free base (if the robot has one) and the following additions of the prepared robot:
-    floor, solver options, contact exclusions, servos. Couplings are stiffened. The collision shapes
-    are those of the file.
+    The collision shapes are those of the file.
 
     Args:
         urdf_import: URDF, as MuJoCo imports it.
@@ -288,8 +274,7 @@ def _find_free_joint(model: mujoco.MjModel, base: str) -> int | None:
 def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
     """Fix the base of a spec to the world, in place, and disable contacts with the ground.
 
-    The free joint (id ``free`` in the compiled ``model``) is removed, with its values in all
-    keyframes.
+    The free joint, with id ``free`` in the compiled ``model``, is removed, also from keyframes.
     """
     qpos = np.arange(7) + model.jnt_qposadr[free]
     qvel = np.arange(6) + model.jnt_dofadr[free]
@@ -342,8 +327,7 @@ def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> muj
         qpos: Configuration of the robot, shape (nq,), above a ground at z = 0.
 
     Returns:
-        Data, above the ground of the published model; None if the base cannot be placed there, for
-        example if the base is fixed.
+        Data, above the ground of the published model; None if the base cannot be placed there.
     """
     state = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(state, qpos)
@@ -355,10 +339,9 @@ def place_at_state(
 ) -> mujoco.MjData | None:
     """Place a published model at a state of the prepared robot's model; return the MuJoCo data.
 
-    Hinges and slides outside the base body are matched by name and type. Joints without a match are
-    at zero; ball joints, and free bodies beside the robot, keep the reference position. The base
-    is placed so that the body of the robot's first joint has the same pose as in the robot's model,
-    raised by `ground_height`.
+    The base is placed so that the body of the robot's first joint has the same pose as in the
+    robot's model, raised by `ground_height`. Hinges and slides are matched by name; those without a
+    match are at zero.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -410,17 +393,9 @@ def _place_base(
 ) -> bool:
     """Move the base until the body of the first joint has the same pose as in the robot's model.
 
-    The frame of the base may differ between both models. Newton's method on the joints of the base
-    is used, because the base may move by three slides and three hinges instead of a free joint.
-
-    Args:
-        published: Published model.
-        robot: Prepared robot.
-        state: Data of the robot's model, with kinematics.
-        data: Data of the published model; changed in place.
-
-    Returns:
-        True if position and orientation errors are below `_BASE_POSE_ATOL`.
+    The pose is raised by `ground_height`. Newton's method is used, because the base may move by
+    slides and hinges. ``data`` is changed in place. True if the pose error is below
+    `_BASE_POSE_ATOL`.
     """
     model, name = published.model, robot.joint_names[0]
     body = int(model.jnt_bodyid[model.joint(name).id])
@@ -497,14 +472,8 @@ def compute_hold_commands(
 ) -> HoldCommands:
     """Compute the commands with which the joints of a published model hold target positions.
 
-    Joints with a position servo in the file are commanded through this servo. Joints without such a
-    servo get an external servo, with the gains of the servo that the preparation added. A joint
-    with neither is not held, for example a passive joint with a spring.
-
-    Position servos of a tendon hold the joints of the tendon that have no actuator. The tendon
-    forces are the least-squares solution for the torques of these joints, with the smallest norm.
-    The tendon also acts on other joints; the actuators of such joints compensate the torque of the
-    tendon.
+    Joints with a position servo in the file are commanded through this servo. Other joints may get
+    an external servo, with the gains of the servo that the preparation added.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -555,18 +524,12 @@ def _set_tendon_commands(
 ) -> set[int]:
     """Command position servos at tendons to hold the joints that have no actuator themselves.
 
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
-        qpos: Configuration of the published model, shape (model.nq,); ``targets`` replace the
-            positions of the robot's joints.
-        ctrl: Controls, shape (model.nu,); the controls of the servos at tendons are set.
-        targets: Target positions, shape (nu,) [rad, m].
-        torques: Joint torques, shape (nu,) [N m, N]; the torques that the servos at tendons exert
-            are subtracted in place.
+    The tendon forces are the least-squares solution for ``torques``, shape (nu,) [N m, N], of these
+    joints. The joint torques of the tendons are subtracted from ``torques``, and ``ctrl``, shape
+    (model.nu,), is set, both in place.
 
     Returns:
-        Indices of the joints without actuator that the servos at tendons drive.
+        Indices of the joints that these servos drive.
     """
     model = published.model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -594,9 +557,7 @@ def _set_tendon_commands(
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 """Types of actuators that get a position command in the simulation of the published model: servos,
-also with a negative or zero stiffness. The joint then gets no servo from outside of the file.
-Actuators with zero gain or zero stiffness get no command. An actuator with another control law is
-commanded only if `_has_unequal_gain` is True.
+also with a negative or zero stiffness.
 """
 
 
@@ -618,10 +579,9 @@ def _set_position_commands(
 ) -> None:
     """Set the controls with which the servos at a joint hold a target position under a torque.
 
-    The command is that of an ideal position servo: ctrl = gear * q + tau / (gear * stiffness), with
-    the joint position q (``target`` [rad, m]). tau is the servo's part of ``torque`` [N m, N],
-    which several servos share in proportion to their stiffness. A bias of the file, or a gain that
-    differs from the stiffness, is not compensated: the effect is part of the published model.
+    ctrl = gear * q + tau / (gear * stiffness), with the joint position q (``target`` [rad, m]), and
+    the servo's part tau of ``torque`` [N m, N]. A bias of the file is not compensated: its effect
+    is part of the published model.
     """
     laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
     stiffness_sum = sum(law.joint_gains[0] for law in laws.values())
@@ -652,9 +612,8 @@ def simulate_published(
 ) -> tuple[Array, Array]:
     """Simulate a user's model whose actuators are commanded to hold a configuration.
 
-    Joints without a position servo in the file are held by external servos, whose torques this
-    function computes in each step. The simulation ends when the time is over, or when MuJoCo resets
-    the state after a divergence.
+    This function computes the torques of external servos in each step. A reset of the state by
+    MuJoCo, after a divergence, ends the simulation.
 
     Args:
         published: Published model: the user's file as compiled. During the call, the damping of the
@@ -668,10 +627,9 @@ def simulate_published(
 
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
-        (model.nv,) each [N m, N]. The forces are recorded in the last `FORCE_WINDOW` of the
-        duration, and at the step at which MuJoCo resets the state. The forces do not contain the
-        damping of external servos and the gravity compensation by actuators (``actuatorgravcomp``).
-        Without ``record_forces``, the minimum is inf and the maximum -inf.
+        (model.nv,) each [N m, N], in the last `FORCE_WINDOW`. The forces do not contain the damping
+        of external servos and the gravity compensation by actuators (``actuatorgravcomp``). Without
+        ``record_forces``, the minimum is inf and the maximum -inf.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external
@@ -740,19 +698,12 @@ def _measure_command_law(
 ) -> tuple[int, float, float] | None:
     """Measure how the torque at a joint depends on the ctrl of its actuator, at zero velocity.
 
-    The law is torque = offset + lever * ctrl, for the first actuator of the joint. MuJoCo's
-    clamping of ctrl is off during the measurement, since zero may be at the end of a ctrlrange, or
-    outside.
-
-    Args:
-        model: Published model; unchanged after the call.
-        data: State with the configuration; not modified.
-        dof: Degree of freedom of the joint (index in qvel).
-        actuators: Ids of the actuators at the joint.
+    The law is torque = offset + lever * ctrl. MuJoCo's clamping of ctrl is off during the
+    measurement, since zero may be at the end of a ctrlrange, or outside.
 
     Returns:
-        Index of the control, lever [N m per unit of ctrl], offset [N m]. None without actuators, or
-        if the torque does not depend on the command.
+        Index of the control, lever [N m or N per unit of ctrl], offset [N m, N]; None if the torque
+        does not depend on the ctrl.
     """
     if not actuators:
         return None
@@ -773,8 +724,7 @@ def _measure_command_law(
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
     """Return the names of joints whose actuator has an internal controller, such as ``pid``.
 
-    Such an actuator is neither a position servo nor a motor (`Drive.has_other_law`), and has
-    several controls or a state. No command can be computed for such an actuator.
+    No command can be computed for such an actuator.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):
@@ -790,8 +740,8 @@ def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tupl
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
     """Return the ids, in the user's MJCF, of joints that the prepared robot's model lacks.
 
-    The prepared robot, in which this package has completed the user's files, holds these joints at
-    zero. Free joints and joints of the base body are not listed. Joints are matched by name.
+    The prepared robot holds these joints at zero. Free joints and joints of the base body are not
+    listed. Joints are matched by name.
 
     Args:
         published: The user's MJCF as compiled.
@@ -808,8 +758,8 @@ def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
 
 
 def list_uncommanded_actuators(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the actuators that are not commanded by the position of a single joint.
+    """Return the ids of the actuators that do not act on a single hinge or slide.
 
-    These do not act on a single hinge or slide. Examples are actuators at a tendon or a site.
+    Examples are actuators at a tendon or a site.
     """
     return [actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)]
