@@ -55,9 +55,7 @@ that spans the smallest triangle with its neighbours is removed first. Chosen, n
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     """Find the points of a foot that are corners of its sole, at most 8 (`_MAX_CORNERS`).
 
-    The corners are the vertices of the convex hull of the sole, projected along the normal. If
-    there are more than 8, the corner that spans the smallest triangle with its neighbours is
-    removed repeatedly.
+    The corners are vertices of the convex hull of the sole, projected along the normal.
 
     Args:
         points: Points of the foot, shape (n, 3) [m].
@@ -94,10 +92,9 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
     """Return True if the joints of a leg can move the sole along the normal without a tilt.
 
-    Rotation about the normal is permitted. With four joints this is possible if three axes are
-    parallel (for example hip, knee and ankle) and the fourth joint keeps these axes level. The
-    Jacobian is evaluated at three random joint positions (`_NUM_POSES`); the result is True if the
-    motion is possible in all samples.
+    Random joint positions are tested. Rotation about the normal is permitted. With four joints this
+    is possible if three axes are parallel (for example hip, knee and ankle) and the fourth joint
+    keeps these axes level.
 
     Args:
         model: Model.
@@ -169,16 +166,9 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Fit a sphere to the lowest points of a foot, to use the sphere as contact shape.
 
-    A sphere is fitted to the points below each of four heights above the tip: 10, 20, 30 and 45 mm.
-    The fit is linear least squares: the equation |p - c| = r is linear in c and r^2 - |c|^2. A
-    sphere is accepted under the following conditions:
-
-    - The radius exceeds half of the height.
-    - The cap around the lowest point of the sphere (half angle `_CAP_ANGLE`) contains at least 6 of
-      the points.
-    - The distance of these points from the surface is below `_MAX_SPHERE_DEVIATION` times the
-      radius.
-    - The points do not lie in a plane.
+    The fit is linear least squares: the equation |p - c| = r is linear in c and r^2 - |c|^2. Parts
+    of the foot below four heights above the tip are fitted: 10, 20, 30 and 45 mm. A sphere is
+    rejected if the points deviate from its surface, for example.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -186,9 +176,9 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
-        Centre, shape (3,) [m], in the frame of the points, and radius [m]. Both belong to the
-        accepted sphere with the largest height. The radius is the distance along ``down`` from the
-        centre to the tip. If no sphere is accepted: the tip and 0.
+        Centre, shape (3,) [m], in the frame of the points, and radius [m], of the accepted sphere
+        with the largest height. The radius is the distance along ``down`` from the centre to the
+        tip. If no sphere is accepted: the tip and 0.
     """
     found = tip, 0.0
     for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]
@@ -210,22 +200,21 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
 
 
 _MAX_SOLE_TILT = math.radians(25.0)
-"""Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt
-touches the ground with an edge. The tilt also raises the bound `_FOOT_SPHERE_RISE`. Chosen, not
-tuned."""
+"""Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt counts as
+touching the ground with an edge. Chosen, not tuned.
+"""
 
 _MIN_SOLE_LENGTH = 0.015
 """Lower bound of the largest extent of a flat part along a coordinate axis [m]. A smaller flat part
 is no sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
 
 _TEST_PENETRATION = 1e-4
-"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Points within twice this
-distance of the lowest point may be corners of a sole. Chosen, not tuned."""
+"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
 """Number of joints between foot and base with which a leg can lay the sole flat at any position.
-Derived: three coordinates and two angles; the yaw angle is not prescribed. If a leg has fewer
-joints, `can_keep_sole_flat` tests the leg."""
+Derived: three coordinates and two angles; the yaw angle is not prescribed.
+"""
 
 _MIN_SOLE_JOINTS = 4
 """Lower bound of the number of joints between foot and base of a leg with a sole. With fewer
@@ -254,19 +243,18 @@ points of a sole has a volume. Chosen, not tuned.
 """
 
 _FOOT_SPHERE_RISE = 5e-3
-"""Upper bound of the height [m] of a sphere's lowest point above the lowest point of all geoms of a
-foot. `_find_end_spheres` returns a sphere below the bound as a contact of the foot. If the foot may
-be tilted, the bound is higher. Chosen, not tuned."""
+"""Upper bound of the height [m] of a sphere's lowest point above the lowest point of a level foot,
+with which the sphere counts as a contact of the foot. Chosen, not tuned.
+"""
 
 _MAX_AXIS_COSINE = 0.1
 """Upper bound of |cos| of the angle between a cylinder's axis and the vertical [1], with which the
 cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
-"""Three tolerances [m]. A point belongs to a sole if its distance from the plane of the sole, or
-its height above the lowest point of a mesh, is below this value. A sole may be higher than the
-lowest point of the foot by at most this value. Contact points before and after a small tilt count
-as equal if their distance is below this value. Chosen, not tuned."""
+"""Tolerance [m] of the points of a sole: distance from the plane of the sole, height above the
+lowest point of the foot, and displacement of contact points by a small tilt. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,18 +279,9 @@ def find_contact_points(
 ) -> tuple[ContactPoint, ...]:
     """Find the points at which a foot touches level ground, from the shape of its geoms.
 
-    The sole is the largest flat part at the lower end of the convex hull of the geoms, if it is
-    nearly level in the pose in ``data``. The sole is laid flat, and MuJoCo's contacts with the
-    floor are the contact points. If the contacts of a mesh change with a small tilt, small balls at
-    the corners of the sole, if any, are the contact points instead. Without a flat part, the
-    orientation of the foot is that in the pose. If sphere geoms are at the lower end of the foot,
-    all other geoms are ignored.
-
-    The foot has a single contact point, at the lower end, in two cases:
-
-    - The leg has fewer than four joints (`_MIN_SOLE_JOINTS`).
-    - The leg has fewer than five joints (`_NUM_SOLE_JOINTS`), and there is no sole or the leg
-      cannot keep the sole flat (`can_keep_sole_flat`).
+    A sole that is nearly level in the pose in ``data`` is laid flat. The contact points are
+    MuJoCo's contacts with the floor, or small balls at the corners of the sole. If the leg has few
+    joints, the foot may have a single contact point, at the lower end.
 
     Args:
         model: Model, with a floor and a free joint.
@@ -337,9 +316,7 @@ def _sample_surface(
 ) -> Iterator[tuple[Array, float]]:
     """Yield spheres that represent the surface of a geom, by their convex hull.
 
-    A sphere is a pair (centre (3,) [m] in the world frame, radius [m]). The radius is 0 for the
-    vertices of a box or mesh. Round surfaces are sampled. Nothing is yielded for a shape without a
-    finite surface, such as a plane.
+    A sphere is a pair (centre (3,) [m] in the world frame, radius [m]). Round surfaces are sampled.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -354,11 +331,7 @@ def _sample_surface(
 def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Return a tuple with the only contact point of a foot, at the lowest point of the foot.
-
-    If a mesh is not round at the lower end, the contact point is a ball with radius `BALL_RADIUS`
-    at the centre of the lowest points. The tuple is empty without geoms.
-    """
+    """Return a tuple with the contact point at the lowest point of a foot; empty without geoms."""
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
     if geom is None:
@@ -380,10 +353,7 @@ def _find_tip_contact(
 def _make_contact_point(
     data: mujoco.MjData, geom: int, place: Array, radius: float
 ) -> ContactPoint:
-    """Return the contact point of a geom at a position ``place``, (3,) [m], in the world frame.
-
-    ``radius`` is the radius of the contact point's sphere [m].
-    """
+    """Return the contact point of a geom, a sphere at ``place``, (3,) [m], in the world frame."""
     own = int(data.model.geom_bodyid[geom])
     return ContactPoint(geom, data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own]), radius)
 
@@ -413,20 +383,14 @@ def _find_end_spheres(
 ) -> list[int]:
     """Return the ids of the sphere geoms among ``geoms`` that are at the lower end of a foot.
 
-    The lowest point of a sphere may be higher than that of the lowest geom, by less than
-    `_FOOT_SPHERE_RISE` + tan(``lean``) * (horizontal distance of both centres). ``lean`` is the
-    tilt that the foot may have [rad].
+    ``lean`` is the tilt that the foot may have [rad].
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     lowest = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))
     bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
-        """Compute how much higher [m] than the foot a sphere geom may end and still be a contact.
-
-        The heights of the lowest point of the sphere and of the lowest point of the foot are
-        compared.
-        """
+        """Compute how much higher [m] than the foot a sphere may end and still be a contact."""
         away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
         return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
 
@@ -470,13 +434,9 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the nearly level facets of a foot: candidates of a sole.
 
-    The facets are those of the convex hull, with a tilt up to `_MAX_SOLE_TILT`. If all points are
-    on a line, the normal of the line that is nearest to ``down`` is yielded, unless the tilt is too
-    large. Nothing is yielded for a single point.
-
-    Args:
-        surface: Points of the hull, shape (n, 3) [m].
-        down: Unit vector towards the ground, shape (3,), in the frame of the points.
+    If all points are on a line, the facet is the line. ``surface`` are points of the foot, shape
+    (n, 3) [m]. ``down`` is a unit vector towards the ground, shape (3,), in the frame of the
+    points.
     """
     middle = surface.mean(axis=0)
     spread = surface - middle
@@ -511,9 +471,7 @@ def _find_sole_contacts(
 ) -> tuple[ContactPoint, ...]:
     """Find the contact points of a foot whose sole lies flat on the ground.
 
-    ``out`` is the outward normal of the sole, shape (3,), in the frame of the foot's body. If the
-    contacts of a mesh change with a small tilt, and the sole has an area, the contact points are
-    balls at the corners of the sole.
+    ``out`` is the outward normal of the sole, shape (3,), in the frame of the foot's body.
     """
     found = _find_pressed_contacts(model, body, geoms, out)
     if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):
@@ -530,11 +488,7 @@ def _find_sole_contacts(
 
 
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
-    """Return True if the contact points of a sole are the same before and after a small tilt.
-
-    Both lists must have the same length. Each point of ``first`` must be within `_SOLE_ATOL` of the
-    nearest point of ``second``.
-    """
+    """Return True if the contact points of a sole are the same before and after a small tilt."""
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
         < _SOLE_ATOL

@@ -60,9 +60,9 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 
 _SAG_CANDIDATES = (0.02, 0.05, 0.1)
 """Permitted deflections [rad, m] of the most loaded joint in the nominal stand, in the order of the
-trials. The stiffness of added servos is the joint torque divided by the deflection. Stiffer servos
-hold the posture better, but oscillate on soft contacts. With softer servos a biped tips over at the
-ankles. Chosen, not tuned."""
+trials. Stiffer servos hold the posture better, but may oscillate on soft contacts. With softer
+servos a biped may tip over at the ankles. Chosen, not tuned.
+"""
 
 _LIGHT_DAMPING_FACTOR = 0.25
 """Factor [1] on the default damping of added servos in the trials with reduced damping. These
@@ -72,13 +72,13 @@ oscillates with kd = 130 N m s/rad, and not with 25.
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
 """Permitted deflections [rad, m] of the most loaded joint in the trials with reduced damping
-(`_LIGHT_DAMPING_FACTOR`), in the order of the trials. The trials follow those with
-`_SAG_CANDIDATES`. Chosen, not tuned."""
+(`_LIGHT_DAMPING_FACTOR`), in the order of the trials. Chosen, not tuned.
+"""
 
 _BRIEF_DURATION = 2.0
 """Duration [s] of the first simulation that tests if candidate gains lead to the predicted
-equilibrium. If this simulation agrees with the equilibrium, no longer simulation follows. Chosen,
-not tuned."""
+equilibrium. Chosen, not tuned.
+"""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
@@ -92,13 +92,8 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 def add_loop_motors(robot: Robot) -> Robot:
     """Add missing torque motors at independent joints, if there are closed loops or couplings.
 
-    Reason: in the actuator order, joints with motors come first. The added motors later become
-    servos. The order therefore does not change after stands have been solved. Dependent joints get
-    no motor.
-
-    Returns:
-        Robot with the motors; the same robot without loops and couplings, or if no joint needs a
-        motor.
+    Reason: in the actuator order, joints with motors come first. With the motors, the order does
+    not change when servos are added after stands have been solved.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -146,31 +141,10 @@ class AddedServos(NamedTuple):
 def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> AddedServos:
     """Add position servos to the joints without a servo, with gains that hold a stand.
 
-    Candidates of gains and time step are tried in order. The first candidate that meets the
-    following conditions is chosen:
-
-    - The robot comes to rest in the stand, with feed-forward torques and with position commands
-      alone.
-    - The rest position agrees with the predicted equilibrium, unless URDF and MJCF describe
-      different robots.
-    - The motion after nudges of the base decays.
-    - The published MJCF with these servos comes to rest, too. This condition is omitted without a
-      published MJCF (for example for a URDF alone), and with a reduced time step.
-
-    A reduced time step is chosen only if no candidate with the time step of the file meets the
-    first three conditions. For a robot with a URDF alone, a time step is no longer tried after
-    contacts chattered: after a nudge of the base the motion did not decay.
-
-    If no candidate meets all conditions, the first candidate with the best partial result is
-    chosen. The partial results are, best first:
-
-    1. The first three conditions hold.
-    2. The first two conditions hold.
-    3. The first condition holds.
-    4. The robot rests with feed-forward, and the motion after nudges decays.
-    5. The robot rests with feed-forward.
-
-    Without a partial result, the first candidate is chosen.
+    Candidates of gains and time step are tried in order. A good candidate brings the robot to rest
+    in the predicted equilibrium, with feed-forward torques and with position commands alone, and
+    the motion after nudges of the base decays. The published MJCF should come to rest, too. If no
+    candidate meets all conditions, a candidate that meets some of them is preferred.
 
     Args:
         robot: Robot.
@@ -209,9 +183,6 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_ServoCandidate]:
     """Return the candidates of gains and time step, in the order in which they are tried.
 
-    There are three groups, in this order: the deflections `_SAG_CANDIDATES` with the time step of
-    the file; `_LIGHT_SAG_CANDIDATES` with reduced damping; `_SAG_CANDIDATES` with smaller time
-    steps. The second group is omitted if the robot is described by a URDF alone (``of_urdf``).
     Joints with servos keep their gains.
     """
     own_gains = list_position_servos(robot)
@@ -268,12 +239,9 @@ class _ServoTrials:
     ) -> Iterator[_ServoCandidate]:
         """Yield the candidates with which a simulated robot comes to rest in the stand.
 
-        The time step of the robot is set to that of the candidate. ``feedforward`` lists the
-        simulations in which the robot must come to rest: with (True) or without (False)
-        feed-forward torques. Simulations without feed-forward run first, because most bad
-        candidates then fall within seconds. For a robot with a URDF alone, a time step is skipped
-        after contacts chattered: the motion after a nudge did not decay (`calms_down`). Candidates
-        for which ``is_wanted`` returns False at their turn are not simulated.
+        The robot must come to rest for each value of ``feedforward``: with (True) or without
+        (False) feed-forward torques. Candidates for which ``is_wanted`` returns False are skipped.
+        The time step of the robot is set to that of the candidate.
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))
@@ -281,18 +249,14 @@ class _ServoTrials:
                 continue
             if is_wanted is not None and not is_wanted(candidate):
                 continue
+            # Without feed-forward first: most bad candidates then fall within seconds.
             if all(self._comes_to_rest(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate
 
     def _comes_to_rest(self, number: int, *, fed: bool) -> bool:
-        """Simulate a candidate in the stand; return True if the robot comes to rest.
+        """Simulate candidate ``number`` in the stand; return True if the robot comes to rest.
 
-        The time step of the robot is set to that of the candidate. Each case is simulated once, and
-        the result is stored.
-
-        Args:
-            number: Index of the candidate in `candidates`.
-            fed: Whether the commands include feed-forward of the static motor torques.
+        ``fed``: with feed-forward torques. The result is cached.
         """
         divisor, kp, kd = self.candidates[number]
         self._robot.mj_model.opt.timestep = self._timestep / divisor
@@ -305,18 +269,16 @@ class _ServoTrials:
     def agrees_with_prediction(self, candidate: _ServoCandidate) -> bool:
         """Return True if a candidate leads to the predicted equilibrium in a simulation.
 
-        The result is also True if URDF and MJCF describe different robots (`_is_as_predicted`). The
-        gains are those of the candidate. The time step is that of the candidate that
-        `find_resting_candidates` yielded last.
+        The result is also True if URDF and MJCF describe different robots. The time step is that of
+        the candidate that `find_resting_candidates` yielded last.
         """
         return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
 
     def calms_down(self, candidate: _ServoCandidate) -> bool:
         """Return True if the motion after nudges of the base decays, with the gains of a candidate.
 
-        If the motion does not decay, the time-step divisor of the candidate is recorded as
-        chattering. The time step is that of the candidate that `find_resting_candidates` yielded
-        last.
+        The time-step divisor of a candidate that chatters is recorded. The time step is that of the
+        candidate that `find_resting_candidates` yielded last.
         """
         _, kp, kd = candidate
         is_calm = calms_after_base_nudges(self._robot, self._stand, kp=kp, kd=kd)
@@ -325,11 +287,10 @@ class _ServoTrials:
         return is_calm
 
     def choose_calm_candidate(self) -> _ServoCandidate | None:
-        """Choose the candidate for a robot that comes to rest only with feed-forward torques.
+        """Choose a candidate with which the robot comes to rest with feed-forward torques.
 
-        Only candidates with which the robot comes to rest with feed-forward are considered. The
-        first tested candidate with which the motion after nudges decays is returned, else the first
-        of all. None if there are no such candidates.
+        A candidate with which the motion after nudges decays is preferred. None without a
+        candidate.
         """
         first = None
         for candidate in self.find_resting_candidates(True):
@@ -343,12 +304,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     """Add position servos with suggested gains at the joints without a servo, for a robot on feet.
 
     The gains are chosen so that the robot comes to rest in the nominal stand (the default
-    `StandTask`); a note reports if no gains suffice. The time step may be reduced. Without a
-    nominal stand, the gains are suggested as for a fixed base.
-
-    Dependent joints (of closed loops and couplings) get no servo. Servos at passive joints exert no
-    torque. Torque limits of zero or below are ignored in the choice of the gains, except at passive
-    joints. The returned robot has the original limits again.
+    `StandTask`), if possible. The time step may be reduced. Dependent joints (of closed loops and
+    couplings) get no servo. Servos at passive joints exert no torque.
 
     Args:
         robot: Robot.
@@ -365,12 +322,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Detect passive joints, which no motor drives; list them in the robot's description.
 
-    A joint is passive if the effort limit is zero, no actuator of the MJCF drives the joint, and
-    the position does not depend on other joints. The list is `Description.passive_joints`.
-
-    The robot is returned unchanged if there are no passive joints, if the MJCF has no actuators, or
-    if the MJCF was derived from the URDF. Reason: an effort of zero in a single file may be a
-    mistake.
+    A passive joint has an effort limit of zero, and no actuator in the MJCF. An effort of zero in a
+    single file may be a mistake. The list is `Description.passive_joints`.
 
     Args:
         robot: Robot.
@@ -394,8 +347,7 @@ def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
 def _remove_zero_limits(robot: Robot) -> Robot:
     """Return a robot whose torque limits of zero or below are changed to "unknown".
 
-    Reason: the choice of servo gains must not depend on such limits. Passive joints keep their
-    limits. Without a limit to change, ``robot`` itself is returned.
+    The choice of servo gains must not depend on such limits. Passive joints keep their limits.
     """
     passive = robot.description.passive_joints
     null = [
@@ -412,11 +364,7 @@ def _remove_zero_limits(robot: Robot) -> Robot:
 
 
 def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
-    """Return the robot with servos, ``made``, with the torque limits of ``robot`` again.
-
-    The inverse of `_remove_zero_limits`. ``made`` is returned unchanged if no limit of ``robot`` is
-    zero or below.
-    """
+    """Return the robot with servos, ``made``, with the torque limits of ``robot`` again."""
     if not any(limit.without_torque for limit in robot.efforts):
         return made
     return rebuild_robot(
@@ -430,8 +378,7 @@ def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
 def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains to a robot, and return notes about the servos.
 
-    The gains hold the nominal stand (default `StandTask`). If the robot has no such stand, the
-    gains for a fixed base are used.
+    The gains hold the nominal stand (default `StandTask`), if possible.
     """
     stand = start.solve_nominal_stand(robot)
     if stand is None:
@@ -448,8 +395,6 @@ def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
     """Compute suggested servo gains for a robot with a fixed base, such as an arm.
 
-    The gains are computed by `suggest_fixed_base_gains`.
-
     Returns:
         kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m]. Both are in actuator
         order.
@@ -465,8 +410,7 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at the joints without a servo.
 
-    The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque:
-    these joints have no actuator in the MJCF, and an effort limit of zero.
+    The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque.
 
     Args:
         robot: Robot.
@@ -481,10 +425,7 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
 
 
 def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base; return the robot and notes on the servos.
-
-    The caller has marked passive joints, and removed torque limits of zero or below.
-    """
+    """Add position servos to a robot with a fixed base; return the robot, and notes on servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
@@ -498,12 +439,8 @@ def _report_added_servos(
 ) -> tuple[Robot, list[Diagnostic]]:
     """List the added servos in the description of a robot, and create the notes about the servos.
 
-    Args:
-        robot: Robot without the servos.
-        built: Robot with the servos.
-        mjcf: MJCF of the robot.
-        kp: Stiffness of all servos, shape (nu,) [N m/rad, N/m].
-        kd: Damping of all servos, shape (nu,) [N m s/rad, N s/m].
+    ``built`` is the robot with the servos. The gains of all servos are ``kp`` [N m/rad, N/m] and
+    ``kd`` [N m s/rad, N s/m], shape (nu,) each.
     """
     recorded = _record_added_servos(built, kp, kd, mjcf)
     added = recorded.description.made_servos
@@ -519,8 +456,8 @@ def _report_added_servos(
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the added servos with their gains.
 
-    Servos at passive joints, which exert no torque, are not listed. ``kp`` [N m/rad, N/m] and
-    ``kd`` [N m s/rad, N s/m], (nu,) each, are the gains of all servos in actuator order.
+    Servos at passive joints, which exert no torque, are not listed. The gains of all servos are
+    ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m], shape (nu,) each.
     """
     added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
     added -= set(built.description.passive_joints)
@@ -539,9 +476,7 @@ def _merge_gains(
 ) -> tuple[Array, Array]:
     """Combine the gains of the MJCF's servos with suggested gains; return kp and kd, (nu,) each.
 
-    Joints in ``own_gains``, {joint: (kp, kd)}, have a servo in the MJCF and keep its gains. Other
-    joints get the suggested gains ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]. The gains of
-    dependent joints (of closed loops and couplings) are 0.
+    ``own_gains`` is {joint: (kp, kd)} of the MJCF's servos. The gains of dependent joints are 0.
     """
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(
@@ -555,15 +490,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     """Return True if servo gains lead to the predicted equilibrium of a stand in a simulation.
 
     The result is also True if URDF and MJCF describe different robots, since no gains help then.
-    The prediction takes the penetration of soft ground into account, if it can be computed. The
-    first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the predicted
-    equilibrium, the default duration is simulated.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
-        kd: Servo damping, shape (nu,) [N m s/rad, N s/m].
+    ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m] have shape (nu,).
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)
@@ -576,9 +503,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
     """Return True if URDF and MJCF describe different robots, by the statics of a stand.
 
-    The files differ if the largest unbalanced generalised force of the predicted stand in MuJoCo
-    exceeds ``MAX_BALANCE_RESIDUAL_RATIO`` times the weight. Then no servo gains let the simulation
-    agree with the predicted equilibrium.
+    MuJoCo's unbalanced generalised force in the stand is then too large for any servo gains.
     """
     weight = robot.usual_weight
     return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight
@@ -593,10 +518,8 @@ def make_missing_servos(
 ) -> list[Addition]:
     """Create the additions to an MJCF that give a position servo to each joint without a servo.
 
-    Dependent joints of closed loops and couplings get no servo. The force range of a servo is the
-    torque range of the joint, if this range is finite and not empty. Two options are also added:
-    the time step, and the integrator ``implicitfast``, since explicit damping makes light joints
-    oscillate.
+    Dependent joints of closed loops and couplings get no servo. The integrator becomes
+    ``implicitfast``, since explicit damping makes light joints oscillate.
 
     Args:
         robot: Robot.

@@ -87,22 +87,8 @@ def judge_simulation(
 ) -> Verdict:
     """Create the verdict of a simulated stand or posture: holds, fails or cannot be judged.
 
-    The verdict combines the following simulations:
-
-    - ``fed`` and ``alone`` of the caller: with feed-forward, the servo command contains the static
-      torques of the motors.
-    - Simulations of the published file, the user's unmodified MJCF or URDF.
-    - Nudges: simulations in which the base has an initial velocity. If ``trial`` is None, the stand
-      is nudged here, provided that ``fed`` passed, ``statics`` contains a CoM margin, and the base
-      is free.
-
-    Which nudges are simulated here depends on the stand:
-
-    - Near a limit (`is_near_limit`), or if ``alone`` failed: small nudges in all directions
-      (`simulate_nudges`). Large nudges follow if the servos saturate at small deviations, and the
-      small nudges cause no failure.
-    - Other stands, also if ``alone`` is None: large nudges (`simulate_large_nudges`), after which
-      only shaking and divergence are failures.
+    The verdict combines the simulations of the caller, nudges (simulations in which the base has an
+    initial velocity), and simulations of the published file, the user's unmodified MJCF or URDF.
 
     Args:
         robot: Robot.
@@ -111,16 +97,15 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of ``simulate_nudges``; None to nudge the stand here.
+        trial: Result of ``simulate_nudges``; None to nudge the stand here, if necessary.
         kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
     Raises:
         StaticsInfeasibleError: If the stand is nudged here, and slides or tips.
         NotSettlingError: If the stand is nudged here, and the penetration depths do not converge.
-        ConfigurationError: If the stand belongs to another robot, or a gain is not valid.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is not valid for the robot.
+        ModelError: If a joint has no motor, for example.
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), get_loaded_robot(robot)
@@ -185,20 +170,9 @@ def _apply_zero_torque_limits(
 ) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
     """Add failures by motors with a torque limit of zero to two simulations of a stand.
 
-    - If such a motor is loaded in ``statics``, or ``statics`` is None: both simulations fail.
-    - If no such motor is loaded, and ``fed`` has failed: the message is added to the failures of
-      ``fed``. It is the first failure if more than half of the joints have such a motor, otherwise
-      the last.
-
-    Args:
-        robot: Robot.
-        fed: Simulation with feed-forward.
-        alone: Simulation with position commands alone; None if there is none.
-        statics: Static motor torques; None if unknown.
-
     Returns:
-        Both simulations, and the message about the motors. The message is None if there are no such
-        motors, or if ``fed`` contains the message.
+        Both simulations, and the message about the motors. The message is None without such motors,
+        or if ``fed`` contains the message.
     """
     null = describe_zero_torque_limits(robot)
     if null is None:
@@ -219,15 +193,7 @@ def _apply_zero_torque_limits(
 def _list_model_remarks(
     robot: Robot, stand: Stand, statics: GravityCompensation | None, *, given_gains: bool
 ) -> tuple[Diagnostic, ...]:
-    """Return the remarks that a verdict makes on the robot: tendons, limbs, soles, files, feet.
-
-    Args:
-        robot: Robot.
-        stand: Stand; replaced soles are reported only if the stand has stance feet.
-        statics: Contact forces of the stand, to find feet that sink too deep. None: such feet are
-            not reported.
-        given_gains: Whether the caller passed the servo gains; tendons are then not reported.
-    """
+    """Return the remarks that a verdict makes on the robot: tendons, limbs, soles, files, feet."""
     return (
         *(() if given_gains else report_tendon_joints(robot)),
         *report_limbs_without_feet(robot),
@@ -240,16 +206,7 @@ def _list_model_remarks(
 def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
     """Report that the ctrl of a keyframe moves a joint far from the qpos of the same keyframe.
 
-    The robot may stand nevertheless, for example if the joint belongs to an arm. The verdict is
-    about the computed stand, which the servos hold with other commands.
-
-    Args:
-        run: Simulation of the published file from the keyframe; None if there is none.
-
-    Returns:
-        Message about the joint with the largest displacement among the joints whose command
-        explains the displacement, if this exceeds ``MIN_POSTURE_DEVIATION``. Empty otherwise, if
-        the keyframe has no ctrl, or if the run fails.
+    The robot may stand nevertheless, for example if the joint belongs to an arm.
     """
     if run is None or run.fails or run.commands is not OwnCommands.STATED:
         return ()
@@ -267,13 +224,7 @@ def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
 def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Outcome:
     """Mark a simulation as failed because motors without torque must hold a load; return a copy.
 
-    If ``springs`` is True and the robot stood, the simulation still counts as standing. Otherwise
-    the other failures are omitted: they are consequences of the missing torque.
-
-    Args:
-        run: Result of a simulation in which motors with a torque limit of zero exert no torque.
-        null: Message about the motors.
-        springs: Whether springs of the MJCF act on the joints of all loaded motors without torque.
+    If ``springs`` act on the loaded joints, a robot that stood still counts as standing.
     """
     stays = run.stays and springs
     return replace(
@@ -289,8 +240,7 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
         feet: Names of the contact points that carry load in the stand.
 
     Returns:
-        The message. None if a contact point has friction, if ``feet`` is empty, or if the robot has
-        a weld, a grip or a fixed base.
+        The message; None if a contact point has friction, for example.
     """
     if not feet or robot.fixed_parts or robot.is_base_fixed:
         return None
@@ -304,11 +254,8 @@ def _list_overloaded_joints(
 ) -> tuple[str, ...]:
     """Return the joints whose motors exceed the torque limits; limits of zero or below are ignored.
 
-    Args:
-        robot: Robot.
-        statics: Static motor torques.
-        positions: Joint positions, shape (nu,) [rad, m], at which the forces of actuators at
-            tendons are evaluated. None: servos at the joints replace these actuators.
+    The forces of actuators at tendons are evaluated at ``positions``, shape (nu,) [rad, m]. None:
+    servos at the joints replace these actuators.
     """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     overloaded = (
@@ -327,11 +274,7 @@ increase counts as a payload. Smaller increases are rounding errors. Chosen, not
 def _report_buried_foot(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report the first contact point that sinks by more than its contact radius; () if none.
-
-    The penetration is that under the static contact force. Contact points without a radius are
-    ignored. The result is also empty if ``statics`` is None.
-    """
+    """Report a contact point that sinks by more than its contact radius; () if none."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
@@ -356,22 +299,8 @@ def _fail_if_upset(
 ) -> Outcome:
     """Mark a simulation as failed if the stand fails after a nudge; return the result.
 
-    A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here. A
-    stand near a limit, or a ``fragile`` stand, is nudged in all directions (`simulate_nudges`).
-    Other stands get large nudges (`simulate_large_nudges`), after which only shaking and divergence
-    are failures. Large nudges also follow if the servos saturate at small deviations
-    (`saturates_after_nudge`) and the stand survives `simulate_nudges`. Without a free base or
-    without a CoM margin, there is no nudge.
-
-    Args:
-        robot: Robot.
-        stand: Stand on rigid ground.
-        fed: Simulation with feed-forward, which has passed.
-        statics: Static motor torques.
-        trial: Result of `simulate_nudges`; None if not yet simulated.
-        kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
-        kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
-        fragile: Whether the stand fails without feed-forward.
+    A nudge is an initial velocity of the base. If ``trial`` is None, the stand may be nudged here.
+    ``fragile`` is True for a stand that fails without feed-forward.
     """
     speed = BASE_NUDGE_SPEED
     if trial is None:
@@ -422,11 +351,6 @@ contain these notes, since the results depend on assumptions that replace the er
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message about links that got a mass, or whose negative mass was moved, in loading.
 
-    The message states the consequences. A moving link gets 1 g in the prepared robot if neither
-    this link nor a link fixed to this link has a positive mass; MuJoCo itself refuses such a URDF.
-    A negative mass of a link that is fixed to another link is subtracted from the mass of the other
-    link; MuJoCo itself ignores the negative mass.
-
     Returns:
         The message; None without such links.
     """
@@ -451,8 +375,7 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return messages about errors and assumptions in a robot's files, for verdicts.
 
     Examples are impossible masses and inertias, negative friction or damping, joints with an empty
-    range, and placeholder torque limits. There are also messages about errors that loading replaced
-    by an assumption, and about a URDF that MuJoCo refuses to import.
+    range, and placeholder torque limits.
     """
     loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
@@ -496,10 +419,9 @@ tungsten. The radius is chosen, not tuned."""
 def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies that are denser than tungsten for any possible shape.
 
-    The volume of a body is that of a ball around the CoM. The ball contains the bounding spheres of
-    all geoms, the frame of the body and the frames of the child bodies; the radius is at least
-    `_MIN_RADIUS`. Bodies without geoms are omitted, since the size is unknown. Bodies that are
-    fixed to the world are omitted, too.
+    The volume of a body is that of a ball around the CoM. The ball contains the geoms, the frame of
+    the body and the frames of the child bodies. Bodies without geoms are omitted, since the size is
+    unknown.
 
     Returns:
         The message; None without such bodies.
@@ -533,9 +455,8 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
 def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies with a radius of gyration larger than the robot.
 
-    No part of the robot can have such a moment of inertia. The radius of gyration is sqrt(I / m),
-    with the largest principal moment I. The size of the robot is the diagonal of the box around all
-    moving bodies (bounding spheres of the geoms, and body frames) in ``qpos0``.
+    The radius of gyration is sqrt(I / m), with the largest principal moment I. The size of the
+    robot is the diagonal of a box around the moving bodies in ``qpos0``.
 
     Returns:
         The message; None without such bodies.
@@ -591,10 +512,10 @@ def judge_stand(
 
     Raises:
         StaticsInfeasibleError: If the stand slides or tips.
-        NotSettlingError: If the penetration depths of a robot without loops do not converge.
+        NotSettlingError: If the penetration depths do not converge.
         ConfigurationError: If an argument is not valid for the robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, or has no position servo and kp and kd are not both
+            given, for example.
     """
     held = solve_stand_as_simulated(robot, stand)
     fed, alone = (

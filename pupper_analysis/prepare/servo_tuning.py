@@ -36,8 +36,9 @@ GainArrays = tuple[Array, Array]
 value per joint."""
 
 DEFAULT_SAG = 0.02
-"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. The suggested servo
-stiffness is the gravity torque divided by this deflection. Chosen, not tuned."""
+"""Default deflection of a joint of an arm under gravity [rad; m for a slide], from which the
+suggested servo stiffness follows. Chosen, not tuned.
+"""
 
 _MAX_STANDING_FREQUENCY = 1.5
 """Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. The bound
@@ -54,16 +55,16 @@ _MIN_LEVER_FRACTION = 0.02
 bound is needed because straight legs need almost no torque. Chosen, not tuned."""
 
 _LEVER_FRACTION, _MIN_LEVER, _MAX_LEVER = 0.5, 0.1, 1.0
-"""Lever of the hinges of a leg, relative to the stand height [1], and its bounds [m]. A slide of a
-standing robot gets the stiffness of a hinge, divided by the square of the lever, so that both are
-equally stiff at the foot. Chosen, not tuned. Measured: a robot with telescopic legs that is 0.42 m
-high falls with 800 N m/rad at its hinges and up to 5,000 N/m at its slides, and stands with 8,000
-and 20,000 N/m."""
+"""Lever of the hinges of a leg, relative to the stand height [1], and its bounds [m]. The lever
+converts the stiffness of a hinge to that of a slide. Chosen, not tuned. Measured: a robot with
+telescopic legs that is 0.42 m high falls with 800 N m/rad at its hinges and up to 5,000 N/m at its
+slides, and stands with 8,000 and 20,000 N/m.
+"""
 
 _DAMPING_TIME = 0.05
 """Default ratio kd / kp [s] between damping and stiffness of servos added to a standing robot.
-Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned. Also used for the
-bound ``soft_limit`` of `ServoRequirement.of_stand`."""
+Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned.
+"""
 
 _MIN_TORQUE_FRACTION = 0.02
 """Lower bound of a joint's design torque, divided by the largest gravity torque of all joints [1].
@@ -80,11 +81,11 @@ _NUM_POSES = 64
 inertias are computed from which its servo gains follow. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
-"""Divisors of the model's time step [1]. If a robot with added servos does not come to rest, or
-keeps shaking after a nudge, the time step is divided by the next number. Measured: a light foot
-without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia of 3e-4 kg
-m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at 0.25
-ms."""
+"""Divisors of the model's time step [1] that are tried for a robot with added servos. Measured: a
+light foot without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia
+of 3e-4 kg m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped
+HECTOR) at 0.25 ms.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +136,8 @@ class ServoRequirement:
     ) -> ServoRequirement:
         """Compute the requirements on the servos of a standing robot: torques, inertia, bounds.
 
-        All hinges have the same design torque: the largest static torque of all joints, but at
-        least 2 % of weight times base height (`_MIN_LEVER_FRACTION`). ``max_stiffness`` follows
-        from the time step and the inertia. With closed loops or couplings, ``soft_limit`` bounds
-        the stiffness of the driving joints.
+        All hinges have the same design torque: the largest static torque of all joints, or a lower
+        bound (`_MIN_LEVER_FRACTION`).
 
         Args:
             robot: Robot.
@@ -182,11 +181,8 @@ class ServoRequirement:
     def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
-        The design torque of a joint is the largest gravity torque in random poses, but at least 2 %
-        of the torque of the most loaded joint (`_MIN_TORQUE_FRACTION`). The lower bound of the
-        stiffness gives the joint a natural frequency of 2 Hz (`_MIN_FREQUENCY`). The bound uses the
-        largest inertia in the random poses, with the other joints locked. The upper bound follows
-        from the time step.
+        The design torque of a joint is the largest gravity torque in random poses, or a lower bound
+        (`_MIN_TORQUE_FRACTION`).
 
         Args:
             model: Model with a fixed base, or with a free base that is held. All other joints must
@@ -265,15 +261,15 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
 def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
     """Compute the effective inertia at each joint: joint torque divided by joint acceleration.
 
-    All other joints and a free base move without torque; loops stay closed. The inertia is infinite
-    if closed loops lock the joint.
+    All other joints and a free base move without torque; loops stay closed.
 
     Args:
         robot: Robot.
         qpos: Configuration, shape (nq,).
 
     Returns:
-        Inertia, shape (nu,) [kg m^2 for a hinge, kg for a slide].
+        Inertia, shape (nu,) [kg m^2 for a hinge, kg for a slide]; huge or infinite if closed loops
+        lock the joint.
     """
     mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
     if robot.closure is None:
