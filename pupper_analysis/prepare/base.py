@@ -33,9 +33,9 @@ which the frame counts as at ground level. `place_base_frame` raises such a fram
 covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
-"""Lower bound of the cosine of the base tilt [1], about 45 deg. If the cosine is below the bound,
-`place_base_frame` does not raise the base frame, and a note reports the tilt. The tilt is taken in
-the keyframe `home`, else in the first keyframe, else in the initial state. Chosen, not tuned."""
+"""Lower bound of the cosine of the base tilt at the start [1], about 45 deg, with which
+`place_base_frame` may raise the base frame. Chosen, not tuned.
+"""
 
 
 def free_base(
@@ -43,13 +43,9 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a legged robot that the MJCF fixes to the world.
 
-    The base is the child body of the world with the most joints in its subtree. The base gets a
-    free joint if it has no joint, and if at least two limbs (subtrees with joints) are attached to
-    the base, or if the URDF has a free base (`states_free_base`).
-
-    Some MJCFs move the base by three slides and three hinges, or by three slides and a ball. Under
-    the conditions of `join_free_base`, for example that no actuator drives these joints, the free
-    joint replaces them, and all keyframes are deleted.
+    The base must have at least two limbs (subtrees with joints), or a free base in the URDF. The
+    free joint may replace slides and hinges that move the base (`join_free_base`); the keyframes
+    are then deleted.
 
     Args:
         urdf: URDF.
@@ -57,9 +53,8 @@ def free_base(
         source: File of the MJCF, for errors.
 
     Returns:
-        The same spec, and a list with a note about the change. The list is empty if nothing
-        changed: the spec has a free joint or no body, or the base has other joints. Nothing changes
-        either if the base has fewer than two limbs and is not free in the URDF.
+        The same spec, and a list with a note about the change; the list is empty if nothing
+        changed.
 
     Raises:
         ModelError: If two or more limbs are fixed to the world without a base body. MuJoCo fuses
@@ -128,28 +123,18 @@ def place_base_frame(
     """Raise the frame of a free base to the base's CoM height, if the frame is at ground level.
 
     Reason: height, roll and pitch of a stand refer to the base frame, with z up. The frame is at
-    ground level if no geom of the last body of a limb is below the frame. The CoM is that of the
-    base and of the bodies fixed to it. All parts of the robot keep the same positions in the world.
-
-    The frame is not raised in the following cases:
-
-    - The spec has no free joint, or the base is in a ``<frame>`` element of the MJCF.
-    - The z axis of the base is not vertical in the initial state.
-    - The base is tilted by more than 45 deg at the start. A note reports this tilt. The start is
-      the keyframe `home`, else the first keyframe. Without a keyframe that contains a pose of the
-      base, the start is the initial state.
-    - The limbs do not hang below the CoM.
+    ground level if no limb ends below the frame. All parts of the robot keep the same positions in
+    the world. The frame is not raised if the base is tilted, for example.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
         file: Compiled model of the published file, before the base was freed.
         source: File of the MJCF, for errors.
         insert_visuals: Function that adds the visual meshes to a copy of the spec, if the meshes
-            are not loaded yet. None if all meshes are loaded. The function is called only if the
-            collision geoms of the limb ends do not reach below the frame.
+            are not loaded yet. None if all meshes are loaded.
 
     Returns:
-        List with a note about the raised frame or about the tilt; otherwise empty.
+        List with a note about the raised frame or about a large tilt; otherwise empty.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.
@@ -214,8 +199,7 @@ def _compute_visual_bottom(
 ) -> float:
     """Compute the height [m] of the lowest point of the bodies ``ends``, visual meshes included.
 
-    The height is in the world frame, in the initial state. ``ends`` are MuJoCo ids of moving
-    bodies; bodies that are fixed to such a body are included. ``insert_visuals`` adds the visual
+    The height is in the world frame, in the initial state. ``insert_visuals`` adds the visual
     meshes to a copy of the spec.
     """
     complete = spec.copy()

@@ -51,10 +51,10 @@ simulation shows if the integration of the file causes a deviation from the pred
 The value is MuJoCo's default; chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
-"""Lower bound of the iterations [1] and upper bound of the tolerance [1] of an accurate constraint
-solver. If a file has fewer iterations, a larger tolerance, or another solver than Newton, the
-solver settings may cause a deviation. A test simulation then uses Newton and the two bounds.
-Newton's method converges in about ten iterations. Chosen, not tuned."""
+"""Lower bound of the iterations [1] and upper bound of the tolerance [1] with which the constraint
+solver Newton counts as accurate. Newton's method converges in about ten iterations. Chosen, not
+tuned.
+"""
 
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
@@ -122,11 +122,7 @@ the first element (`add_line`)."""
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Return a copy of a cause that states the line of its first element in the MJCF.
-
-    The line is None if the element is not found. The cause is returned unchanged if there are no
-    elements, or if `_XML_SECTIONS` does not contain the code of the cause.
-    """
+    """Return a copy of a cause with the line of its first element in the MJCF, if found."""
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
     section, element = _XML_SECTIONS[cause.code], cause.elements[0]
@@ -153,9 +149,8 @@ def _name_bodies(names: Iterable[str]) -> str:
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """List elements of a published MJCF that may make it deviate from the predicted equilibrium.
 
-    Each entry is a candidate cause: it may explain why a simulation of the published model deviates
-    from the predicted equilibrium. Examples are solver settings, contact exclusions, equalities,
-    limits, servo biases and obstacles.
+    Examples are solver settings, contact exclusions, equalities, limits, servo biases and
+    obstacles.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -178,9 +173,7 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
 def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """List candidate causes in an MJCF that affect both the published model and the prepared robot.
 
-    Each entry is a candidate cause: it may explain why both fall in a simulation. The elements are
-    actuators with a negative gear, springs, joint limits, fluid forces, gravity with a horizontal
-    component, and slippery or soft contacts.
+    Examples are actuators with a negative gear, springs, joint limits, and slippery contacts.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -225,10 +218,9 @@ step and integrator) and ``iterations`` (inaccurate constraint solver). Causes w
 tested first."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of causes that change the joint position that a servo command (ctrl) requests. If a
-simulation from a keyframe fails because nothing holds a joint, or because the ctrl belongs to
-another pose, only causes with these codes are tested. Other changes might let the robot stand by
-chance."""
+"""Codes of causes that change the joint position that a servo command (ctrl) requests. If a joint
+is not held, other changes are not tested: they might let the robot stand by chance.
+"""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
@@ -270,8 +262,8 @@ def _yield_if_any(
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield integration and inaccurate constraint solver as causes of a deviation from equilibrium.
 
-    The integration is omitted if an actuator has a delay: its buffer has a fixed number of samples,
-    so the time step cannot change.
+    The time step cannot change if an actuator has a delay: its buffer has a fixed number of
+    samples.
     """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
@@ -310,11 +302,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield servos with a bias or a gain unequal to the stiffness, and actuators with a delay.
-
-    Each kind is a candidate cause, which may explain why the published model deviates from the
-    predicted equilibrium.
-    """
+    """Yield servos with a bias or a gain unequal to the stiffness, and actuators with a delay."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -332,11 +320,7 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the actuators with a negative gear, as a single candidate cause of a failed simulation.
-
-    A negative gear is seldom intended: it may cause a fall, or a deviation from the predicted
-    equilibrium.
-    """
+    """Yield the actuators with a negative gear, which is seldom intended, as a candidate cause."""
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -350,8 +334,8 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    A candidate may explain a fall, or a deviation from the predicted equilibrium. There is a
-    candidate per kind: for example, all springs of joints and tendons are a single candidate.
+    There is a candidate per kind: for example, springs of joints and tendons are a single
+    candidate.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
@@ -390,9 +374,8 @@ the increased values, servos that are too soft are the cause of the failure. Cho
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield the position servos as a single candidate cause of a fall: servos that are too soft.
 
-    The candidate contains all position servos with a constant gain at the joints of the robot.
-    Nothing is yielded without such servos. Switching the candidate off multiplies gain and bias of
-    the servos, and thus stiffness and damping, by `STIFFNESS_FACTOR`.
+    Switching the candidate off multiplies stiffness and damping of the servos by
+    `STIFFNESS_FACTOR`.
     """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -427,12 +410,7 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield slippery and soft contacts as candidate causes of a failed simulation.
-
-    Such contacts may explain a fall, or a deviation from the predicted equilibrium. There are at
-    most two candidates. The first contains all slippery contact pairs and collidable geoms, the
-    second all soft contact pairs and collidable geoms (`_select_bad_contacts`).
-    """
+    """Yield slippery and soft contacts as candidate causes of a failed simulation."""
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slippery_geoms = np.flatnonzero(_select_bad_contacts(model, "geom", "slippery") & collidable)
@@ -482,10 +460,7 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the exclusions of contacts with bodies that are fixed to the world, as causes.
-
-    Each exclusion may explain why the published model deviates from the predicted equilibrium.
-    """
+    """Yield the exclusions of contacts with bodies that are fixed to the world, as causes."""
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
@@ -497,10 +472,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield two options as candidate causes: contact flag ``override``, disabled actuator groups.
-
-    Each option may explain why the published model deviates from the predicted equilibrium.
-    """
+    """Yield contact flag ``override`` and disabled actuator groups as candidate causes."""
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -523,8 +495,7 @@ def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield elements of a published model that tie a body to the world or to a mocap body.
 
     These are initially active welds and connects, and spatial tendons with an active equality or a
-    limited length. Some of the connected bodies are fixed to the world or are mocap bodies, and
-    others move. A tie may cause a deviation from the prepared robot.
+    limited length.
     """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
@@ -572,9 +543,7 @@ def _find_wrap_bodies(model: mujoco.MjModel, wrap: int) -> list[int]:
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield limits of servo commands and forces as candidate causes of a failed simulation.
 
-    The equilibrium that is predicted with feed-forward does not consider these limits. There is a
-    candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the robot's joints, and
-    ``actuatorfrcrange`` of these joints.
+    The equilibrium that is predicted with feed-forward does not consider these limits.
     """
     model, joints, motors = (
         published.model,
@@ -596,9 +565,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield actuators that act on no single hinge or slide, and slow filters, as candidate causes.
 
-    A candidate cause may explain why the published model deviates from the predicted equilibrium.
-    Servos at tendons that drive joints without actuator are no candidates: `compute_hold_commands`
-    commands these servos to hold the joints.
+    Servos at tendons that hold joints without actuator are no candidates.
     """
     model = published.model
     commanded = {
@@ -623,9 +590,8 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield joints of the file that the prepared robot lacks, as candidate causes of a deviation.
 
-    The prepared robot holds these joints at zero; in the published model they may move. There are
-    at most two candidates: all ball joints, and all hinges and slides. To test a candidate, its
-    joints are locked by damping.
+    The prepared robot holds these joints at zero. To test a candidate, its joints are locked by
+    damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]
@@ -640,12 +606,10 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
 
 
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield shapes of the published model that may cause a deviation from the prepared robot.
+    """Yield shapes with disabled contacts, and obstacles, as candidate causes of a deviation.
 
-    There are at most two candidates: all shapes whose contacts the preparation disabled, and all
-    obstacles. Bodies with added balls, and imports of a URDF, have no disabled shapes here. An
-    obstacle is a shape, other than a plane, that can collide and is fixed to the world or to a
-    mocap body.
+    The preparation disabled the contacts. An obstacle is a collidable shape, other than a plane,
+    that is fixed to the world or to a mocap body.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -702,9 +666,8 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
     """List changes by the preparation that may explain a deviation from the published model.
 
-    Unlike a `CauseCandidate`, such a change cannot be switched off in the published model. There
-    are two kinds: bodies whose collision shapes were replaced by spheres, and joints whose actuator
-    is neither a servo nor a torque motor (`Drive.has_other_law`).
+    Unlike a `CauseCandidate`, such a change cannot be switched off in the published model. Examples
+    are bodies whose collision shapes were replaced by spheres.
 
     Args:
         published: Published model: the user's file as compiled.

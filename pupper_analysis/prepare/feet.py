@@ -58,10 +58,9 @@ sphere alone is the contact shape of the foot (`_select_sphere`). Chosen, not tu
 
 
 _FOOT_PLACE_ATOL = 2e-3
-"""Tolerance [m] with which a link of the URDF counts as at a contact point of the MJCF. Two
-positions are compared with the link: the contact point, and the contact point shifted by the offset
-of the last joint from the MJCF to the URDF. If no link is at either position, only the part of the
-offset perpendicular to the joint axis is used. Chosen, not tuned."""
+"""Tolerance [m] with which a link of the URDF counts as at a contact point of the MJCF. Chosen, not
+tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +80,8 @@ class Foot:
 
 _MIN_DIRECTION_COSINE = 0.7
 """Lower bound [1] of the magnitude of the component of the mean limb direction along an axis of the
-base, about 45 deg. If the magnitude is at least the bound, the limbs point along this axis. A note
-reports an axis that is not downwards. Chosen, not tuned."""
+base, about 45 deg, with which the limbs count as pointing along this axis. Chosen, not tuned.
+"""
 
 
 _MIN_LIMB_LENGTH = 1e-3
@@ -96,13 +95,9 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     Such a robot cannot stand on the limbs with a level base. The message proposes a rotation of the
     base.
 
-    The joint positions are zero, clipped to the limits; the base is not rotated. The direction of a
-    limb is the unit vector from the origin of the first body to the mean CoM of the last bodies.
-    The reported axis has the largest component of the mean direction of all limbs.
-
     Returns:
-        List with a message. Empty if the limbs point downwards, if the robot has fewer than two
-        limbs, or if the component along the axis is below `_MIN_DIRECTION_COSINE`.
+        List with a message. Empty if the limbs point downwards, or along no axis of the base, for
+        example.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.compute_kinematics(robot.make_qpos(joints))
@@ -141,10 +136,9 @@ def count_joints_to_base(robot: Robot, body: int) -> int:
 
 
 def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
-    """Return the ids of the geoms of a body that can collide with the floor.
+    """Return the ids of the geoms of a body that can collide with the floor; empty without a floor.
 
-    Two geoms can collide if the contype of either matches the conaffinity of the other. The result
-    is empty without a floor: a floor without contacts is a visual geom, which a model may lack.
+    Two geoms can collide if the contype of either matches the conaffinity of the other.
 
     Args:
         model: Model.
@@ -172,8 +166,7 @@ def find_feet(
 ) -> tuple[Foot, ...]:
     """Detect the feet of a robot: the collision geoms at the ends of the lowest limbs.
 
-    The feet are searched in each pose, and the result of the pose with the most feet is returned.
-    Reason: in some poses the legs may be folded.
+    The result is that of the pose with the most feet: in some poses the legs may be folded.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.
@@ -181,7 +174,7 @@ def find_feet(
         height_fraction: Factor a [1] of the height bound, see `_MAX_LEG_HEIGHT_FRACTION`.
 
     Raises:
-        ModelError: If any of the poses has no limb with collision geoms that ends below the base.
+        ModelError: If no limb with collision geoms ends below the base in one of the poses.
     """
     return max((_find_lowest_limbs(robot, pose, height_fraction) for pose in poses), key=len)
 
@@ -189,13 +182,7 @@ def find_feet(
 def _find_lowest_limbs(robot: Robot, joints: Array, height_fraction: float) -> tuple[Foot, ...]:
     """Find the feet in a pose: the ends of the limbs that reach about as low as the lowest limb.
 
-    Args:
-        robot: Robot without feet.
-        joints: Joint positions of the pose, shape (nu,) [rad, m]; the base is level.
-        height_fraction: Factor a [1] of the height bound, see `_MAX_LEG_HEIGHT_FRACTION`.
-
-    Raises:
-        ModelError: If no limb ends below the base.
+    ``joints`` are the joint positions of the pose, shape (nu,) [rad, m]; the base is level.
     """
     model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
@@ -231,11 +218,9 @@ def _find_lowest_limbs(robot: Robot, joints: Array, height_fraction: float) -> t
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Choose a name for each foot: the name of its geom, else the name of its body.
+    """Choose a name for each foot: the name of its geom, or the name of its body.
 
-    The name of the body is used if the foot has several geoms, or a geom without a name. If two
-    feet would have the same name, all feet have the names of the bodies. ``feet`` are pairs: id of
-    the foot's body, and contact points.
+    ``feet`` are pairs: id of the foot's body, and contact points.
     """
     names = []
     for body, points in feet:
@@ -252,15 +237,9 @@ def _name_feet(
 def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
     """Find the contact points of a foot that the user names.
 
-    If the MJCF has an element with the name ``frames[1]``, this element is used; otherwise the
-    URDF's link ``frames[0]``. Of several elements with this name, a geom has priority, then a site.
-    The contact shape depends on the element:
-
-    - Geom: this geom.
-    - Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
-      site.
-    - Site, or link of the URDF: of the moving body's geoms that can collide with the floor, the
-      nearest sphere at less than 20 mm (`_MAX_SPHERE_DISTANCE`), else all these geoms.
+    The foot is the element ``frames[1]`` of the MJCF, or else the link ``frames[0]`` of the URDF. A
+    named geom is the contact shape of the foot; otherwise the contact shapes are collision geoms of
+    the foot's body, such as a sphere near the frame.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.
@@ -313,9 +292,7 @@ def _select_sphere(
 ) -> list[int]:
     """Select the sphere geom at a foot frame that the user names, else all given geoms.
 
-    The nearest sphere to the position ``place`` of the frame, shape (3,) [m] in the world frame, is
-    returned as a list with its geom id. All ``geoms`` are returned if no sphere is nearer than
-    `_MAX_SPHERE_DISTANCE`.
+    ``place`` is the position of the frame, shape (3,) [m], in the world frame.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
@@ -333,17 +310,8 @@ def _locate_link(
 ) -> tuple[int, Array]:
     """Find the MuJoCo body that moves a link of the URDF, and the link's position (3,) [m].
 
-    The result is the id of the body, and the position in the world frame. The body is the base if
-    no joint of the robot moves the link.
-
-    Args:
-        robot: Robot.
-        name: Name of the foot, for error messages.
-        frames: Link in the URDF, and geom, site or body in the MJCF (for error messages).
-        joints: Joint positions, shape (nu,) [rad, m].
-
-    Raises:
-        UnknownNameError: If the URDF has no such link.
+    The position is in the world frame. The body is the base if no joint of the robot moves the
+    link.
     """
     model, (link, frame) = robot.pin_model, frames
     number = next(
@@ -377,10 +345,8 @@ def add_contact_frames(
 ) -> Description:
     """Add a frame at each contact point to URDF and MJCF; return the changed description.
 
-    The frame is a link in the URDF and a site in the MJCF. Some contact points are the centre of a
-    ball that approximates another collision shape (`is_ball`). If their foot is in ``replaced``, a
-    ball geom is added, and contacts of the approximated shape are disabled; otherwise only the
-    frame is added.
+    The frame is a link in the URDF and a site in the MJCF. For the feet in ``replaced``, ball geoms
+    replace the contacts of the shapes that they approximate (`is_ball`).
 
     Args:
         robot: Robot without feet.
@@ -495,23 +461,9 @@ def _map_to_urdf(
 ) -> Array:
     """Convert a position on a body of the MJCF to the position of this point in the URDF.
 
-    URDF and MJCF may have different joint axes. The position is therefore shifted by the offset
-    between the two axes of the last joint that is no slide. Only the part of the offset
-    perpendicular to the axis counts: the position of a joint frame along its axis has no meaning.
-    Without such a joint, the position is unchanged.
-
-    Exception: a link that the joint moves may be within `_FOOT_PLACE_ATOL` of the unshifted
-    position, or of the position shifted by the complete offset. That position is then returned.
-
-    Args:
-        robot: Robot.
-        config: Configuration of the URDF at joint positions of zero.
-        data: MuJoCo data at joint positions of zero.
-        body: MuJoCo id of the body.
-        world: Position in the MJCF, shape (3,) [m], in the world frame.
-
-    Returns:
-        Position in the URDF, shape (3,) [m], in the world frame.
+    If the axes of the body's last joint differ between the files, the position is usually shifted
+    by their perpendicular offset: the position of a joint frame along its axis has no meaning.
+    ``world`` and the result are positions, shape (3,) [m], in the world frame.
     """
     joint = _find_last_joint(robot, body, turning=True)
     if joint is None:
@@ -547,15 +499,9 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the name of the joint that is nearest to a body on the chain to the base.
+    """Return the joint that is nearest to a body (id) on the chain to the base; None without one.
 
-    The result is None without such a joint, or if the search reaches a joint that is not one of the
-    robot's joints.
-
-    Args:
-        robot: Robot.
-        body: Id of the body.
-        turning: True to skip slides.
+    ``turning``: slides are skipped.
     """
     model = robot.mj_model
     slide = JointKind.SLIDE

@@ -26,25 +26,25 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Tolerance [rad, m] for comparing the joint limits of URDF and MJCF. If a limit of the MJCF is
-narrower than the limit of the URDF by more than this value, `narrow_limits` uses the overlap of
-both ranges. Smaller differences are rounding. Chosen, not tuned."""
+"""Tolerance [rad, m] for comparing the joint limits of URDF and MJCF in `narrow_limits`. Smaller
+differences are rounding. Chosen, not tuned.
+"""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
-"""Limit of a continuous joint in both directions [rad]. The limit is added to a robot with closed
-loops or couplings if the MJCF has no limit for the joint. Chosen as a revolution: larger angles are
-not needed."""
+"""Limit of a continuous joint in both directions [rad], for a robot with closed loops or couplings
+whose MJCF has no limit. Chosen as a revolution: larger angles are not needed.
+"""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:
     """Add joint limits to the continuous joints of a robot with closed loops or couplings.
 
-    Reason: PlaCo's joint constraints in closed loops require limits. The limits are taken from the
-    MJCF. Without limits in the MJCF, the limits are one revolution in both directions.
+    Reason: PlaCo's joint constraints in closed loops require limits. The limits are those of the
+    MJCF, or one revolution in both directions.
 
     Returns:
-        Copy of the robot's description, with the limits [rad] in the URDF. None if the robot has no
-        loop or coupling, or no continuous joint.
+        Copy of the robot's description, with the limits [rad] in the URDF; None if no joint needs
+        limits.
     """
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
@@ -67,12 +67,7 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Narrow the joint limits of the URDF [rad, m] to the overlap with the limits of the MJCF.
 
     Reason: MuJoCo pushes back a joint that is beyond the limits in the MJCF. A stand must not
-    contain such a joint. The limits of a joint are kept in three cases:
-
-    - The MJCF does not limit the joint.
-    - The ranges of both files have no interval in common.
-    - No limit of the MJCF is narrower than that of the URDF by more than 1e-3 rad or m
-      (`_LIMIT_ATOL`).
+    contain such a joint.
 
     Returns:
         Copy of the robot's description with the new limits, and a note that lists the limits. None
@@ -109,13 +104,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     """Add the ``<mimic>`` couplings of the URDF to the MJCF, as joint equalities.
 
     A mimic joint follows another joint, the leader. A mimic joint remains uncoupled, with a note,
-    in the following cases:
-
-    - The joint has an actuator in the MJCF.
-    - A joint equality of the MJCF, active or not, refers to the joint.
-    - The MJCF lacks the joint or the leader.
-
-    A joint whose position already depends on other joints in the MJCF is skipped without a note.
+    if it has an actuator in the MJCF, for example.
 
     Args:
         matched: Matched joints of both files, with the couplings of the URDF.

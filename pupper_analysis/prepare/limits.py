@@ -37,9 +37,8 @@ from pupper_analysis.statics.equilibrium import (
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
     """Return the torque limits of the joints that need a motor.
 
-    Two kinds of joints need no motor and are omitted. The positions of dependent joints follow from
-    closed loops or couplings. Passive joints have no actuator and an effort limit of zero
-    (`Description.passive_joints`).
+    Dependent joints (of closed loops and couplings) and passive joints
+    (`Description.passive_joints`) need no motor.
     """
     following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
     passive = robot.description.passive_joints
@@ -61,16 +60,14 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
     """Create the message that joints without a motor must hold a torque in a stance.
 
     Passive joints have no actuator in the MJCF, and an effort limit of zero
-    (`Description.passive_joints`). The message names the loaded joints, and the largest static
-    torque with its joint.
+    (`Description.passive_joints`).
 
     Args:
         robot: Robot.
         statics: Static joint torques of the stance.
 
     Returns:
-        The message; None if no passive joint is loaded. A torque [N m, N] of at most
-        `MIN_TORQUE_PER_MASS` times the robot's mass [kg] counts as rounding, not as a load.
+        The message; None if no passive joint is loaded.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques).tolist(), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
@@ -88,18 +85,9 @@ def list_overloaded_joints(
 ) -> tuple[str, ...]:
     """Return the names of the joints whose motors exceed their torque limits in a stance.
 
-    If no joint is driven only through tendons, the static torque of each joint is compared with the
-    torque limit. Otherwise the forces F of the actuators at the tendons are the least-squares
-    solution of tau = M F, with the static torques tau of the joints that only tendons drive, and
-    the levers M at the given joint positions. A joint then counts as overloaded in three cases:
-
-    - Only tendons drive the joint, and an actuator at one of them exceeds a force limit.
-    - Only tendons drive the joint, and they cannot exert its torque.
-    - The joint has another actuator or none, and the remaining torque tau - M F exceeds the torque
-      limit of the joint (0 for a passive joint).
-
-    Tendons are not evaluated if the robot has no published MJCF, or has closed loops or couplings,
-    which transfer torques between joints.
+    If only tendons drive some joints, the forces F of the actuators at the tendons are the
+    least-squares solution of tau = M F, with the static torques tau of these joints, and the levers
+    M at ``positions``. The motors of other joints exert tau - M F.
 
     Args:
         robot: Robot.
@@ -129,17 +117,12 @@ def _find_tendon_drives(
 ) -> tuple[mujoco.MjModel, list[int], list[int], Array] | None:
     """Find the joints that only tendons drive, and the levers of the tendons' actuators.
 
-    Args:
-        robot: Robot.
-        positions: Joint positions, shape (nu,) [rad, m], at which the levers are measured.
+    The levers are measured at ``positions``, joint positions of shape (nu,) [rad, m].
 
     Returns:
-        - Model of the published file.
-        - Indices of the joints that only tendons drive, in actuator order.
-        - Ids of the actuators at these tendons.
-        - Levers, shape (nu, number of actuators): torque at each joint per unit of actuator force.
-
-        None without such joints, without a published file, or with closed loops or couplings.
+        Model of the published file. Indices of the joints, in actuator order. Ids of the actuators
+        at these tendons. Levers, shape (nu, number of actuators): torque at each joint per unit of
+        actuator force. None if the tendons cannot be evaluated.
     """
     file = None if robot.published is None else robot.published.file
     driven = {
@@ -171,8 +154,7 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     of the corresponding joint of a similar limb.
 
     Returns:
-        The message. None if no limit of a driven joint is zero or negative. None also if the origin
-        of the first such limit (file and attribute) is unknown.
+        The message; None without such a limit, for example.
     """
     null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:
@@ -197,8 +179,7 @@ def _proposed_limit_fields(
 ) -> dict[str, Any]:
     """Return the fields that propose an effort limit, for the message about a limit of zero.
 
-    ``found`` contains a joint and its limit in the other file or in a similar limb. All fields are
-    None if ``found`` is None.
+    ``found`` is a joint with the proposed limit. Without it, all fields are None.
     """
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
@@ -214,11 +195,8 @@ def _proposed_limit_fields(
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
     """Find an effort limit to propose: that of the corresponding joint of a similar limb.
 
-    ``null`` are the limits that are zero or negative. The first of these joints with a
-    corresponding joint whose limit is stated in a file is used.
-
-    Returns:
-        Name of the corresponding joint, and its limit. None if there is no such joint.
+    ``null`` are the limits that are zero or negative. The result is the name of the corresponding
+    joint, and its limit; None without such a joint.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
@@ -240,10 +218,8 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if springs may replace motors without torque: one at each loaded joint.
 
-    A joint is tested if its motor has a torque limit of zero or below, and must hold a torque in
-    the stance (``statics``). Only linear joint stiffness in the MJCF counts as a spring. The result
-    is also True if no joint is tested. True does not imply that the springs are strong enough: a
-    simulation must test the strength.
+    A linear joint stiffness in the MJCF counts as a spring. A simulation must test if the springs
+    are strong enough.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]
@@ -251,12 +227,7 @@ def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
 
 
 def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list[str]:
-    """Return the names of joints that must hold a torque, although their torque limit is zero.
-
-    Negative limits count as zero. Torques [N m, N] of at most `MIN_TORQUE_PER_MASS` times the
-    robot's mass [kg] count as no torque. Joints that need no motor are omitted
-    (`list_driven_limits`).
-    """
+    """Return the joints that must hold a torque, although their torque limit is zero or below."""
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
     return [
@@ -274,9 +245,8 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
         statics: Static joint torques of the stance.
 
     Returns:
-        The message; None if each motor that must hold a torque in the stance has a limit. Torques
-        [N m, N] of at most `MIN_TORQUE_PER_MASS` times the robot's mass [kg] count as zero. The
-        message omits unloaded joints that move no foot.
+        The message; None if no motor without a stated limit must hold a torque. The message omits
+        unloaded joints that move no foot.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass

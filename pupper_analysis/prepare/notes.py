@@ -33,8 +33,7 @@ from pupper_analysis.stance.problem import can_move_com
 def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
     """Yield messages about differences between URDF and MJCF that the matching of joints removed.
 
-    The messages concern joints with different names, joints with different zero positions, a free
-    base with different frames, and joints that a single file contains.
+    Examples are joints with different names, and joints that a single file contains.
     """
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
@@ -76,7 +75,7 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
 
     The prepared robot has a servo at each of these joints. Results such as static deflection and
     payload are computed with the added servos. Simulations of the unmodified file use the actuators
-    at the tendons. Nothing is yielded without such joints, or without an MJCF.
+    at the tendons.
     """
     file = None if robot.published is None else robot.published.file
     driven = [

@@ -30,8 +30,8 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
 """Upper bound of MuJoCo's solver option ``tolerance`` [1]. `check_simulable` raises an error for a
-larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot that
-should fall does not."""
+larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once.
+"""
 
 _GEAR_RANGE = 1e-6, 1e6
 """Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
@@ -53,8 +53,7 @@ micrometre is lost in a double."""
 def check_simulable(mjcf: MjcfFile) -> None:
     """Raise an error if a value of an MJCF is so extreme that a simulation has no meaning.
 
-    Checked are the time step, ``impratio``, solver iterations and tolerance, rotor inertias,
-    positions of moving bodies and of joints, contact margins, and gears.
+    Examples are the time step, solver tolerance, rotor inertias and gears.
 
     Raises:
         ModelError: If a value is out of range; the error contains file, line and value.
@@ -104,12 +103,9 @@ def _list_bounded_values(
 
 
 def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
-    """Return the name of an element of the model; for an unnamed actuator, the name of its joint.
+    """Return the name of an element; for an unnamed actuator, the name of its joint.
 
-    Args:
-        model: MuJoCo model.
-        kind: Kind of the element, for example ``actuator``.
-        row: Id of the element.
+    ``kind`` is the kind of the element, for example ``actuator``; ``row`` is the id.
     """
     name = str(getattr(model, kind)(row).name)
     if kind == "actuator" and not name and is_at_one_joint(model, row):
@@ -120,11 +116,8 @@ def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
 def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
     """Find the file and line of an element of the model, or of a MuJoCo option, for an error.
 
-    Args:
-        mjcf: MJCF.
-        kind: Kind of the element, for example ``actuator``; or ``option``.
-        field: Name of the option; used only for options.
-        row: Id of the element in the compiled model; not used for options.
+    ``kind`` is the kind of the element, for example ``actuator``, or ``option``; ``field`` is the
+    name of the option; ``row`` is the id of the element.
     """
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
@@ -140,8 +133,7 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     Args:
         error: Error of a compilation.
         urdf: URDF.
-        mjcf: MJCF. If the MJCF was converted from the URDF, and the URDF contains the link, the new
-            error names the URDF.
+        mjcf: MJCF, which may have been converted from the URDF.
 
     Returns:
         The new error; ``error`` itself if the cause is another problem.
@@ -187,17 +179,17 @@ tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
 """Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
-a push the constraint forces are in equilibrium, and an inaccurate solver is not detected. Chosen,
-not tuned."""
+a push the constraint forces are in equilibrium, and an inaccurate solver may not be detected.
+Chosen, not tuned.
+"""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     """Compute the error of MuJoCo's constraint solver for a robot whose free base is pushed.
 
     The error is the residual of M qacc = f in the three translational equations of the base. The
-    push is 10 % of the robot's weight along each axis (`_PUSH_FRACTION`). A push is needed because
-    otherwise an inaccurate solver is not detected. If the model has no gravity, the weight is that
-    on Earth.
+    push is 10 % of the robot's weight along each axis (`_PUSH_FRACTION`). If the model has no
+    gravity, the weight is that on Earth.
 
     Args:
         model: Model.

@@ -39,11 +39,8 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
     A model of G1, with 393,000 faces, then compiles in 1 ms instead of 80 ms. Copying takes 0.4 ms
     instead of 60 ms. Compilation removes the visual geoms from the spec itself; compile a copy to
-    keep the geoms.
-
-    According to MuJoCo's documentation (``compiler/discardvisual``) the dynamics are the same. The
-    option is not set with fluid forces (density or viscosity), which may act on visual geoms.
-    Neither is it set with ``inertiafromgeom="true"``: all geoms then contribute to the mass.
+    keep the geoms. The option is not set if visual geoms may change the dynamics, for example by
+    fluid forces.
     """
     weighed = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if not (weighed or spec.option.density or spec.option.viscosity):
@@ -62,9 +59,9 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Bound of the fraction [1] of the load that the present contact shapes of soft feet carry on
-average. With a larger fraction, the feet keep these shapes. Otherwise other shapes of the same
-bodies become the contact shapes (`find_carrying_hulls`). Chosen, not tuned."""
+"""Upper bound of the fraction [1] of the load that the contact shapes of soft feet carry on
+average, with which other shapes of the same bodies become the contact shapes. Chosen, not tuned.
+"""
 
 
 def find_carrying_hulls(
@@ -74,12 +71,8 @@ def find_carrying_hulls(
 
     A soft foot may penetrate the ground so far that a stiffer shape of the foot's body also
     touches, such as the convex hull of the shank. The contact point of the foot must then be on
-    this shape.
-
-    The fraction of the load that the foot itself carries is estimated. It is the force of the foot
-    at the penetration at which the other shape alone would carry the load, divided by the load. The
-    fraction is averaged over the affected feet, so that all legs are treated equally. Only feet
-    with a single contact point are considered.
+    this shape. The fraction of the load that the foot itself carries is averaged over the affected
+    feet, so that all legs are treated equally.
 
     Args:
         footless: Robot before feet were added.
@@ -87,9 +80,8 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        All feet, and a note. In the affected feet, the other shape is the contact shape. None in
-        three cases: the stand on soft ground is not solved; no other shape touches the ground in a
-        single point; the feet themselves carry more than half of the load on average.
+        All feet, and a note. In the affected feet, the other shape is the contact shape. None
+        without such feet.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -148,12 +140,10 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Disable the contacts of shapes on a foot's body that are near the ground in a stand.
 
     Reason: the statics assume that only the feet touch the ground. The contacts of the foot geoms
-    themselves are kept. The stand is the nominal stand (default `StandTask`) on soft ground. A
-    shape is near the ground if the height is at most 5 mm (`_MAX_SHAPE_CLEARANCE`).
+    themselves are kept. The stand is the nominal stand (default `StandTask`) on soft ground.
 
     Returns:
-        Robot, and a list with a note about the bodies. The list is empty, and the robot unchanged,
-        if no such shape exists or if the stand cannot be solved.
+        Robot, and a list with a note about the bodies; the list is empty if nothing is changed.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -178,12 +168,10 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Add contact exclusions for the pairs of bodies that overlap in the start pose.
 
     Reason: the statics assume that no bodies of the robot touch each other. The start pose is the
-    nominal stand (default `StandTask`). For a fixed base, the start pose is the default posture
-    (`find_posture`).
+    nominal stand (default `StandTask`), or the default posture of a fixed base (`find_posture`).
 
     Returns:
-        Robot, and a list with a note about the pairs. The list is empty, and the robot unchanged,
-        if no bodies overlap, or if the start pose cannot be solved or is not in static equilibrium.
+        Robot, and a list with a note about the pairs; the list is empty if nothing is changed.
     """
     pose = _find_start_configuration(robot)
     if pose is None:
@@ -207,10 +195,9 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Compute the start configuration in which overlaps of bodies are tested, shape (nq,) [m, rad].
+    """Compute the configuration, shape (nq,) [m, rad], in which overlaps of bodies are tested.
 
-    The configuration is the nominal stand (solution of the default `StandTask`); for a fixed base,
-    the default posture (`find_posture`). None if the stand or posture cannot be solved.
+    None if the nominal stand, or the default posture of a fixed base, cannot be solved.
     """
     if robot.floating:
         stand = start.solve_nominal_stand(robot)

@@ -107,18 +107,8 @@ def _stretch_link(
 ) -> None:
     """Stretch a link in place by ``variant.leg_scale`` along the direction to its end.
 
-    Args:
-        robot: Robot, whose joints at the link are moved.
-        link: Link to stretch, with shapes and inertia.
-        end: Pose of the next joint (of the knee, or of the foot) in the link frame, homogeneous
-            matrix (4, 4).
-        normal: Knee axis in the link frame, shape (3,). The direction is projected into the plane
-            with this normal.
-        variant: Scale factors of the variant.
-
-    Raises:
-        ModelError: If ``leg_scale`` is not 1 and no axis of a mesh is parallel to the stretched
-            direction, so that scale factors cannot stretch the mesh.
+    ``end`` is the pose (4, 4) of the next joint in the link frame. The direction is projected into
+    the plane with the normal ``normal``, the knee axis (3,) in the link frame.
     """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
@@ -167,9 +157,8 @@ def _transform_origin(element: object, matrix: Array) -> Array:
 def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
     """Return (radius, length of the cylinder) [m] of a link's collision capsule along an axis.
 
-    A capsule is one cylinder along ``axis`` with a sphere of the same radius at each end. ``axis``
-    is a unit vector, shape (3,), in the link frame. None if the cylinders and spheres of the link
-    do not have this form. Boxes and meshes are ignored.
+    A capsule is one cylinder along ``axis``, a unit vector (3,) in the link frame, with a sphere of
+    the same radius at each end. None without a capsule.
     """
     shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
@@ -227,15 +216,12 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     """Scale the legs and the torso mass of a base model's MuJoCo spec, in place.
 
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
-    ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
-    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Meshes,
-    and capsules and cylinders along the link, are stretched. The given mass of such a capsule or
-    cylinder, and of the body's inertial, is multiplied by the scale. Spheres, such as the foot,
-    keep their size and their given mass.
+    ``leg_scale`` along the direction to the next body (or the foot), and their inertia is changed
+    accordingly. This direction is projected into the plane normal to the knee axis, so the lateral
+    offset of the leg is unchanged. Spheres, such as the foot, keep their size.
 
-    Mass and inertia of the base body are multiplied by ``torso_mass_scale``. If this scale is above
-    1, a dark block without mass is drawn on the base. The base, also in the keyframes, is raised or
-    lowered. With a horizontal base, the lowest foot then has the same height above the ground as
+    Mass and inertia of the base body are multiplied by ``torso_mass_scale``. The base, also in the
+    keyframes, is raised or lowered, so that the lowest foot has the same height above the ground as
     before.
 
     Args:
@@ -243,8 +229,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         variant: Scale factors and name of the variant.
 
     Raises:
-        ModelError: If a mesh cannot be stretched along its own axes, or MuJoCo does not compile the
-            spec without shapes.
+        ModelError: If a mesh cannot be stretched along its own axes, for example.
     """
     base = BASE_MODELS[variant.base]
     before = _measure_foot_depths(spec, base.feet.values())
@@ -294,23 +279,10 @@ def _project_in_plane(offset: Array, normal: Array) -> Array:
 def _stretch_body(
     body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a body of an MJCF along an axis, in place, except for its meshes.
+    """Stretch a body of an MJCF by ``factor`` along an axis, in place, except for its meshes.
 
-    - The positions of children, sites, joints and geoms are stretched, and an explicit inertia.
-    - Geoms with ``fromto``, and capsules and cylinders along the axis, are stretched. If such a
-      geom is along the axis and has a given mass, the mass is multiplied by ``factor``.
-    - Other geoms, for example spheres, keep their size and their given mass. The mesh of a geom is
-      scaled by the caller.
-
-    Args:
-        body: Body of the spec.
-        axis: Unit vector (3,) of the stretched direction, in the body frame.
-        factor: Factor of lengths along the axis, and of the mass of an explicit inertia.
-        meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the meshes
-            of the body; the caller must scale the meshes.
-
-    Raises:
-        ModelError: If ``factor`` is not 1 and no axis of a mesh is parallel to ``axis``.
+    ``axis`` is a unit vector (3,) in the body frame. ``meshes`` receives {mesh: scale factors (3,)
+    along the axes of the mesh}; the caller must scale the meshes. Spheres keep their size.
     """
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):
@@ -326,17 +298,7 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of an MJCF along an axis, in place, except for its mesh; see `_stretch_body`.
 
-    Args:
-        geom: Geom of the spec.
-        axis: Unit vector (3,) of the stretched direction, in the body frame.
-        factor: Factor of lengths along the axis, and of some given masses (`_stretch_body`).
-        matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
-        meshes: {mesh: scale factors (3,) along the axes of the mesh}. The function adds the mesh of
-            the geom.
-
-    Raises:
-        ModelError: If ``factor`` is not 1 and the geom is a mesh without an axis parallel to
-            ``axis``.
+    ``matrix`` is the stretch I + (factor - 1) axis axis^T, shape (3, 3).
     """
     ends = np.array(geom.fromto)
     rotation = _convert_quaternion(geom.quat)
@@ -362,12 +324,8 @@ def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> Non
     """Stretch mass, centre of mass and inertia of a body in place, at constant density.
 
     The body is replaced by six equal point masses on its principal axes with the same mass, centre
-    and inertia (an equimomental system). The points are transformed, and their inertia is summed.
-
-    Args:
-        body: Body of the spec.
-        matrix: Stretch of positions in the body frame, shape (3, 3).
-        factor: Factor of the mass.
+    and inertia (an equimomental system), whose positions are multiplied by ``matrix``, shape (3,
+    3).
     """
     rotation = _convert_quaternion(body.iquat)
     full = np.array(body.fullinertia)
@@ -420,12 +378,8 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     """Measure the vertical distance [m] from a horizontal base down to the lowest foot.
 
-    Args:
-        spec: Spec of the robot.
-        sites: Names of the foot sites.
-
-    Returns:
-        Distance [m] for ``qpos0``, then for each keyframe.
+    The list has a value for ``qpos0``, then for each keyframe. ``sites`` are names of the foot
+    sites.
     """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
@@ -456,9 +410,8 @@ def _raise_keyframes(
 ) -> None:
     """Raise the base and all keyframes, in place, so that the lowest foot keeps its height.
 
-    The base is assumed to be horizontal. ``before`` and ``after`` are the results of
-    `_measure_foot_depths` before and after the scaling: distances [m] from the base down to the
-    lowest foot.
+    ``before`` and ``after`` are the results of `_measure_foot_depths` [m] before and after the
+    scaling.
     """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):

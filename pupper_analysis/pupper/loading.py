@@ -25,17 +25,7 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:
-        """Load a Pupper variant if a single variant is given, else a robot from files.
-
-        Options that are None or False count as absent. Further errors are those of `load_variant`
-        and of ``load_files``.
-
-        Raises:
-            VariantError: If a word is probably a misspelled variant.
-            ConfigurationError: If options other than ``fixed_base`` and ``visuals`` are given for a
-                variant, or if a variant is given together with another model, or as ``urdf`` or
-                ``mjcf``.
-        """
+        """Load a Pupper variant if a single variant is given, else a robot from files."""
         named = [*models, *(options.get(argument) for argument in ("urdf", "mjcf"))]
         given = [model for model in named if model is not None]
         for model in given:

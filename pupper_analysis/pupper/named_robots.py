@@ -164,11 +164,8 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
 
     Args:
         word: Text that a user has given, for example on the command line.
-        is_robot: True if the word must name a robot. In this case a word of letters, digits,
-            hyphens and underscores is refused if it names no variant, file, folder or published
-            robot. False if the word may also name another source. In this case such a word is
-            refused only if it is similar to the name of a variant. Words of more than
-            `_MAX_WORD_LENGTH` characters are never refused.
+        is_robot: True if the word must name a robot. False if the word may also name another
+            source: it is then refused only if it is similar to the name of a variant.
 
     Raises:
         VariantError: If the word is refused; the message lists all variants, and similar names.

@@ -108,20 +108,10 @@ def _derive_files(
 ) -> tuple[str, mujoco.MjSpec]:
     """Derive the URDF and MJCF of a variant; cached until the base URDF or main base MJCF changes.
 
-    Args:
-        spec: Variant.
-        _name: Name of the variant, part of the cache key: equal specs may have other names.
-        urdf_source: Base URDF.
-        mjcf_source: Base MJCF.
-        _urdf_stamp: Result of `_read_file_stamp` for the base URDF, part of the cache key.
-        mjcf_stamp: Result of `_read_file_stamp` for the base MJCF.
+    The stamps are results of `_read_file_stamp` for the base files.
 
     Returns:
         XML text of the URDF, and spec of the MJCF; the spec is cached, so callers must copy it.
-
-    Raises:
-        VariantError: If the scales give no valid model.
-        ModelError: If a base file is missing, for example.
     """
     try:
         urdf_text = read_text(urdf_source)

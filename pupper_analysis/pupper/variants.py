@@ -76,9 +76,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
 def _check_name(name: object) -> None:
     """Raise VariantError if the name of a variant cannot be used as a file name.
 
-    An empty name is accepted. Refused are objects other than text, and names of more than
-    `_MAX_NAME_BYTES`. Names that begin with a dot, or contain a slash, a backslash, a colon or an
-    unprintable character, are refused, too.
+    An empty name is accepted. A name with a slash is refused, for example.
     """
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))

@@ -219,8 +219,7 @@ class UrdfBodies:
             free: True to add a free joint to the base.
 
         Raises:
-            ModelError: If a link is named ``world`` and is not the fixed root. If a joint below the
-                base is floating or planar. If a joint axis has length zero.
+            ModelError: If a joint below the base is floating or planar, for example.
         """
         links, worldbody = self.tree.links, mjcf.section("worldbody")
         if WORLD_LINK in links and (self.root != WORLD_LINK or free):
@@ -253,13 +252,7 @@ class UrdfBodies:
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
         """Add a joint of the URDF to a body of the MJCF; nothing is added for a fixed joint.
 
-        The effort limit of an uncoupled joint is recorded in ``efforts``. A joint with a coupling
-        is recorded in ``mimics``, and gets the limit as ``actuatorfrcrange``. Empty ranges and
-        negative efforts are omitted, with a note. Efforts of zero, and efforts of `UNSTATED` or
-        more, are omitted without a note.
-
-        Raises:
-            ModelError: If the joint is floating or planar, or the axis has length zero.
+        The coupling of the joint, or its effort limit, is recorded in ``mimics`` or ``efforts``.
         """
         if urdf_joint.is_fixed:
             return
@@ -312,8 +305,7 @@ class UrdfBodies:
     def _is_mimic(self, joint: UrdfJoint) -> bool:
         """Return True if a joint has a valid mimic; add a note if the mimic is invalid.
 
-        The leader of the joint may follow another leader. The mimic is invalid if a leader does not
-        exist, if the last leader is fixed, or if leaders follow each other in a circle.
+        A mimic is invalid, for example, if leaders follow each other in a circle.
         """
         if joint.mimic is None:
             return False
@@ -367,9 +359,7 @@ class UrdfBodies:
     def _convert_geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
         """Convert the geometry of a URDF shape to {attribute: text} of a geom; None if left out.
 
-        A shape without extent, of an unknown kind, or with a mesh that cannot be used is left out,
-        with a note. ``kind`` is ``"visual"`` or ``"collision"``: a collision sphere of radius zero
-        gets the radius `_POINT_RADIUS`.
+        ``kind`` is ``"visual"`` or ``"collision"``.
         """
         tag = str(geometry.tag)
         sizes = " ".join(str(geometry.get(word)) for word in _SIZE_ATTRIBUTES.get(tag, ()))
@@ -398,10 +388,7 @@ class UrdfBodies:
         return None
 
     def _find_material(self, shape: etree._Element) -> str | None:
-        """Return the MJCF material for the colour of a shape; record a new colour as a material.
-
-        None if the shape has no colour.
-        """
+        """Return the MJCF material for a shape's colour, or None; record a new colour."""
         material = shape.find("material")
         if material is None:
             return None
@@ -576,12 +563,8 @@ class ConvertedMjcf:
     def make_import(self) -> UrdfImport:
         """Create a URDF that MuJoCo's own importer accepts, without visual shapes.
 
-        Some elements are changed as in the converted MJCF:
-
-        - An invalid inertial, which MuJoCo would refuse, is moved to a link that is fixed to its
-          link, or is repaired.
-        - Collision shapes of a link without inertial are moved to the link that carries this link.
-        - Shapes whose mesh is missing or cannot be used are omitted.
+        Some elements are changed as in the converted MJCF, for example invalid inertials. Shapes
+        with a mesh that cannot be used are omitted.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():
@@ -600,9 +583,7 @@ def convert_urdf_in_memory(
 ) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    An invalid inertia is moved to a link that is fixed to its link, or becomes the nearest valid
-    inertia. A moving link gets 1 g if neither this link nor a link fixed to it has a mass. The
-    notes of the MJCF report the repairs.
+    Invalid inertias are repaired; the notes of the MJCF report the repairs.
 
     Args:
         urdf: URDF.
@@ -612,8 +593,7 @@ def convert_urdf_in_memory(
         URDF with repaired inertials, MJCF, and this URDF for MuJoCo's own importer.
 
     Raises:
-        ModelError: If the URDF cannot be converted, for example because no joint moves; or if
-            neither a moving link nor a link fixed to it has a mass in the URDF.
+        ModelError: If the URDF cannot be converted, for example because no joint moves.
     """
     options = MjcfOptions(repair_inertia=True, defer_visuals=defer_visuals)
     converted = ConvertedMjcf.from_urdf(urdf, urdf.path, options, free=False)
@@ -651,8 +631,8 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
 def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
     """Return True if the robot of a URDF gets a free base by default.
 
-    The base is free if it floats in the URDF (``is_floating``). The base is also made free if it is
-    not the world, and if at least `MIN_FREE_BASE_LIMBS` moving joints are attached to the base.
+    This is so if the base floats in the URDF (``is_floating``), or if at least
+    `MIN_FREE_BASE_LIMBS` moving joints are attached to a base other than the world.
     """
     base = tree.base.name
     if base == WORLD_LINK or is_floating:

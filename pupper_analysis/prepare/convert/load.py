@@ -81,9 +81,6 @@ class ModelPair:
     def add_source(self, robot: Robot, keyframe: str | None = None) -> Robot:
         """Add the published file to a robot, and a note if a model was converted from the other.
 
-        The format of the converted model is stored in ``description.converted``. Without a
-        conversion, the description and the notes are unchanged.
-
         Args:
             robot: Robot that was prepared from this pair.
             keyframe: Requested keyframe; None if none was requested.
@@ -102,11 +99,7 @@ class ModelPair:
 
 
 def _convert_mjcf_in_memory(file: MjcfFile) -> UrdfFile:
-    """Convert an MJCF to a URDF in memory; ball joints are fixed.
-
-    Raises:
-        ModelError: If a URDF cannot represent the robot, or no joint moves.
-    """
+    """Convert an MJCF to a URDF in memory; ball joints are fixed if possible, or refused."""
     text = ConvertedUrdf.from_mjcf(file, file.path, fix_balls=True).text
     urdf = urdf_from(file.path, text, parse_text(text), None)
     if all(joint.is_fixed for joint in urdf.tree.joints.values()):
@@ -148,12 +141,9 @@ def read_pair(
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
-        ConfigurationError: If there is no file, or if two files have the same format. If ``take``
-            names a format without a file. If ``body`` is given without an MJCF, or ``xacro_args``
-            without ``xacro`` or a xacro file. If a model is neither a name, a path nor a known
-            object.
-        ModelError: If a file cannot be read, the other format cannot represent the robot, or the
-            MJCF has several robots or none (`with_one_robot`).
+        ConfigurationError: If there is no file, or if two files have the same format, for example.
+        ModelError: If a file cannot be read, or the other format cannot represent the robot, for
+            example.
         UnknownNameError: If the MJCF has no such body.
     """
     for name, folder in (packages or {}).items():
@@ -203,22 +193,8 @@ def _pair_files(
 ) -> ModelPair:
     """Select the URDF and the MJCF among files; convert a missing model from the other model.
 
-    Args:
-        files: Files that were read from positional arguments; extended in place.
-        read_file: Function that reads a file of either format.
-        urdf: Path of the URDF, as keyword argument; None if not given.
-        mjcf: Path of the MJCF, as keyword argument; None if not given.
-        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
-        body: Root body of the robot in an MJCF with several robots.
-        folders: {ROS package: folder}.
-        defer_visuals: True to convert the visual meshes of a URDF later.
-
-    Raises:
-        ConfigurationError: If there is no file, or if two files have the same format. If ``take``
-            names a format without a file. If ``body`` is given without an MJCF.
-        ModelError: If a file cannot be read, the other format cannot represent the robot, or the
-            MJCF has several robots or none.
-        UnknownNameError: If the MJCF has no such body.
+    ``files`` were read from positional arguments, and are extended in place. The options are those
+    of `read_pair`.
     """
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:
@@ -271,13 +247,12 @@ def load_robot(
 
     - A missing URDF or MJCF is converted from the other model.
     - Joints with different names are matched. Joints of a single file are held at zero.
-    - A floor, a free base and position servos are added.
+    - A missing floor, free base or position servos are added.
     - If the robot stands in no keyframe of the MJCF, a stand is searched.
 
-    Errors in the files are raised here. Servos and visual meshes are made when first needed, for
-    example by the first access to ``mj_model``, ``description`` or ``notes``. Access to
-    ``pin_model``, joint names or feet does not trigger this. Mesh files are read again when visual
-    meshes are made.
+    Servos and visual meshes are made when first needed, for example by the first access to
+    ``mj_model``, ``description`` or ``notes``. Access to ``pin_model``, joint names or feet does
+    not trigger this. Mesh files are read again when visual meshes are made.
 
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie or
@@ -291,8 +266,7 @@ def load_robot(
         body: Root body or any other body of the robot, for an MJCF with several robots.
         feet: Frames of the feet, or {foot: frame}. A frame is a link of the URDF; a geom, site or
             body of the MJCF; or a pair of both. By default feet are detected: the collision geoms
-            at the ends of the lowest limbs. The pose for this is the keyframe with the most such
-            limbs, or joint positions of zero. An empty list means no feet.
+            at the ends of the lowest limbs. An empty list means no feet.
         fixed_base: Fix the base in the world, at the pose in the MJCF.
         name: Name of the robot; by default the name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
@@ -307,11 +281,9 @@ def load_robot(
             default values.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are then not replaced by balls.
-        visuals: Whether the robot has visual geoms. Use False if the robot is not drawn or written.
-            The MuJoCo model then lacks the visual geoms and meshes of the files, and is smaller; a
-            visual mesh that cannot be converted is not reported. Meshes that MuJoCo cannot read
-            (.dae, .glb, .off, .ply) are not converted, which saves up to seconds. Without effect
-            if ``feet`` is given.
+        visuals: Whether the robot has visual geoms. Use False if the robot is not drawn or written:
+            the MuJoCo model is then smaller, and is made faster. Without effect if ``feet`` is
+            given.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a converted model.

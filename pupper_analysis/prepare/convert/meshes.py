@@ -73,10 +73,9 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Return the first ROS package that missing mesh files name, as in ``package://NAME/...``.
+        """Return the first ROS package that missing ``files`` name, as in ``package://NAME/...``.
 
-        ``why`` is the reason why ``files`` are omitted. The result is empty if no file names a
-        package, or if ``why`` is another reason than a missing file.
+        ``why`` is the reason why the files are omitted. Empty without such a package.
         """
         missing_files = files if why.code == "no-such-mesh-file" else ()
         named = (
@@ -104,16 +103,15 @@ class MeshFiles:
     def register_mesh(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Register a ``<mesh>`` of the URDF for the MJCF, and return the mesh name in the MJCF.
 
-        The file is read. Unless the conversion is deferred, MuJoCo compiles the mesh as a test. A
-        flat mesh is registered as a surface without volume.
+        A flat mesh is registered as a surface without volume.
 
         Args:
             mesh: Element ``<mesh>``.
             touches: True for a collision mesh. MuJoCo computes the convex hull of such a mesh.
 
         Returns:
-            Name of the mesh. None if the mesh is left out: the file is missing, cannot be read or
-            converted, or MuJoCo refuses the mesh. `notes` report the reason.
+            Name of the mesh. None if the mesh is left out, for example because the file is missing;
+            `notes` report the reason.
         """
         file = str(mesh.get("filename"))
         scale = mesh.get("scale") or "1 1 1"
@@ -187,9 +185,7 @@ class MeshFiles:
     ) -> None:
         """Add the registered meshes to the ``<asset>`` of an MJCF.
 
-        File names are relative to the folder of the MJCF. If ``assets`` is given, converted and
-        copied meshes are keys of ``assets``, other file names are absolute, and a tetrahedron
-        represents each deferred mesh.
+        File names are relative to the folder of the MJCF, unless ``assets`` is given.
 
         Args:
             asset: Element ``<asset>``; extended in place.
@@ -247,11 +243,7 @@ class MeshFiles:
         return self._places[path]
 
     def _add_content(self, path: Path) -> None:
-        """Read a mesh file; store the content in ``made`` if it must be converted or copied.
-
-        Raises:
-            UnreadableError: If the file cannot be read or converted, or is too large.
-        """
+        """Read a mesh file; store the content in ``made`` if it must be converted or copied."""
         place, readable = self._choose_path(path), path.suffix.lower() in MUJOCO_MESH_SUFFIXES
         content = self.made.get(place)
         if content is None:
@@ -323,9 +315,7 @@ class DeferredMeshes:
     def insert(self, spec: mujoco.MjSpec) -> list[Diagnostic]:
         """Convert the deferred meshes, and insert them into a spec, in place.
 
-        Conversion is slow, so small tetrahedra with the names of the meshes have represented the
-        meshes until now. Meshes that cannot be converted, or that MuJoCo refuses, are removed with
-        their geoms.
+        Meshes that cannot be converted, or that MuJoCo refuses, are removed with their geoms.
 
         Args:
             spec: Spec of the MJCF.
@@ -359,9 +349,6 @@ class DeferredMeshes:
 
         Returns:
             File name, content, and True if the mesh is flat: a surface without volume.
-
-        Raises:
-            UnreadableError: If the file is broken, or MuJoCo refuses the mesh.
         """
         file = self._files[name]
         content = _convert_content(file.content, file.path.suffix.lower())
@@ -378,27 +365,18 @@ class DeferredMeshes:
 
 
 def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
-    """Create a note per reason for visual meshes that were left out, from {reason: files}.
-
-    The notes have a separate code, since visual meshes have no effect on a simulation.
-    """
+    """Create a note per reason for visual meshes that were left out, from {reason: files}."""
     return [diagnose("visual-meshes-left", files=files, why=why) for why, files in left.items()]
 
 
 def _test_compile(
     content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool
 ) -> None:
-    """Test if MuJoCo accepts a mesh, by compiling a model with this mesh alone.
+    """Raise ValueError if MuJoCo refuses a mesh, by compiling a model with this mesh alone.
 
-    Args:
-        content: Content of the file; if None, MuJoCo reads ``path``.
-        path: Path of the mesh.
-        scale: Scale factors along x, y and z, as text.
-        touches: True if the mesh can collide; MuJoCo then computes its convex hull.
-        shell: True to compile the mesh as a surface without volume.
-
-    Raises:
-        ValueError: If MuJoCo refuses the mesh.
+    ``content`` is that of the file; None to read ``path``. ``scale`` contains the factors along x,
+    y and z. ``touches`` is True if the mesh can collide; MuJoCo then computes its convex hull.
+    ``shell`` is True for a surface without volume.
     """
     spec = mujoco.MjSpec()
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
@@ -456,9 +434,6 @@ def convert_to_obj(path: Path) -> bytes:
 
 def _convert_content(data: bytes, ending: str) -> bytes:
     """Convert the content of a mesh file to OBJ; ``ending`` is the file's suffix, such as ``.dae``.
-
-    Raises:
-        UnreadableError: If the mesh is broken, or has too many vertices or parts.
     """
     mesh = read_merged_mesh(data, ending)
     return format_obj(mesh.vertices, mesh.faces, mesh.metadata.get("name"))

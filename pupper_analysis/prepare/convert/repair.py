@@ -156,26 +156,17 @@ def repair_inertials(
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Make the inertials of a URDF valid for MuJoCo, in place, by a move or a repair.
 
-    Invalid inertials are treated as follows:
-
-    1. An inertial of zeros is removed.
-    2. An invalid inertial is added to the inertial of a link to which fixed joints connect the
-       link, directly or through other links. This changes no motion.
-    3. If no such sum is valid and the mass is positive, the moments become the nearest valid
-       moments.
-    4. A moving body without mass gets `ADDED_MASS`, if no body fixed to this body has a mass.
-    5. The moments of flat bodies are enlarged by `_FLAT_MARGIN` (`_widen_flat_inertia`).
-
-    Other invalid inertials without positive mass remain: their body does not move, or a body with
-    mass is fixed to their body.
+    An invalid inertial is added to the inertial of a link to which fixed joints connect the link:
+    this changes no motion. If no such sum is valid, the moments become the nearest valid moments. A
+    moving body without mass gets `ADDED_MASS`.
 
     Args:
         urdf: URDF as read.
         bodies: Bodies of the URDF.
-        repair: True to apply steps 3 and 4; False to raise an error instead.
+        repair: True to change invalid moments and masses; False to raise an error instead.
 
     Returns:
-        Notes on moved inertials (step 2), and repairs (steps 3 and 4).
+        Notes on moved inertials, and repairs.
 
     Raises:
         ModelError: If a repair is necessary, and ``repair`` is False.
@@ -225,10 +216,9 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 
 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
-    """Return True if MuJoCo accepts a spatial inertia.
+    """Return True if a spatial inertia is valid for MuJoCo, or zero.
 
-    This is so in two cases: the mass is positive, and the principal moments exceed `_MIN_INERTIA`
-    and satisfy A + B >= C; or mass and moments are zero.
+    The principal moments of a mass must exceed `_MIN_INERTIA` and satisfy A + B >= C.
     """
     if inertia.mass <= 0:
         return inertia.mass == 0 and not np.array(inertia.inertia).any()
@@ -239,13 +229,8 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 def find_nearest_moments(moments: Array, mass: float) -> Array:
     """Compute the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
-    1. Negative moments become zero.
-    2. If no moment exceeds `_MIN_INERTIA`, all moments become m r^2, with the radius of gyration r,
-       `_GYRATION_RADIUS`.
-    3. Otherwise, the moments are projected on those that satisfy A + B >= C in any order
-       (`_project_moments`).
-    4. After step 3, each moment is raised to at least 10 `_MIN_INERTIA`.
-
+    The moments are projected on those that satisfy A + B >= C (`_project_moments`). Without a
+    positive moment, all moments become m r^2, with the radius of gyration r, `_GYRATION_RADIUS`.
     MuJoCo's ``balanceinertia`` uses the mean of the moments instead, which is a larger change.
 
     Args:
@@ -263,7 +248,7 @@ def _project_moments(moments: Array) -> Array:
 
     With the second moments s, I = N s: the integrals of the squared distances from the three
     principal planes. A body requires s >= margin for each. A tensor of a rod violates two of these
-    bounds, so all sets of active bounds are tried; the nearest feasible result is the projection.
+    bounds, so all sets of active bounds are tried.
     """
     matrix = np.ones((3, 3)) - np.eye(3)
     stated = np.linalg.solve(matrix, moments)
@@ -288,8 +273,7 @@ def _widen_flat_inertia(bodies: LinkBodies, body: str) -> None:
     """Enlarge the moments of a flat body so that rounding does not violate A + B >= C, in place.
 
     A plate or a planar mesh without thickness has A + B = C. MuJoCo compares the moments after its
-    own rounding, without tolerance, and refuses about half of such tensors. A diagonal tensor that
-    satisfies A + B >= C exactly remains unchanged.
+    own rounding, without tolerance, and refuses about half of such tensors.
     """
     inertia = bodies.inertia(body)
     if inertia is None or not inertia.mass > 0 or not is_valid_inertia(inertia):
@@ -309,10 +293,7 @@ def _widen_flat_inertia(bodies: LinkBodies, body: str) -> None:
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
     """Move the invalid inertia of a body to a body that is fixed to it, if the sum is valid.
 
-    The other body must have an inertial. The first body loses its inertial.
-
-    Returns:
-        Note on the move; None if there is no such body, and nothing is changed.
+    The result is a note on the move; None if nothing is moved.
     """
     moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
@@ -336,8 +317,7 @@ def _has_group_mass(bodies: LinkBodies, body: str) -> bool:
 def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
     """Replace the inertia of a body by the nearest valid inertia, in place.
 
-    See `find_nearest_moments`; the principal axes are kept. A mass of zero or below becomes
-    `ADDED_MASS`.
+    The principal axes are kept. A mass of zero or below becomes `ADDED_MASS`.
     """
     stated = bodies.inertia(body)
     old = pin.Inertia.Zero() if stated is None else stated
@@ -361,13 +341,7 @@ def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
 def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
     """Find the nearest ancestor of a body that moves relative to its parent, or is the base.
 
-    The result is the body itself if the body is not fixed to its parent, or the parent is the
-    world. The search also ends at a body that is fixed to the world.
-
-    Args:
-        bodies: Bodies.
-        body: Name of the body.
-        bare: True to end the search also at the first body that has an inertial.
+    The ancestor may be the body itself. ``bare``: the search also ends at a body with an inertial.
 
     Returns:
         Name of the ancestor; pose of ``body`` in the frame of the ancestor.

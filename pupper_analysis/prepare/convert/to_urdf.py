@@ -84,15 +84,13 @@ class UrdfLinks:
     def add(self, base: int) -> None:
         """Convert the bodies of a robot, from the base on, to links and joints of the URDF.
 
-        A link ``world`` is added above the base in two cases: the base has joints other than a free
-        joint, or the base is fixed away from the world's origin.
+        A link ``world`` may be added above the base.
 
         Args:
             base: Id of the base body.
 
         Raises:
-            ModelError: If a descendant has a free joint, or a body has a ball joint that is not
-                fixed (`fix_balls`).
+            ModelError: If a descendant has a free joint, for example.
         """
         model = self.model
         name = self._make_link_name(base)
@@ -117,14 +115,8 @@ class UrdfLinks:
     def _add_body(self, body: int, name: str, parent: str, inside: pin.SE3) -> None:
         """Add the link of a body to the URDF, and the joints that connect it to the parent link.
 
-        Args:
-            body: Id of the body.
-            name: Name of the link.
-            parent: Name of the parent link.
-            inside: Pose of the parent body's frame, expressed in the parent link's frame.
-
-        Raises:
-            ModelError: If the body has a free joint, or a ball joint that is not fixed.
+        ``name`` is the name of the link. ``inside`` is the pose of the parent body's frame in the
+        parent link's frame.
         """
         model = self.model
         placement = inside * make_placement(model.body_quat[body], model.body_pos[body])
@@ -214,8 +206,7 @@ class UrdfLinks:
     def add_sites(self) -> None:
         """Add the named sites of the converted bodies to the URDF, as links without mass.
 
-        The link is fixed to the link of the body. A site with the name of a link is left out, with
-        a note.
+        A site with the name of a link is left out, with a note.
         """
         model = self.model
         for site in range(model.nsite):
@@ -288,8 +279,7 @@ class ConvertedUrdf:
                 joint. False to refuse ball joints.
 
         Raises:
-            ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
-                none.
+            ModelError: If a URDF cannot represent the robot, for example.
         """
         spec = file.spec.copy()
         joined = join_free_base(spec)
@@ -325,11 +315,7 @@ def _set_zero_inertial(link: UrdfLink) -> None:
 
 
 def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
-    """Add a <mimic> for active linear equalities of two joints; return notes on other equalities.
-
-    A joint gets at most a single <mimic>, and both joints must be in the URDF. Other equalities,
-    such as loops, have no equivalent in a URDF.
-    """
+    """Add a <mimic> for active linear equalities of two joints; return notes on others."""
     left, joints = [], tree.joints
     for index in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[index]))
@@ -359,7 +345,7 @@ expressed in the frame of the MJCF body."""
 
 _NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0, 1 and 2. The geoms of
-these groups become visual shapes; so do geoms of other groups that do not collide.
+these groups become visual shapes.
 """
 
 
@@ -397,9 +383,7 @@ class UrdfShapes:
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
         """Add the geoms of a body to a ``<link>`` as collision shapes, visual shapes, or both.
 
-        A geom that collides becomes a collision shape. A geom becomes a visual shape if it does not
-        collide, or if MuJoCo's viewer shows the group of the geom by default. Geoms that a URDF
-        cannot express are left out, with a note.
+        Geoms that a URDF cannot express are left out, with a note.
 
         Args:
             link: Element of the link; extended in place.
@@ -422,7 +406,7 @@ class UrdfShapes:
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
         """Convert a geom to URDF shapes, with poses in the body frame; a capsule becomes three.
 
-        Empty, with a note, if a URDF has no such shape, or if a mesh cannot be used.
+        Empty, with a note, if the geom has no equivalent in a URDF, for example.
         """
         shape = read_shape(self.model, geom)
         placed, size = shape.pose.placement, np.array(shape.size)
@@ -447,8 +431,7 @@ class UrdfShapes:
     def _convert_mesh(self, geom: int, placed: pin.SE3) -> list[ShapeGeometry]:
         """Convert the mesh of a geom to a URDF shape; ``placed`` is the geom's pose in the body.
 
-        Empty, with a note, if the mesh file is unknown, or if the MJCF moves the mesh with
-        ``refpos`` or ``refquat``, for which a URDF has no equivalent.
+        Empty, with a note, if the mesh file is unknown, for example.
         """
         model = self.model
         mesh = int(model.geom_dataid[geom])
@@ -470,10 +453,7 @@ class UrdfShapes:
         return [("mesh", attributes, where)]
 
     def _add_material(self, shape: etree._Element, geom: int) -> None:
-        """Add the colour of a geom to a visual shape of the URDF.
-
-        The colour is a ``<material>``, whose values are written at the first use only.
-        """
+        """Add the colour of a geom to a visual shape of the URDF, as a ``<material>``."""
         model = self.model
         material = int(model.geom_matid[geom])
         rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
@@ -502,25 +482,16 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Find the robot in a model: return the id of the base body, or 0 if the base is the world.
 
-    A root is a child of the world with joints in the subtree. The rules apply in this order:
-
-    1. A root whose only joint is a free joint is an object, not a robot. Objects are ignored if
-       there is a robot.
-    2. If exactly one root has a free base, the root is the robot. Other roots may be doors or
-       drawers.
-    3. If ``<connect>`` or ``<weld>`` elements that are active at the start, and refer to bodies
-       (not sites), couple all remaining roots, the roots are a single robot whose base is the
-       world (0): for example, a linkage with two fixed pivots. The rule does not apply to objects.
-    4. A single remaining root is the robot.
-
-    The base is the body of the root that has the free joint; without a free joint, the root.
+    Objects, whose only joint is a free joint, are ignored if there is a robot. A robot with a free
+    base has priority over, for example, doors and drawers. Bodies of the world that are coupled at
+    the start, such as a linkage with two fixed pivots, are a single robot whose base is the world.
 
     Args:
         file: MJCF, for errors.
         model: Compiled model of the MJCF.
 
     Raises:
-        ModelError: If there are several robots, or several objects and no robot, or no root.
+        ModelError: If there are several robots or none, for example.
     """
     joints = Counter(int(model.body_rootid[body]) for body in model.jnt_bodyid)
     floating = model.jnt_bodyid[model.jnt_type == JointKind.FREE]
@@ -568,8 +539,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     """Return an MJCF with a single robot: remove the other robots and moving objects of a scene.
 
     Joints, actuators, sensors, couplings and keyframe values of the removed bodies are removed,
-    too. Bodies fixed in the world remain. The same MJCF is returned if no other body moves, or if
-    the base of the robot is the world.
+    too. Bodies fixed in the world remain.
 
     Args:
         file: MJCF; not modified.
@@ -577,8 +547,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
             (`find_root_body`).
 
     Raises:
-        ModelError: If there are several robots, or none, and ``body`` is None; if the robot of the
-            body has no joints except free joints; or if MuJoCo refuses the result.
+        ModelError: If ``body`` is None and there are several robots, for example.
         UnknownNameError: If there is no such body.
     """
     model = file.model
