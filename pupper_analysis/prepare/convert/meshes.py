@@ -433,8 +433,7 @@ def convert_to_obj(path: Path) -> bytes:
 
 
 def _convert_content(data: bytes, ending: str) -> bytes:
-    """Convert the content of a mesh file to OBJ; ``ending`` is the file's suffix, such as ``.dae``.
-    """
+    """Convert the content of a mesh file to OBJ; ``ending`` is its suffix, such as ``.dae``."""
     mesh = read_merged_mesh(data, ending)
     return format_obj(mesh.vertices, mesh.faces, mesh.metadata.get("name"))
 
