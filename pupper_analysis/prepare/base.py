@@ -43,9 +43,9 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a legged robot that the MJCF fixes to the world.
 
-    The base must have at least two limbs (subtrees with joints), or a free base in the URDF. The
-    free joint may replace slides and hinges that move the base (`join_free_base`); the keyframes
-    are then deleted.
+    The base gets a free joint if it has at least two limbs (subtrees with joints), or is free in
+    the URDF. A free joint may also replace slides and hinges that move the base (`join_free_base`);
+    the keyframes are then deleted.
 
     Args:
         urdf: URDF.

@@ -450,7 +450,8 @@ then used. Chosen, not tuned.
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     """Simulate the published file of a robot with a fixed base, to find out if a posture is held.
 
-    The ctrl of a keyframe with this posture is commanded, or else the joint positions.
+    The command is the ctrl that a keyframe with this posture specifies, or else the joint
+    positions.
 
     Args:
         robot: Prepared robot.
@@ -681,7 +682,7 @@ def _command_offset(
 
 
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Return True if the values of a keyframe's ctrl are joint angles, not torques.
+    """Return True if the values of a keyframe's ctrl are its joint angles, not torques.
 
     A file with torque motors may contain such a ctrl by mistake.
     """

@@ -338,7 +338,7 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name bodies and joints, select keyframes, and discard visual geoms if no feet are named."""
+    """Name bodies and joints, select keyframes, and discard visual geoms unless feet are given."""
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom

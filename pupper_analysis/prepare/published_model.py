@@ -162,7 +162,7 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
 def with_requested_gains(
     published: PublishedModel, robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None
 ) -> tuple[PublishedModel, Robot]:
-    """Return a published model, and a robot, whose joints have the requested servo gains.
+    """Return a published model, and a robot, whose driven joints have the requested servo gains.
 
     If the actuator of a joint is not meant to hold a position, such as a torque motor, the joint
     gets an external servo (`HoldCommands`).
@@ -340,8 +340,8 @@ def place_at_state(
     """Place a published model at a state of the prepared robot's model; return the MuJoCo data.
 
     The base is placed so that the body of the robot's first joint has the same pose as in the
-    robot's model, raised by `ground_height`. Hinges and slides are matched by name; those without a
-    match are at zero.
+    robot's model, raised by `ground_height`. Hinges and slides outside of the base body are matched
+    by name; those without a match are at zero.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -627,9 +627,9 @@ def simulate_published(
 
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
-        (model.nv,) each [N m, N], in the last `FORCE_WINDOW`. The forces do not contain the damping
-        of external servos and the gravity compensation by actuators (``actuatorgravcomp``). Without
-        ``record_forces``, the minimum is inf and the maximum -inf.
+        (model.nv,) each [N m, N]. Forces near the end are recorded (`FORCE_WINDOW`), without the
+        damping of external servos and the gravity compensation by actuators (``actuatorgravcomp``).
+        Without ``record_forces``, the minimum is inf and the maximum -inf.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external

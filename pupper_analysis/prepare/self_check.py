@@ -253,7 +253,7 @@ def compare_with_file(
 ) -> Published:
     """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
 
-    If the file cannot be simulated, for example without ground, the cause is listed.
+    If the file cannot be simulated, for example without level ground, the cause is listed.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -317,8 +317,9 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find out if a deviation is due to the preparation, or to differences between URDF and MJCF.
 
-    If the prepared robot agrees with the prediction, changes of the preparation are the cause. If
-    the prepared robot deviates as well, a difference between URDF and MJCF may be the cause.
+    If the prepared robot agrees with the prediction, changes of the preparation are the probable
+    cause. If the prepared robot deviates as well, a difference between URDF and MJCF may be the
+    cause.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -483,7 +484,7 @@ class _PredictedTorques:
         return np.asarray(np.maximum(above, below)[self.driven])
 
     def compute_relative_deviation(self, low: Array, high: Array) -> float:
-        """Compute the largest deviation from the predicted torques / torque scale [1].
+        """Compute the largest deviation of a driven joint's torque / torque scale [1].
 
         Args:
             low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
@@ -492,7 +493,7 @@ class _PredictedTorques:
         return float(self.compute_deviations(low, high).max(initial=0.0)) / self.scale
 
     def compute_relative_range(self, low: Array, high: Array) -> float:
-        """Compute the largest difference of maximum and minimum torque / torque scale [1]."""
+        """Compute the largest range (high - low) of a driven joint's torque / torque scale [1]."""
         return float((high - low)[self.dofs][self.driven].max(initial=0.0)) / self.scale
 
 
@@ -766,7 +767,7 @@ def name_remaining_cause(
         published: Simulations from the equilibrium; None if there are none.
 
     Returns:
-        ``own`` and ``published``, at most one of them with a cause.
+        ``own`` and ``published``; a cause is added to one of them at most.
     """
     balls = list_ball_joints(robot)
     if own is not None and own.fails:

@@ -99,7 +99,7 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     """Compute the ground penetration in keyframes whose contact forces balance the weight.
 
     In such a keyframe the ground carries the robot, so the height of the base is meaningful.
-    Keyframes without a ctrl, or whose base is not level, are omitted.
+    Keyframes with a ctrl of zero, or in which no axis of the base is vertical, are omitted.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -380,8 +380,9 @@ def _level_soles(
     """Compute joint positions (nu,) [rad, m] that place all contact points on level ground.
 
     The least-squares solution is close to ``pose``, (nu,) [rad, m]. The base is ``height`` [m]
-    above the ground, and the joints are about ``margin`` [rad, m] from the limits. If ``centred``,
-    the CoM is above the centre of the contact points. None if no accurate solution is found.
+    above the ground. The wanted distance of the joints from the limits is ``margin`` [rad, m]. If
+    ``centred``, the CoM is above the centre of the contact points. None if no accurate solution is
+    found.
     """
     from scipy import optimize  # slow to import
 
