@@ -1,9 +1,9 @@
 """Free the base of a robot that is fixed in the MJCF, and place the frame of a free base.
 
-Input is the spec of an MJCF. A robot that the file fixes to the world gets a free base in two
-cases: there are two or more limbs, or the URDF has a free base. The frame of a free base is raised
-to the height of the base's CoM if no limb ends below the frame. Reason: height, roll and pitch of a
-stand refer to this frame.
+Input is the spec of an MJCF. A robot that the file fixes to the world gets a free base, for
+example, if there are two or more limbs. The frame of a free base is raised to the height of the
+base's CoM if no limb ends below the frame. Reason: height, roll and pitch of a stand refer to this
+frame.
 """
 
 from __future__ import annotations

@@ -2,11 +2,9 @@
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The simulation of the published file from a keyframe (called
-own run) shows if the file alone stands in MuJoCo. The file is simulated up to three times, until
-the robot collapses: with a nudge (a small velocity) at the start, with the opposite nudge, and
-without a nudge. Each simulation lasts 5 s, or less with short time steps. A fixed base is simulated
-once. A URDF is simulated as MuJoCo's import, with an added free base, floor and servos. Results are
-computed when a verdict is first requested.
+own run) shows if the file alone stands in MuJoCo. The file is simulated with nudges (small
+velocities) and without. A URDF is simulated as MuJoCo's import, with an added free base, floor and
+servos if needed. Results are computed when a verdict is first requested.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
 start pose of the preparation. The model is placed at a configuration of the prepared robot, and
-held there by the file's own actuators. If a joint has a torque motor or no actuator, an external
-servo holds it (`HoldCommands`). The simulation computes the torque of this servo in each step, with
+held there by the file's own actuators. A joint with a torque motor or no actuator can be held by an
+external servo (`HoldCommands`). The simulation computes the torque of this servo in each step, with
 the gains of the position servo that the preparation added.
 """
 

@@ -221,8 +221,8 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     offset of the leg is unchanged. Spheres, such as the foot, keep their size.
 
     Mass and inertia of the base body are multiplied by ``torso_mass_scale``. The base, also in the
-    keyframes, is raised or lowered, so that the lowest foot has the same height above the ground as
-    before.
+    keyframes, is raised or lowered. With a horizontal base, the lowest foot then has the same
+    height above the ground as before.
 
     Args:
         spec: Spec of the base model; becomes the spec of the variant.
@@ -410,8 +410,8 @@ def _raise_keyframes(
 ) -> None:
     """Raise the base and all keyframes, in place, so that the lowest foot keeps its height.
 
-    ``before`` and ``after`` are the results of `_measure_foot_depths` [m] before and after the
-    scaling.
+    The base is assumed to be horizontal. ``before`` and ``after`` are the results of
+    `_measure_foot_depths` [m] before and after the scaling.
     """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):

@@ -318,11 +318,7 @@ def _guess_format(robot: str | tuple[str, ...] | None) -> str | None:
 
 
 def _names_file(word: str) -> bool:
-    """Return True if a command-line word names model files, as far as its text shows.
-
-    These words are an existing file, a path with folders or with a suffix of `_MODEL_SUFFIXES`, an
-    address, a published robot, and standard input.
-    """
+    """Return True if a command-line word names model files, such as a path or a published robot."""
     path = Path(word)
     return (
         is_published_name(word)

@@ -246,8 +246,8 @@ def load_robot(
     reported in ``notes``:
 
     - A missing URDF or MJCF is converted from the other model.
-    - Joints with different names are matched. Joints of a single file are held at zero.
-    - A missing floor, free base or position servos are added.
+    - Joints with different names are matched. Joints that a single file contains are held at zero.
+    - Floor, free base and position servos are added if they are missing.
     - If the robot stands in no keyframe of the MJCF, a stand is searched.
 
     Servos and visual meshes are made when first needed, for example by the first access to

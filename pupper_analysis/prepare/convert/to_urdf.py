@@ -315,7 +315,7 @@ def _set_zero_inertial(link: UrdfLink) -> None:
 
 
 def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
-    """Add a <mimic> for active linear equalities of two joints; return notes on others."""
+    """Add a <mimic> for active linear joint equalities; return notes on the other equalities."""
     left, joints = [], tree.joints
     for index in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[index]))
