@@ -89,10 +89,7 @@ def states_free_base(urdf: UrdfFile) -> bool:
 
 
 def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """Yield the first body of each limb: a body with joints that is attached to the base.
-
-    The parent of such a body is the base, or a body that is fixed to the base.
-    """
+    """Yield the first body with joints of each limb that is attached to the base."""
     for body in base.bodies:
         if list(body.joints):
             yield body
@@ -197,11 +194,7 @@ def _compute_visual_bottom(
     insert_visuals: Callable[[mujoco.MjSpec], object],
     source: Path,
 ) -> float:
-    """Compute the height [m] of the lowest point of the bodies ``ends``, visual meshes included.
-
-    The height is in the world frame, in the initial state. ``insert_visuals`` adds the visual
-    meshes to a copy of the spec.
-    """
+    """Compute the world height [m] of the lowest point of bodies ``ends``, with visual meshes."""
     complete = spec.copy()
     complete.compiler.discardvisual = False
     insert_visuals(complete)
@@ -217,12 +210,8 @@ def _raise_frame(
 ) -> None:
     """Raise the frame of a free base; all elements of the body keep their positions in the world.
 
-    Args:
-        spec: Spec; modified in place. The base poses in the keyframes are changed accordingly.
-        base: Base body.
-        place: Index in ``qpos`` of the first coordinate of the base's free joint.
-        up: Distance by which the frame is raised along its z axis [m].
-        model: Compiled model of the spec.
+    The frame moves by ``up`` [m] along its z axis. The base poses in the keyframes are changed
+    accordingly.
     """
     offset = np.array([0.0, 0.0, up])
     elements = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)

@@ -248,12 +248,8 @@ def _yield_if_any(
 ) -> Iterator[CauseCandidate]:
     """Yield a candidate cause, if there are any elements.
 
-    Args:
-        code: Code of the cause.
-        elements: Names of the elements.
-        fields: Names of the fields of a MuJoCo model that the candidate sets, joined by spaces.
-        index: Index of the elements in these fields; None for fields of ``model.opt``.
-        value: New value, which removes the effect of the elements.
+    Switching the cause off sets the ``fields`` of a MuJoCo model, joined by spaces, to ``value`` at
+    ``index`` (None for fields of ``model.opt``).
     """
     if elements:
         yield CauseCandidate(code, elements, _make_switch((fields, index, value)))
@@ -332,11 +328,7 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 
 
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
-
-    There is a candidate per kind: for example, springs of joints and tendons are a single
-    candidate.
-    """
+    """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes."""
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -590,8 +582,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield joints of the file that the prepared robot lacks, as candidate causes of a deviation.
 
-    The prepared robot holds these joints at zero. To test a candidate, its joints are locked by
-    damping.
+    To test a candidate, its joints are locked by damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]

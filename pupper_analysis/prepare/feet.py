@@ -489,11 +489,7 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
 
 
 def _find_moved_link(robot: Robot, body: int) -> str:
-    """Return the URDF link that corresponds to a MuJoCo body: the link of its last joint.
-
-    The last joint is the nearest joint on the chain from ``body`` (id) to the base. Without such a
-    joint, the base link is returned.
-    """
+    """Return the URDF link that moves with a MuJoCo body (id); the base link without a joint."""
     joint = _find_last_joint(robot, body)
     return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 

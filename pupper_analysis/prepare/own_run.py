@@ -553,8 +553,8 @@ def _list_lifted_legs(
 ) -> list[JointOff]:
     """Return the joints of legs that are on the ground at reset, but not at the end of a run.
 
-    The joints of the leg must have moved. A leg is on the ground if a body of the leg is near a
-    fixed geom; this may be a heel behind a toe joint.
+    A leg is on the ground if a body of the leg is near a fixed geom, for example a heel behind a
+    toe.
     """
     offsets = {joint.joint: joint for joint in joints}
     legs = (

@@ -868,10 +868,7 @@ def make_robot(
 
 
 def _keeps_joint_order(draft: Draft) -> bool:
-    """Return True if added servos do not change the order of a robot's joints.
-
-    Joints are in actuator order.
-    """
+    """Return True if added servos do not change the actuator order of a robot's joints."""
     robot = draft.robot
     if not _may_get_servos(draft) or not _lacks_servos(robot):
         return True

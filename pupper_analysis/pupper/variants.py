@@ -76,7 +76,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
 def _check_name(name: object) -> None:
     """Raise VariantError if the name of a variant cannot be used as a file name.
 
-    An empty name is accepted. A name with a slash is refused, for example.
+    An empty name is accepted.
     """
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))

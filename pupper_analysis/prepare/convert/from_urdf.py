@@ -303,10 +303,7 @@ class UrdfBodies:
             self.efforts[name] = effort
 
     def _is_mimic(self, joint: UrdfJoint) -> bool:
-        """Return True if a joint has a valid mimic; add a note if the mimic is invalid.
-
-        A mimic is invalid, for example, if leaders follow each other in a circle.
-        """
+        """Return True if a joint has a valid mimic; add a note if the mimic is invalid."""
         if joint.mimic is None:
             return False
         leader_name, visited = str(joint.mimic.get("joint")), {joint.name}
@@ -357,10 +354,7 @@ class UrdfBodies:
         )
 
     def _convert_geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
-        """Convert the geometry of a URDF shape to {attribute: text} of a geom; None if left out.
-
-        ``kind`` is ``"visual"`` or ``"collision"``.
-        """
+        """Convert the geometry of a URDF shape to {attribute: text} of a geom; None if left out."""
         tag = str(geometry.tag)
         sizes = " ".join(str(geometry.get(word)) for word in _SIZE_ATTRIBUTES.get(tag, ()))
         is_point = tag == "sphere" and is_zero(sizes) and kind == "collision"
@@ -412,10 +406,7 @@ def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
 
 
 def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
-    """Read position (xyz [m]) and angles (rpy [rad]) of the <origin> below an element, as text.
-
-    A missing or zero position is None; so are missing or zero angles.
-    """
+    """Read xyz [m] and rpy [rad] of an element's <origin> as text; zeros become None."""
     origin = parent.find("origin")
     xyz, rpy = (
         (None if origin is None else origin.get(name)) or _ZERO_VECTOR for name in ("xyz", "rpy")
@@ -424,10 +415,7 @@ def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
 
 
 def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
-    """Add an <inertial> of the URDF to a body, with the tensor in the axes of the body.
-
-    An MJCF requires products of inertia in these axes. An inertial of zeros is left out.
-    """
+    """Add an <inertial> of the URDF to a body, unless zero, with the tensor in body axes."""
     mass, inertia = str(inertial.find("mass").get("value")), inertial.find("inertia")
     texts = [str(inertia.get(name)) for name in INERTIA_ENTRIES]
     xyz, rpy = _read_origin(inertial)

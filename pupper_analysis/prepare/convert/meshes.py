@@ -73,10 +73,7 @@ class MeshFiles:
 
     @staticmethod
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
-        """Return the first ROS package that missing ``files`` name, as in ``package://NAME/...``.
-
-        ``why`` is the reason why the files are omitted. Empty without such a package.
-        """
+        """Return the first ROS package that missing mesh files name; empty without one."""
         missing_files = files if why.code == "no-such-mesh-file" else ()
         named = (
             file.removeprefix(_PACKAGE_PREFIX)
@@ -228,10 +225,7 @@ class MeshFiles:
         return os.path.relpath(path, self.output.parent.resolve())
 
     def _choose_path(self, path: Path) -> Path:
-        """Choose the path of the file that the MJCF uses for a mesh file of the URDF.
-
-        This is the same file, or a converted or copied file in a folder beside the MJCF.
-        """
+        """Choose the path that the MJCF uses for a mesh file: the same, or that of a copy."""
         ending = path.suffix.lower()
         if ending in MUJOCO_MESH_SUFFIXES and not self.copied:
             return path
@@ -256,11 +250,7 @@ class MeshFiles:
     ) -> None:
         """Record that a mesh file is left out of the MJCF, with the reason, for the notes.
 
-        Args:
-            why: Reason.
-            file: File name in the URDF.
-            touches: True for a collision mesh.
-            is_visual: True for a visual mesh in a format that must be converted.
+        ``is_visual`` is True for a visual mesh in a format that must be converted.
         """
         left = self._left_visuals if is_visual else self._left
         for found in (left, self._lost) if touches else (left,):

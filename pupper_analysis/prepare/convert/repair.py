@@ -291,10 +291,7 @@ def _widen_flat_inertia(bodies: LinkBodies, body: str) -> None:
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Move the invalid inertia of a body to a body that is fixed to it, if the sum is valid.
-
-    The result is a note on the move; None if nothing is moved.
-    """
+    """Move an invalid inertia to a body fixed to its body, if the sum is valid; return a note."""
     moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     links, group = bodies.tree.links, list(bodies.fixed_group(body))
     for neighbour, placement in group[1:]:

@@ -585,9 +585,6 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
 
 
 def _list_top_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[int, mujoco.MjsBody]:
-    """Return {body id in the model: body of the spec} of the children of the world.
-
-    The order of the children is the same in model and spec.
-    """
+    """Return {body id in the model: body of the spec} of the children of the world."""
     ids = np.flatnonzero(model.body_parentid[1:] == 0) + 1
     return dict(zip(map(int, ids), spec.worldbody.bodies, strict=True))
