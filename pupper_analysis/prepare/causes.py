@@ -151,10 +151,6 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
 
     Examples are solver settings, contact exclusions, equalities, limits, servo biases and
     obstacles.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
     """
     model = published.model
     return [
@@ -174,10 +170,6 @@ def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCan
     """List candidate causes in an MJCF that affect both the published model and the prepared robot.
 
     Examples are actuators with a negative gear, springs, joint limits, and slippery contacts.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
     """
     return [
         *_list_sign_causes(published, robot),
@@ -659,10 +651,6 @@ def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause
 
     Unlike a `CauseCandidate`, such a change cannot be switched off in the published model. Examples
     are bodies whose collision shapes were replaced by spheres.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot.
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

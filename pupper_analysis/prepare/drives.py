@@ -145,11 +145,6 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     in the predicted equilibrium, with feed-forward torques and with position commands alone, and
     the motion after nudges of the base decays. The published MJCF should come to rest, too. If no
     candidate meets all conditions, a candidate that meets some of them is preferred.
-
-    Args:
-        robot: Robot.
-        stand: Stand that the servos must hold.
-        original: MJCF of the robot, as read.
     """
     trials = _ServoTrials(robot, stand, original)
     file = None if original.of_urdf else compile_published_model(original, robot)
@@ -307,10 +302,6 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     `StandTask`), if possible. The time step may be reduced. Dependent joints (of closed loops and
     couplings) get no servo. Servos at passive joints exert no torque.
 
-    Args:
-        robot: Robot.
-        mjcf: MJCF of the robot, as read.
-
     Returns:
         Robot with servos, and notes on added servos and passive joints.
     """
@@ -324,10 +315,6 @@ def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
 
     A passive joint has an effort limit of zero, and no actuator in the MJCF. An effort of zero in a
     single file may be a mistake. The list is `Description.passive_joints`.
-
-    Args:
-        robot: Robot.
-        mjcf: MJCF of the robot, as read.
     """
     model, dependent = mjcf.model, list_dependent_joints(robot)
     if mjcf.of_urdf or not model.nactuator:
@@ -411,10 +398,6 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
     """Add position servos to a robot with a fixed base, at the joints without a servo.
 
     The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque.
-
-    Args:
-        robot: Robot.
-        mjcf: MJCF of the robot, as read.
 
     Returns:
         Robot with the servos; notes on added servos and passive joints.

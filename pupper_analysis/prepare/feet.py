@@ -121,12 +121,7 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Count the joints on the chain from a body to the base.
-
-    Args:
-        robot: Robot.
-        body: MuJoCo id of the body.
-    """
+    """Count the joints on the chain from a body (MuJoCo id) to the base."""
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
     while body not in (0, base):

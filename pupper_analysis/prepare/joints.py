@@ -145,10 +145,6 @@ def check_motors(model: mujoco.MjModel, source: Path) -> None:
 
     Reason: a stand is held by a single servo command per joint.
 
-    Args:
-        model: Model of the MJCF.
-        source: File of the MJCF, for the error.
-
     Raises:
         ModelError: If a hinge or slide has several actuators.
     """

@@ -235,10 +235,6 @@ def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Ou
 def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic | None:
     """Create the message that no contact point of a stand has friction: a push moves the robot.
 
-    Args:
-        robot: Robot.
-        feet: Names of the contact points that carry load in the stand.
-
     Returns:
         The message; None if a contact point has friction, for example.
     """

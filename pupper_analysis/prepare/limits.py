@@ -62,10 +62,6 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
     Passive joints have no actuator in the MJCF, and an effort limit of zero
     (`Description.passive_joints`).
 
-    Args:
-        robot: Robot.
-        statics: Static joint torques of the stance.
-
     Returns:
         The message; None if no passive joint is loaded.
     """
@@ -239,10 +235,6 @@ def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
     """Create the message about motors whose torque limit no file states, with the largest torque.
-
-    Args:
-        robot: Robot.
-        statics: Static joint torques of the stance.
 
     Returns:
         The message; None if no motor without a stated limit must hold a torque. The message omits

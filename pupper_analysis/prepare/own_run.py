@@ -429,11 +429,7 @@ def _commands_to_hold(
 
 
 def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
-    """Return the indices of the robot's joints in ``qpos`` of the published model, shape (nu,).
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot, which determines the order of the joints.
+    """Return the indices of the robot's joints in the model's ``qpos``, (nu,), in actuator order.
     """
     joints = [published.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(published.model.jnt_qposadr[joints])

@@ -885,11 +885,6 @@ def prepare_robot(
 ) -> tuple[Robot, list[PassRun]]:
     """Prepare a robot from two files as read: run all preparation passes immediately.
 
-    Args:
-        urdf: URDF as read.
-        mjcf: MJCF as read.
-        request: Options of the user.
-
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.
 

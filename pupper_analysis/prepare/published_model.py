@@ -96,12 +96,7 @@ class PublishedModel:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
-        """Create the `PublishedModel` of a compiled model: find ground, base and joint drives.
-
-        Args:
-            model: Compiled model, which contains all joints of the robot.
-            robot: Prepared robot.
-        """
+        """Create the `PublishedModel` of a compiled model: find ground, base and joint drives."""
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
         )
@@ -143,10 +138,6 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
     added. Without such servos, the model is returned unchanged.
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Prepared robot, with the added servos.
     """
     file = None if robot.published is None else robot.published.file
     if file is None or not robot.description.made_servos or not has_few_servos(published):
@@ -204,10 +195,6 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 
     Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 
-    Args:
-        mjcf: MJCF as read.
-        robot: Prepared robot.
-
     Returns:
         Model; None if the model lacks the base body or a joint of the robot.
     """
@@ -237,10 +224,6 @@ def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel
     """Compile a URDF by MuJoCo's own importer, with floor and servos as in the prepared robot.
 
     The collision shapes are those of the file.
-
-    Args:
-        urdf_import: URDF, as MuJoCo imports it.
-        robot: Prepared robot.
 
     Raises:
         ModelError: If MuJoCo refuses the URDF.
@@ -742,10 +725,6 @@ def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
 
     The prepared robot holds these joints at zero. Free joints and joints of the base body are not
     listed. Joints are matched by name.
-
-    Args:
-        published: The user's MJCF as compiled.
-        robot: Prepared robot.
     """
     model = published.model
     return [

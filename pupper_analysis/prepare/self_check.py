@@ -197,9 +197,6 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
 
     The nominal stand is the solution of the default `StandTask`.
 
-    Args:
-        robot: Prepared robot.
-
     Returns:
         Comparison; None, for example, if the robot has no nominal stand.
     """
@@ -367,10 +364,6 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Predict the equilibrium of a stand, with feed-forward and with position commands alone.
 
     The stand of a free base is solved on soft ground if possible.
-
-    Args:
-        robot: Prepared robot.
-        stand: Stand.
 
     Returns:
         Prediction with feed-forward, then, if possible, prediction with position commands alone.
@@ -740,10 +733,6 @@ def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, 
 
     The ctrl may be absent, or may be meant for position servos that the file lacks.
 
-    Args:
-        run: Simulation of the unmodified file.
-        published: Model of this file.
-
     Returns:
         A single cause, or an empty tuple.
     """
@@ -891,12 +880,6 @@ def find_difference_causes(
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
     Elements are switched off in copies of the model, which are simulated again (`_test_causes`).
-
-    Args:
-        published: Published model: the user's file as compiled.
-        robot: Robot that was prepared from the file.
-        prediction: Predicted state of rest.
-        run: Simulation of the published model, which deviates.
 
     Returns:
         Causes; empty if no cause is found.

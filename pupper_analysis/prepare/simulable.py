@@ -157,10 +157,6 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     The inertia of a joint is a diagonal element of Pinocchio's mass matrix at the start pose,
     including rotor inertia.
 
-    Args:
-        robot: Robot.
-        urdf: URDF, for the file and line in the error.
-
     Raises:
         ModelError: If the inertia at a joint is zero or negative.
     """
@@ -239,9 +235,6 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Set dense matrices for MuJoCo's solver if the solver is inaccurate with sparse matrices.
 
     Dense matrices are set only if the solver is accurate with dense matrices (`find_solver_error`).
-
-    Args:
-        robot: Robot with a free base.
 
     Returns:
         Robot, and a list with a note if dense matrices are set or if the solver remains inaccurate.

@@ -97,9 +97,6 @@ class MjcfXml:
 
         Angles are in radians; Euler angles are about fixed axes. A body without ``<inertial>`` has
         no mass. The default classes of visual and collision geoms are defined.
-
-        Args:
-            name: Name of the model.
         """
         root = etree.Element("mujoco", {"model": name})
         add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")

@@ -307,9 +307,6 @@ class DeferredMeshes:
 
         Meshes that cannot be converted, or that MuJoCo refuses, are removed with their geoms.
 
-        Args:
-            spec: Spec of the MJCF.
-
         Returns:
             Notes on the removed meshes, a note per reason.
         """
@@ -450,9 +447,6 @@ _OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
 
 def read_mesh_file(path: Path) -> bytes:
     """Read a mesh file, if it is not too large, and return the content.
-
-    Args:
-        path: Mesh file.
 
     Raises:
         UnreadableError: If the file is larger than `MAX_MESH_BYTES`, or cannot be read.

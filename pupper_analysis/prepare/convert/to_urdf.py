@@ -486,10 +486,6 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
     base has priority over, for example, doors and drawers. Bodies of the world that are coupled at
     the start, such as a linkage with two fixed pivots, are a single robot whose base is the world.
 
-    Args:
-        file: MJCF, for errors.
-        model: Compiled model of the MJCF.
-
     Raises:
         ModelError: If there are several robots or none, for example.
     """
