@@ -429,8 +429,7 @@ def _commands_to_hold(
 
 
 def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
-    """Return the indices of the robot's joints in the model's ``qpos``, (nu,), in actuator order.
-    """
+    """Return the indices of the robot's joints in ``qpos``, shape (nu,), in actuator order."""
     joints = [published.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(published.model.jnt_qposadr[joints])
 
