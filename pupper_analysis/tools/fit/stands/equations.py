@@ -58,9 +58,8 @@ tuned.
 
 _TORQUE_STD_RATIO = 1e-4
 """Assumed standard deviation of the difference between servo torque and kp times servo error, as a
-fraction of robot weight times `Robot.stand_height`. This standard deviation and the dry friction
-weight the torque equation of a joint in the least squares. A leg joint carries about a tenth of
-weight times height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
+fraction of robot weight times `Robot.stand_height`. A leg joint carries about a tenth of weight
+times height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
 """
 
 _UNKNOWN_TORQUE_STD_RATIO = 1e3
@@ -75,18 +74,16 @@ smoothly (`_SIGN_BAND_RATIO`). With a width of 0, derivatives would not exist. C
 
 _SIGN_BAND_RATIO = 0.7
 """Ratio of the sign band to the dead band. The sign band is the servo error over which the sign of
-friction changes smoothly. The dead band is the servo error at which the servo torque equals the dry
-friction. The change is gradual, since dry friction can hold a joint with any torque up to its
-limit, as in Go1 and MEVIUS. Chosen; the confidence intervals of fits with this value were verified
-on simulated robots with dead bands (``docs/explanation/fit.md``).
+friction changes smoothly, since dry friction can hold a joint with any torque up to its limit, as
+in Go1 and MEVIUS. Chosen; the confidence intervals of fits with this value were verified on
+simulated robots with dead bands (``docs/explanation/fit.md``).
 """
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
-dead band times kp. This product is the friction torque at the edge of the dead band. The standard
-deviation is multiplied by b / sqrt(e^2 + b^2), with the servo error e and the sign band b
-(`_SIGN_BAND_RATIO`). The reason: a large error determines the sign of the friction. Derived from
-joints of Go1 and MEVIUS, whose friction has any value up to the limit.
+dead
+band times kp, at a servo error of 0. A large error determines the sign of the friction. Derived
+from joints of Go1 and MEVIUS, whose friction has any value up to the limit.
 """
 
 
@@ -156,10 +153,9 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 _MIN_FORCE_SIGNAL = 1.0
 """Lower bound of (singular value [1/N] times robot weight [N]) in the elimination of the own
-unknowns of a stand: contact forces, base tilt and base height. A combination of these unknowns is
-eliminated from the whitened equations if the product is above the bound. At the bound, a force
-equal to the weight changes the residuals by one standard deviation. Smaller singular values belong,
-for example, to distributions of the force within a sole. Chosen, not tuned.
+unknowns of a stand: contact forces, base tilt and base height. Combinations of the unknowns below
+the bound are not eliminated, for example distributions of the force within a sole. Chosen, not
+tuned.
 """
 
 _MIN_READING_INFORMATION = 1e-4
@@ -304,10 +300,10 @@ class StandRows:
         """Eliminate base tilt, base height and contact forces from the equations of a stand.
 
         The residuals are whitened, and projected onto combinations that these unknowns do not
-        affect. The parameters remain as the only unknowns.
+        affect.
 
         Returns:
-            1. Sums (`LinearisedResiduals`) over the projected residuals and the derivatives by the
+            1. Sums (`LinearisedResiduals`) over the projected residuals, linearised by the
             parameters.
             2. Gauss-Newton step of the eliminated unknowns, shape (3 + 3 p,), for p contact points:
             rotations about the base x and y axes [rad], base height [m], forces [N].
@@ -320,20 +316,15 @@ class StandRows:
         ), step
 
     def _project_out_unknowns(self, columns: Array) -> tuple[Array, float, Array]:
-        """Whiten columns by the noise, and eliminate the own unknowns of the stand by projection.
+        """Whiten columns, shape (m, n), by the noise, and project out the stand's own unknowns.
 
-        The own unknowns of a stand are base tilt, base height and contact forces. With the
-        covariance C, the projection P and the derivative B by the own unknowns, det(P' C P) =
-        det(C) det(B' C^-1 B) / det(B' B). The last factor does not depend on the noise and is left
-        out of the log determinant.
-
-        Args:
-            columns: Columns to project, shape (m, n). The first column contains the residuals.
+        The first column contains the residuals. With covariance C, projection P and the derivative
+        B by the own unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B). The log determinant
+        leaves out the last factor, which does not depend on the noise.
 
         Returns:
-            1. Projected columns.
-            2. Log determinant of the noise covariance of the projected residuals.
-            3. Gauss-Newton step of the own unknowns, shape (3 + 3 p,).
+            Projected columns; log determinant of the noise covariance of the projected residuals;
+            Gauss-Newton step of the own unknowns, shape (3 + 3 p,).
         """
         factor, n = np.linalg.cholesky(self._compute_covariance()), columns.shape[1]
         whitened = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
@@ -350,22 +341,19 @@ class StandRows:
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
         """Estimate the error (measured minus true) of each joint position in this stand.
 
-        The estimate uses all readings of the stand except the joint's own position:
+        The error of a position is estimated from the other readings:
 
             error = -d^T r / w,    standard deviation = 1 / sqrt(w),
             w = d^T d - d^T A C A^T d, at least `_MIN_READING_INFORMATION` / (encoder noise)^2
 
-        - r: whitened residuals (divided by the noise), projected so that base tilt, base height and
-          contact forces of the stand have no effect
-        - d: derivative of r with respect to the error of the joint position
-        - A: Jacobian of r with respect to the parameters
+        with the whitened and projected residuals r (`eliminate_own_unknowns`), their derivative d
+        by the error of the position, and their Jacobian A by the parameters.
 
         Args:
             covariance: Covariance C of the parameters, shape (n, n).
 
         Returns:
-            Errors, shape (nu,) [rad, m], and the standard deviations of the errors, shape (nu,)
-            [rad, m].
+            Errors and their standard deviations, shape (nu,) [rad, m] each.
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
         projected = self._project_out_unknowns(np.column_stack(columns))[0]
@@ -385,15 +373,9 @@ class StandRows:
         subjects: Sequence[str],
         components: Sequence[str] = ("",),
     ) -> None:
-        """Add derivatives of residuals by the estimated parameters of a kind.
+        """Add derivatives of residuals by the parameters of a kind to ``rows``, shape (k, n).
 
-        Args:
-            rows: Derivatives of k residuals by all n parameters, shape (k, n); changed in place.
-            derivatives: Derivatives by each component of each subject, in this order, shape (k, c).
-            kind: Kind of the parameters, a key of ``PARAMETER_KINDS``.
-            subjects: Joints, feet or links. Derivatives of an entry that occurs several times are
-                summed.
-            components: Components of each subject.
+        ``derivatives`` has a column for each component of each subject (joint, foot or link).
         """
         positions, columns = self._table.find_columns(kind, subjects, components)
         if positions:
@@ -404,15 +386,8 @@ class StandRows:
 
             S tau - g + passive + sum J_p^T w_p - load = 0
 
-        - tau: torques of the servos, and of friction that acts in one direction (``settling``)
-        - S: matrix that maps these torques to generalised forces
-        - g: generalised forces of gravity
-        - passive: generalised passive forces of the joints
-        - w_p: force and moment at contact point p, and J_p its Jacobian
-        - load: vertical force on the base in excess of the weight of the estimated masses
-          (``unweighed_load``)
-
-        Residual and derivatives are then scaled to joint positions (`_scale_to_positions`).
+        with the torques tau of servos and one-sided friction, gravity forces g, passive joint
+        forces, contact wrenches w_p, and the vertical load on the base that the scale did not show.
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
@@ -466,12 +441,9 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> Array:
-        """Compute the rotation rates of p contact points in six base motions, shape (p, 3, 6).
+        """Compute rotation rates [1] of p contact points in six base motions, shape (p, 3, 6).
 
-        Friction on a foot at rest acts against the last motion before rest. The last motion is a
-        combination of six base motions: translations and rotations. The contact points are fixed as
-        far as the joints permit. The rates of a base motion are divided by the largest absolute
-        rate, and have no unit.
+        Friction on a foot at rest acts against the last motion before rest, a combination of these.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -483,16 +455,11 @@ class StandRows:
         return rates
 
     def _fill_gravity(self, by_x: Array, by_mass: Array, by_com: Array, by_slope: Array) -> None:
-        """Add the derivatives of the balance by bodies, known masses, slope and load.
+        """Add the derivatives of the balance by bodies, known masses, slope and load to ``by_x``.
 
-        Args:
-            by_x: Derivative of the balance residuals by the parameters, shape (nv, n); changed in
-                place.
-            by_mass: Derivatives of the gravity forces by the masses of b bodies, then of the known
-                masses, shape (nv, b + k).
-            by_com: Derivatives of the gravity forces by the CoMs of the same bodies and masses,
-                shape (nv, b + k, 3).
-            by_slope: Derivatives of the gravity forces by the slope along x and y, shape (nv, 2).
+        The other arrays are derivatives of the gravity forces by b masses and k known masses, shape
+        (nv, b + k), by the CoMs, shape (nv, b + k, 3), and by the slope along x and y, shape (nv,
+        2).
         """
         values, nv = self._values, self._robot.nv
         links = [link for link, *_ in values.bodies]
@@ -513,13 +480,10 @@ class StandRows:
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
     ) -> None:
-        """Scale the balance equations, so that small estimates of kp and mass are not preferred.
+        """Scale the balance equations in place, without a preference for small kp and mass.
 
-        Rows of commanded joints are multiplied by (noise kp) / kp, rows of the base by (noise
-        mass) / mass. The noise is computed with these constant values (``StandValues.noise_kp``,
-        ``noise_mass``). Without the factors, small estimates would decrease the residuals, but not
-        the noise. The derivatives of the factors by kp and masses are added to ``by_x``. All
-        arrays have a row per balance equation and are changed in place.
+        Without the factors (noise kp) / kp and (noise mass) / mass, small estimates would decrease
+        the residuals, but not the noise.
         """
         values = self._values
         driven = self._commanded & (values.kp > 0)
@@ -537,8 +501,8 @@ class StandRows:
     def _fill_contact(self) -> None:
         """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives.
 
-        z_p is the height of the sphere centre of contact point p, r_p the radius, depth(f_p) the
-        penetration [m] under the force f_p, and softness a factor that is estimated.
+        z_p and r_p are height and radius of the contact sphere, depth(f_p) the penetration [m]
+        under the force f_p.
         """
         points = self._reading.points
         heights = self._twists[:, 2]
@@ -645,9 +609,7 @@ class StandValues:
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
         """Return these values adapted to one stand: with its attached masses and its heading.
 
-        Known masses are added to a copy of the Pinocchio model. Gravity is expressed in axes that
-        are rotated about z by the heading of the stand. Without mass and heading, the result is
-        this object.
+        Gravity is expressed in axes that are rotated about z by the heading of the stand.
 
         Args:
             reading: Measurements of the stand.
@@ -684,8 +646,8 @@ class StandValues:
 def _compute_last_link(robot: Robot, point: str) -> Array:
     """Return the vector, shape (3,) [m], from the axis of a leg's last joint to a contact point.
 
-    The vector is perpendicular to the axis, and expressed in the frame of the contact. The result
-    is zero if no joint moves the point.
+    The vector is perpendicular to the axis, expressed in the frame of the contact, and zero without
+    a joint.
     """
     config, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
     if not joints:
@@ -882,9 +844,8 @@ class StandEquations:
     def set_noise_point(self, x: Array) -> None:
         """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
 
-        These values are constant during a minimisation. Otherwise the minimisation would prefer
-        parameters with large noise. Until the first call, the noise is scaled by the stated
-        stiffness and mass, and by the initial ``noise_deadband``.
+        These values are constant during a minimisation, which would otherwise prefer parameters
+        with large noise.
 
         Args:
             x: Parameters, shape (n,).
@@ -902,14 +863,12 @@ class StandEquations:
 
             cost(u) - cost(u + t step) >= 0.1 t (2 - t) (cost(u) - chi2) - tolerance
 
-        with the unknowns u, the fraction t of the step, the sum of squares of all whitened
-        residuals (cost), and the sum of squares of the projected residuals (chi2). The tolerance is
-        `_UNKNOWN_CHI2_TOLERANCE` + `_COST_RTOL` cost(u). Without halving the steps may alternate:
-        the stiffness of soft ground changes much near a force of zero. The steps end if chi2
-        changes by at most `_UNKNOWN_CHI2_TOLERANCE` after a full step, or after
-        `_MAX_UNKNOWN_STEPS`. With fewer steps, chi2 would depend on the previous unknowns, and a
-        fit would compare costs that are not comparable. The returned sums are evaluated at the
-        start of the last step.
+        with the unknowns u, the fraction t of the step, the sums of squares of the whitened (cost)
+        and of the projected residuals (chi2), and the tolerance `_UNKNOWN_CHI2_TOLERANCE` +
+        `_COST_RTOL` cost(u). Without halving the steps may alternate: the stiffness of soft ground
+        changes much near a force of zero. The steps end if chi2 changes by at most
+        `_UNKNOWN_CHI2_TOLERANCE` after a full step, or after `_MAX_UNKNOWN_STEPS`. The returned
+        sums are evaluated at the start of the last step.
 
         Args:
             stand: Index of the stand.
@@ -960,8 +919,6 @@ class StandEquations:
 
     def _make_values(self, x: Array) -> StandValues:
         """Return the values of robot and surroundings for parameters ``x``, shape (n,).
-
-        Known masses that are attached in single stands are not included.
 
         Raises:
             LinAlgError: If the slope of the ground is 90 deg or more.
@@ -1021,12 +978,7 @@ class StandEquations:
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
     def _make_initial_unknowns(self, reading: StandReading) -> tuple[Array, Array]:
-        """Return an initial base pose and contact forces, shape (p, 3) [N], of a stand.
-
-        The base pose, shape (5,), is the quaternion and height [m] with which the measured joint
-        positions put the feet on the ground. The normal forces are equal, and there are no
-        tangential forces.
-        """
+        """Return an initial base pose, shape (5,), and contact forces, shape (p, 3) [N]."""
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.weight / len(points)
@@ -1051,10 +1003,7 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Sum the normal forces of each foot that carries load in a stand: {foot: force [N]}.
-
-        The force of a foot is the sum over the contact points, from the stored solution of the
-        stand.
+        """Sum the stored normal forces of each carrying foot in a stand: {foot: force [N]}.
 
         Args:
             stand: Index of the stand.
@@ -1100,7 +1049,7 @@ class StandEquations:
         """Return the root mean square of the whitened residuals of each stand; 1 is expected.
 
         Base tilt, base height and contact forces of each stand are updated, and eliminated from the
-        residuals. A stand without residuals has the value 0.
+        residuals.
 
         Args:
             x: Parameters, shape (n,).
@@ -1129,12 +1078,10 @@ class StandEquations:
         return errors, stds
 
     def _apply_step(self, stand: int, step: Array) -> None:
-        """Add a step to the stored base pose and contact forces of a stand.
+        """Add a step, shape (3 + 3 p,), to the stored base pose and contact forces of a stand.
 
-        Args:
-            stand: Index of the stand.
-            step: Base tilt about x and y [rad], base height [m], and forces at p contact points
-                [N], shape (3 + 3 p,).
+        The step contains base tilt about x and y [rad], base height [m], and forces at p contact
+        points [N].
         """
         base, forces = self._unknowns[stand]
         half_x, half_y = step[:2] / 2

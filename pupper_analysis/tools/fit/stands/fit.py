@@ -109,11 +109,9 @@ class StandFit(Fit):
 def _list_joint_residuals(
     robot: Robot, stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    """Return the error of each joint position in each stand [rad, m], most significant first.
+    """Return the errors of the measured joint positions [rad, m], most significant first.
 
-    The error is the measured position minus the position that agrees best with all other
-    measurements. The significance is the absolute ratio of error to standard deviation. ``known``
-    is the distribution of the parameters.
+    An error is the measured position minus the position that the other measurements predict.
     """
     deviation, std = equations.find_contradictions(known)
     units = {joint: joint_unit(robot, joint) for joint in stands.joints}
@@ -185,22 +183,15 @@ def check_scale(
 ) -> Iterator[Diagnostic]:
     """Yield a failure if mean kp, total mass and load are jointly improbable, given the files.
 
-    Measured joint positions determine the ratio of kp to mass. The weight on a scale determines
-    both. A wrong weight changes all parameters a little, so no single parameter is far from the
-    stated value. Therefore these quantities are tested jointly, if they are estimated:
-
-    - mean of log kp
-    - logarithm of the total mass
-    - load: force on the feet in excess of the weight of the masses, as a fraction of this weight
-
-    The load is not tested if ``level`` is False, or if a known mass was added in some stands. With
-    a known mass, `check_surroundings` tests the load.
+    Measured joint positions determine the ratio of kp to mass, and the weight on a scale determines
+    both. A wrong weight changes all parameters a little, so that no single parameter is far from
+    the stated value. The load is the force on the feet in excess of the weight of the masses.
 
     Args:
         robot: Robot.
         posterior: Distribution of the parameters.
         weight: Mass of the whole robot on a scale [kg], for the message; None if not weighed.
-        level: Whether the ground is level. A slope changes the load.
+        level: Whether the ground is level. On a slope the load is not tested.
     """
     from scipy import stats  # slow to import
 
@@ -237,25 +228,19 @@ def check_scale(
 def _compute_surprise(
     posterior: Posterior, combinations: Array, expected_ratio: float = 1.0
 ) -> tuple[float, int, Array]:
-    """Compute a chi2 test of whether parameter combinations changed more than the prior allows.
+    """Test by chi2 whether combinations of parameters changed more than the prior allows.
 
-    Let d be the change of the estimates from the prior mean, and S = prior covariance minus
-    posterior covariance. If the prior is right, d has the covariance S, and d^T S^-1 d follows a
-    chi2 distribution. Several weak deviations are tested jointly in this way. S is restricted to
-    directions whose variance the measurements reduce by more than the fraction
-    `_MIN_VARIANCE_REDUCTION`.
+    Let d be the change from the prior mean, and S = prior covariance minus posterior covariance, in
+    the directions that the measurements determine. If the prior is right, d^T S^-1 d follows chi2.
 
     Args:
         posterior: Distribution of the parameters.
         combinations: Linear combinations, shape (k, n), of the parameters / prior widths.
-        expected_ratio: Standard deviation of an expected change / prior standard deviation. With a
-            value below 1, the test is stricter than the prior. An example are leg lengths, whose
-            prior permits other leg variants.
+        expected_ratio: Expected standard deviation of a change / prior standard deviation.
 
     Returns:
-        1. chi2.
-        2. Degrees of freedom of chi2: the number of directions that remain in S.
-        3. Prior covariance times S^-1 d, shape (k,): the change without the shrinkage by the prior.
+        chi2, its degrees of freedom, and the changes without the shrinkage by the prior, shape
+        (k,).
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
@@ -275,15 +260,8 @@ def _compute_surprise(
 def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> Iterator[Diagnostic]:
     """Yield notes on a dead band of the servos and on a load, which no model file can state.
 
-    Left out are:
-
-    - estimates whose 95 % interval contains 0
-    - a dead band whose 95 % interval is not above ``friction_error``: dry friction may be the cause
-    - a load, if no stand has a known mass
-
-    Args:
-        posterior: Distribution of the parameters.
-        friction_error: Mean dry friction divided by the mean kp [rad, m].
+    Dry friction may appear as a dead band up to ``friction_error``: mean dry friction / mean kp
+    [rad, m].
     """
     loaded = "added" in posterior.kinds
     for index, parameter in enumerate(posterior.parameters):
@@ -298,22 +276,20 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 
 _SURPRISE_PROBABILITY = 0.0027
-"""Upper bound of the probability of a deviation that is reported: the probability, if the priors
-are right, of a chi2 at least as large as the observed value. The bound is the probability of three
-standard deviations. Chosen, not tuned.
+"""Probability of a chi2 at least as large as the observed value, if the priors are right, below
+which
+a deviation is reported. The value belongs to three standard deviations. Chosen, not tuned.
 """
 
 _MIN_VARIANCE_REDUCTION = 0.02
-"""Lower bound of 1 - posterior variance / prior variance, in tests whether an estimate is too far
-from the prior. Combinations of parameters with a smaller value are not tested, because the
-measurements hardly determine them. For a single parameter, a smaller value is replaced by the
-bound. Chosen, not tuned.
+"""Lower bound of the reduction of the variance by the measurements, relative to the prior variance,
+in tests whether an estimate is too far from the prior. Below the bound, the measurements hardly
+determine an estimate. Chosen, not tuned.
 """
 
 _MIN_NAMED_STDS = 2.0
-"""Lower bound of the deviation of a foot's parameter from the prior, in standard deviations, from
-which the message names the foot. The foot with the largest deviation is always named. Chosen, not
-tuned.
+"""Deviation of a foot's parameter from the prior, in standard deviations, above which the message
+names the foot. Chosen, not tuned.
 """
 
 _MAX_FLATNESS_RATIO = 5.0
@@ -321,15 +297,16 @@ _MAX_FLATNESS_RATIO = 5.0
 the fit fails, since noise of this size would hide an error of the model. Chosen, not tuned."""
 
 _MAX_FRICTION_RATIO = 4.0
-"""Ratio of estimated to expected dry friction above which a fit fails. The estimate has two parts:
-friction of random sign appears as noise, friction of one sign as negative dead bands of the servos.
-If the stated friction is implausible (`_MIN_FRICTION_RATIO`) and is scaled up, half of this bound
-applies. Chosen, not tuned."""
+"""Ratio of estimated to expected dry friction above which a fit fails; half of the ratio if an
+implausible expected friction was scaled up. The estimate is the sum of friction of random sign
+(noise) and friction of one sign (a negative dead band). Chosen, not tuned.
+"""
 
 _MAX_PARAMETER_STDS = 4.5
-"""Largest accepted deviation of a parameter, of a reading, or of the total mass from the weight, in
-standard deviations. A larger deviation is a failure. Derived: with a probability below 1e-3, any of
-a hundred normally distributed numbers exceeds 4.5 standard deviations.
+"""Deviation, for example of a parameter from the stated value, above which the measurements
+contradict
+the model, in standard deviations. Derived: with a probability below 1e-3, any of a hundred normally
+distributed numbers exceeds 4.5 standard deviations.
 """
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
@@ -337,9 +314,8 @@ _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
 of the legs, and the load that the scale did not show."""
 
 _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
-"""``_NONZERO_KINDS`` are the kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of
-the stated value counts as zero, and is a failure. ``_ZERO_RTOL`` and its square are also lower
-bounds of divisors [N m/rad] and [rad]. Chosen, not tuned.
+"""Kinds of parameters that are never zero, and the fraction of the stated value below which an
+estimate counts as zero. Chosen, not tuned.
 """
 
 _RESIDUALS_PROBABILITY = 1e-3
@@ -351,23 +327,16 @@ observed size. With a smaller probability, the fit fails. Chosen, not tuned.
 def check_residuals(
     posterior: Posterior, estimated: StandNoise, assumed: StandNoise, friction_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield a failure for each kind of evidence that the model does not explain the measurements.
+    """Yield failures if the model does not explain the measurements.
 
-    The tests, in order:
-
-    1. chi2 of all residuals
-    2. estimated unevenness of the ground / expected unevenness
-    3. estimated dry friction (random plus one-sided) / expected friction
-    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0; one
-    failure names all such parameters
-    5. parameters of the surroundings (`check_surroundings`)
+    For example, chi2 of the residuals, the noise levels and the changes of the parameters are
+    tested.
 
     Args:
         posterior: Distribution of the parameters.
         estimated: Noise levels estimated from the measurements.
         assumed: Noise levels that were expected before the fit.
-        friction_error: Mean dry friction divided by the mean kp [rad, m]: command minus position at
-            which the servo torque equals the dry friction.
+        friction_error: Mean dry friction divided by the mean kp [rad, m].
     """
     from scipy import stats  # slow to import
 
@@ -406,20 +375,14 @@ def check_residuals(
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
     """Yield failures if estimates of ground, leg lengths or load are improbable, given the priors.
 
-    These kinds of parameters are tested, by a chi2 test of all parameters of a kind together:
-
-    - slope of the ground
-    - softness of the ground: factor on the penetration that the MJCF gives
-    - lengths of the legs; with the default prior, the smaller standard deviation `_LENGTH_STD` is
-      used
-    - load on the feet in excess of the weight of the masses; only if a known mass was added in some
-      stands, because only such a mass can contradict the weight on the scale
+    The parameters of a kind (`_CHECKED_SURROUNDINGS`) are tested together by chi2. The load can be
+    tested if a known mass was added, because only such a mass can contradict the weight on the
+    scale.
 
     Args:
         posterior: Distribution of the parameters.
         flatness_ratio: Estimated / expected unevenness of the ground, at most 1. The square scales
-            chi2 of the softness: sinking feet have the same effect as uneven ground. A small
-            estimate of the unevenness from few stands would exaggerate the softness.
+            chi2 of the softness: sinking feet have the same effect as uneven ground.
     """
     from scipy import stats  # slow to import
 
@@ -481,22 +444,23 @@ of a noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned.
 
 
 _DEFAULT_FRICTION_RATIO = 5e-3
-"""Dry friction of a joint divided by weight times height. The value replaces a missing friction. It
-is also the mean to which implausible frictions are scaled. Files that state plausible values have
-0.24 % (Pupper v3) to 0.66 % (Go1, B1).
+"""Default dry friction of a joint, divided by weight times height. Files that state plausible
+values
+have 0.24 % (Pupper v3) to 0.66 % (Go1, B1).
 """
 
 _MIN_FRICTION_RATIO = 2e-3
-"""Lower bound of plausible dry friction: mean over the joints, stated or default, divided by weight
-times height. Frictions with a mean up to the bound are scaled up to `_DEFAULT_FRICTION_RATIO`.
-Chosen above the ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the
-0.2 N m of Go1.
+"""Lower bound of plausible dry friction: mean over the joints, divided by weight times height.
+Smaller
+frictions are scaled up. Chosen above the ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and
+Pegasus that contain the 0.2 N m of Go1.
 """
 
 _MAX_PULL_RATIO = 0.02
-"""Largest accepted pull of a foot on the ground, as a fraction of the weight, for a foot that the
-measurements list as carrying load. A larger computed pull is an error: the foot was probably in the
-air. Chosen, not tuned.
+"""Largest pull of a foot on the ground, as a fraction of the weight, for a foot that the
+measurements
+list as carrying load. With a larger computed pull, the foot was probably in the air. Chosen, not
+tuned.
 """
 
 
@@ -512,20 +476,13 @@ def fit_stands(
 ) -> StandFit:
     """Estimate a robot's parameters from stands at rest, in which compliant servos measure torque.
 
-    The servo torque is tau = kp (command - position). The estimated parameters are:
-
-    - masses and CoM positions of all moving bodies
-    - encoder offsets, servo stiffness kp, and lengths of the legs' last links
-    - surroundings, for example slope and softness of the ground (``list_parameters``)
-
-    ``StandEquations`` defines the equations. The priors are normal distributions about the stated
-    values (``parameters.PARAMETER_KINDS``). Priors of masses and kp are normal distributions of the
-    logarithm. Three noise levels are estimated by maximum evidence, with a prior about the expected
-    values: unevenness of the ground, moments on the feet, and the random part of dry friction.
-
-    Stands with contradictory data are left out one by one, with a note. An example is a foot that
-    is listed as carrying, but would have to pull on the ground. If more than a quarter of the
-    stands is contradictory, the fit fails.
+    A servo error implies the torque kp (command - position), if friction and dead band are
+    neglected. The estimated parameters are masses, CoM positions, encoder offsets, servo stiffness
+    kp, lengths of the legs' last links, and surroundings such as the slope of the ground
+    (`list_parameters`). `StandEquations` defines the equations. The priors are normal distributions
+    about the stated values; for masses and kp, of the logarithm. Noise levels of ground, foot
+    moments and dry friction are also estimated. Stands with contradictory data may be left out,
+    with a note.
 
     Args:
         robot: Robot with a free base and feet.
@@ -541,11 +498,10 @@ def fit_stands(
             Examples are too few stands, a robot that moves, missing positions, or too many
             contradictory stands.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
-        ConfigurationError: If a prior, kp, the weight or the encoder noise is invalid, the base is
-            fixed, or the robot has closed loops, couplings, welds or grips.
+        ConfigurationError: If an argument is invalid, the base is fixed, or the robot has closed
+            loops, couplings, welds or grips.
         ModelError: If ``kp`` is passed, and a joint has no motor.
-        FitError: If the iteration does not converge, or the cost has no minimum. If a wrong
-            ``weight`` is the cause, the fit without ``weight`` is returned instead, with a failure.
+        FitError: If no minimum is found; for example, the iteration does not converge.
     """
     prior_list = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):
@@ -593,29 +549,15 @@ _UNRELATED_TO_WIRING = (
     "ground-slopes",
 )
 """Codes of failures that wrong wiring (exchanged plugs, or a wrong sign of a joint) does not cause.
-If there are no other failures and no excluded stands, the fit does not search for wrong wiring.
 """
 
 
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> tuple[StandFit, list[int]]:
-    """Fit measured stands. Leave out, one by one, the stands with contradictory foot contacts.
+    """Return the fit of the stands without contradictory foot contacts, and the rows left out.
 
-    In such a stand, a foot that is listed as in the air would be below the ground, or the ground
-    would pull a foot. All rows with the name of the stand are left out.
-
-    Args:
-        fit: Function that fits stands.
-        stands: Measured stands.
-
-    Returns:
-        Fit of the other stands, and the rows that were left out.
-
-    Raises:
-        MeasurementError: If the number of such stands is more than a quarter of the rows (the first
-            contradiction is raised), or for another error of the measurements.
-        FitError: If ``fit`` fails, for example because the iteration does not converge.
+    For example, the ground would have to pull a foot that is listed as carrying load.
     """
     notes: list[Diagnostic] = []
     first: MeasurementError | None = None
@@ -644,9 +586,8 @@ _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
 """
 
 _MAX_EXCLUDED_FRACTION = 0.25
-"""Largest number of stands, relative to the number of rows, that a fit leaves out because of a
-contradiction (`_CONTRADICTION_CODES`). With more contradictory stands, the fit fails, because so
-many contradictions have a common cause. Chosen, not tuned.
+"""Largest number of stands, relative to the number of rows, that a fit leaves out because of
+contradictions: more have a common cause. Chosen, not tuned.
 """
 
 
@@ -693,11 +634,7 @@ class _StandProblem:
             encoder: Standard deviation of a joint position [rad, m]; None if unknown.
 
         Raises:
-            MeasurementError: If the stands cannot be used, do not belong to this robot, or are too
-                few, or a commanded joint has no kp.
-            UnknownNameError: If the robot lacks a joint, foot or link of the stands.
-            ConfigurationError: If a prior matches no parameter, or ``kp`` is invalid.
-            ModelError: If ``kp`` is passed, and a joint has no motor.
+            MeasurementError: If the stands cannot be used; for example, too few stands.
         """
         averaged = stands.check_readings(robot).average_repeats()
         if len(averaged) < MIN_STANDS:
@@ -711,10 +648,7 @@ class _StandProblem:
 
     @property
     def friction_error(self) -> float:
-        """Expected mean dry friction divided by the mean kp [rad, m], over the joints with a servo.
-
-        At this difference between command and position, the servo torque equals the dry friction.
-        """
+        """Expected mean dry friction / mean kp [rad, m], over the joints with a servo."""
         has_servo = self.stiffness > 0
         mean_error = self.friction[has_servo].sum() / max(
             self.stiffness[has_servo].sum(), _ZERO_RTOL
@@ -723,12 +657,7 @@ class _StandProblem:
 
     @property
     def friction_ratio(self) -> float:
-        """Factor on the dry friction of the joints (``friction``); 1 if the values are plausible.
-
-        The values are implausible if the mean is at most ``_MIN_FRICTION_RATIO`` times weight times
-        height. In this case the factor raises the mean to ``_DEFAULT_FRICTION_RATIO`` times weight
-        times height.
-        """
+        """Factor that raises an implausibly small mean dry friction to a default; otherwise 1."""
         ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
 
@@ -757,11 +686,8 @@ class _StandProblem:
     def solve(self) -> StandFit:
         """Estimate the parameters with the expected noise, and again with the estimated noise.
 
-        While the dead band changes by at least a standard deviation, the noise is estimated again.
-        At most `_MAX_FRICTION_PASSES` estimates with estimated noise are made.
-
         Raises:
-            FitError: If `estimate_parameters` fails.
+            FitError: If no minimum is found.
             MeasurementError: If a foot contradicts the data of a stand.
         """
         robot, stands, table = self.robot, self.stands, self.table
@@ -829,25 +755,11 @@ class _StandProblem:
         log_evidence: float,
         fit_with_noise: Callable[[StandNoise], tuple[Posterior, float]],
     ) -> Iterator[Diagnostic]:
-        """Yield a failure if a single wrong reading is more probable than the estimated noise.
+        """Yield a failure if one wrong reading is more probable than the estimated noise.
 
-        A wrong reading increases the estimated noise, and large noise hides the reading. Two
-        explanations are compared by the evidence:
-
-        - the estimated noise
-        - noise at most as large as expected, and a wrong reading of one joint in one stand. The
-          error of the reading has a normal distribution with the standard deviation
-          ``_OUTLIER_STD``.
-
-        A failure also requires that the reading deviates by more than `_MAX_PARAMETER_STDS`.
-        Nothing is yielded if the fit with the smaller noise fails. The noise and the parameters of
-        ``equations`` are changed.
-
-        Args:
-            equations: Equations of the stands.
-            noise: Estimated noise levels.
-            log_evidence: Log evidence with the estimated noise levels.
-            fit_with_noise: Function that returns posterior and log evidence for noise levels.
+        A wrong reading increases the estimated noise, and large noise hides the reading. Therefore
+        both explanations are compared by the evidence. The noise and parameters of ``equations``
+        change.
         """
         expected = vars(replace(self.noise, friction=self.friction_ratio))
         smaller_levels = {name: min(level, expected[name]) for name, level in vars(noise).items()}
@@ -875,8 +787,8 @@ _OUTLIER_STD = 0.3
 servo. Chosen, not tuned."""
 
 _MAX_FRICTION_PASSES = 5
-"""Upper bound of the number of repeated fits. In each fit, the noise of friction follows from the
-dead band of the previous fit. Chosen, not tuned: two to four are usually sufficient.
+"""Upper bound of the number of repeated fits, in which the noise of friction follows from the dead
+band of the previous fit. Chosen, not tuned: two to four are usually sufficient.
 """
 
 
@@ -887,21 +799,9 @@ def _estimate_from_stands(
     scale_residual: Callable[[Array], LinearisedResiduals],
     start: Array | None,
 ) -> Posterior:
-    """Estimate the distribution of the parameters, given measured stands at rest.
+    """Return the distribution of the parameters, given measured stands at rest.
 
-    The most probable parameters are searched in ``LogCoordinates``.
-
-    Args:
-        robot: Robot.
-        stands: Measured stands.
-        equations: Equations of the stands.
-        scale_residual: Function that maps parameters to the residual of the weighed mass.
-        start: Initial parameters, shape (n,); the stated parameters if None.
-
-    Raises:
-        FitError: If the search fails (`estimate_parameters`).
-        MeasurementError: If the search fails, and a carrying foot has to pull or a foot in the air
-            is below the ground.
+    ``start`` contains the initial parameters, shape (n,); the stated parameters if None.
     """
     table = equations.table
     logarithms = LogCoordinates(table)
@@ -936,8 +836,8 @@ def _estimate_from_stands(
 
 _MAX_LOG_FACTOR = 20.0
 """Largest natural logarithm of (mass or kp / stated value) at which the equations of stands are
-evaluated. A larger trial step, for example with exchanged plugs, is rejected, since the equations
-overflow. Chosen, not tuned: a factor of 5e8 belongs to no robot.
+evaluated: with a larger value, the equations overflow. Chosen, not tuned: a factor of 5e8 belongs
+to no robot.
 """
 
 _MIN_DECREASE = 2e-3
@@ -1060,9 +960,9 @@ of command and position then does not determine the joint torque, and the comman
 Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
-"""Required distance of a joint from a position limit, in standard deviations of the encoder offset.
-Planned stands keep this distance. In measured stands, a joint within this distance (plus
-`_STOP_MARGIN`) may be at a mechanical stop, and the command is not used. Chosen, not tuned.
+"""Distance of a joint from a position limit at which no mechanical stop is expected to carry load,
+in
+standard deviations of the encoder offset. Chosen, not tuned.
 """
 
 
@@ -1071,8 +971,7 @@ def _get_encoder_offsets(
 ) -> tuple[Array, Array]:
     """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad, m] each.
 
-    The values are taken from the posterior, or from the prior if the posterior is None. Mean and
-    standard deviation of an offset that is not estimated are 0.
+    They are those of the prior if ``posterior`` is None, and 0 for an offset that is not estimated.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
@@ -1085,22 +984,10 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without the commands that do not determine a torque, and notes on these.
+    """Return the stands with NaN for commands that determine no torque, and notes.
 
-    These commands are replaced by NaN:
-
-    - commands of joints that may rest on a stop (near a limit, within the uncertainty of the
-      encoder offsets)
-    - commands of motors at the torque limit, where the servo error may have any size
-
-    If there are no commands, a note reports this.
-
-    Args:
-        robot: Robot.
-        stands: Measured stands.
-        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
-        offsets: Encoder offsets, shape (nu,) [rad, m].
-        offset_std: Standard deviations of the encoder offsets, shape (nu,) [rad, m].
+    Examples are commands of joints near a limit and of motors at the torque limit. The arrays have
+    the shape (nu,), ``kp`` in [N m/rad, N/m], ``offsets`` and ``offset_std`` in [rad, m].
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (
@@ -1136,10 +1023,10 @@ motor counts as saturated. Chosen, not tuned.
 def _make_scale_residual(
     robot: Robot, table: ParameterTable, weight: float | None
 ) -> Callable[[Array], LinearisedResiduals]:
-    """Return a function that linearises the residual (total mass - ``weight`` [kg]) / std.
+    """Return a function that linearises (total mass - ``weight`` [kg]) / standard deviation.
 
-    The standard deviation std is `SCALE_RTOL` times ``weight``. The argument of the function is a
-    parameter vector, shape (n,). If ``weight`` is None, the function returns no residual.
+    The argument of the function is a parameter vector, shape (n,). Without a weight, the function
+    returns no residual.
     """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.
@@ -1159,11 +1046,9 @@ def _make_scale_residual(
 
 
 _MAX_DEPTH_STDS = 1.0
-"""Upper bound of the depth below the ground of a foot that the measurements list as in the air, in
-standard deviations of the foot's height. The height of the lowest contact point is computed from
-the measured joint positions. A larger depth is an error, because the list contradicts the
-positions. The bound is not 0, because a foot of v3 in the air may sag to within a millimetre of the
-ground. Chosen, not tuned.
+"""Largest depth below the ground of a foot that the measurements list as in the air, in standard
+deviations of the foot's height. The bound is not 0, because a foot of v3 in the air may sag to
+within a millimetre of the ground. Chosen, not tuned.
 """
 
 
@@ -1173,21 +1058,13 @@ def _check_foot_loads(
     equations: StandEquations,
     posterior: Posterior | None = None,
 ) -> None:
-    """Check that no carrying foot has to pull, and no foot in the air is below the ground.
+    """Check that no carrying foot has to pull, and that no foot in the air is below the ground.
 
-    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. Base poses and contact forces are
-    those that ``equations`` has stored.
-
-    Args:
-        robot: Robot.
-        stands: Measured stands.
-        equations: Equations of the stands.
-        posterior: Distribution of the parameters. If None, the stated parameters are used, with the
-            prior of the encoder offsets.
+    If ``posterior`` is None, the stated parameters are used. The contact forces are those that
+    ``equations`` has stored.
 
     Raises:
-        MeasurementError: For the foot in the air that is the deepest (in standard deviations) below
-            the ground. Without such a foot, for the carrying foot with the largest pull.
+        MeasurementError: For one contradiction.
     """
     table = equations.table
     mean = table.stated if posterior is None else posterior.mean
@@ -1256,8 +1133,7 @@ class LogCoordinates:
     def to_parameters(self, coordinates: Array) -> Array:
         """Convert coordinates y of the fit, shape (n,), to physical parameters x, shape (n,).
 
-        Masses and kp with the stated value x0: x = x0 exp(y / x0 - 1). Other parameters: x = y. The
-        inverse is `from_parameters`.
+        Masses and kp with the stated value x0: x = x0 exp(y / x0 - 1). Other parameters: x = y.
         """
         return np.where(self._factors, self._stated * self.compute_rates(coordinates), coordinates)
 
@@ -1265,7 +1141,6 @@ class LogCoordinates:
         """Convert physical parameters x, shape (n,), to the coordinates y of the fit, shape (n,).
 
         Masses and kp with the stated value x0: y = x0 (1 + log(x / x0)). Other parameters: y = x.
-        Each y has the unit of the parameter. The inverse is `to_parameters`.
         """
         coordinates, stated = vector.copy(), self._stated[self._factors]
         coordinates[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
@@ -1360,11 +1235,9 @@ def scale_common_widths(
 ) -> ParameterTable:
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
-    Parameters of the kind ``moment`` are the part of the moments on a foot that is equal in all
-    stands. Parameters of the kind ``settling`` are the one-sided part of the dry friction in stands
-    with a known mass. The prior widths are multiplied by the ratio of estimated to expected random
-    noise. For ``settling`` the factor is at least 1, because low random noise does not imply low
-    one-sided friction.
+    The common part of the foot moments (``moment``) and the one-sided part of the dry friction
+    (``settling``) scale with the ratio of estimated to expected random noise; ``settling`` at least
+    by 1, because low random noise does not imply low one-sided friction.
 
     Args:
         table: Parameters.
@@ -1383,16 +1256,15 @@ def estimate_noise(
 ) -> StandNoise:
     """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
-    The noise levels maximise the evidence: the probability of the measurements, with the parameters
-    integrated out. The evidence is multiplied by a log-normal prior about the expected levels. The
-    search is a Nelder-Mead simplex with at most `_MAX_EVALUATIONS` evaluations. Each level has a
-    lower bound. The encoder noise is not estimated.
+    The noise levels maximise the evidence (probability of the measurements, with the parameters
+    integrated out) times a log-normal prior about the expected levels. The search is a Nelder-Mead
+    simplex. The encoder noise is not estimated.
 
     Args:
         equations: Equations of the stands, with the expected noise.
         posterior: Distribution with the expected noise; the residuals are linearised at the mean.
         scale_residual: Function of the parameters, shape (n,), that returns the residual of the
-            robot's mass from the weighed mass (`_make_scale_residual`).
+            robot's mass from the weighed mass.
         friction_ratio: Expected factor on the stated dry friction.
     """
     from scipy import optimize  # slow to import
@@ -1402,10 +1274,7 @@ def estimate_noise(
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:
-        """Scale the expected noise of moment, flatness and friction by exp(log_levels), shape (3,).
-
-        Each level has a lower bound.
-        """
+        """Scale the expected moment, flatness and friction noise by exp(log_levels), shape (3,)."""
         moment, flatness, friction = np.exp(log_levels)
         return replace(
             expected,
