@@ -48,8 +48,8 @@ _SHARED_OPTIONS = {field.name for field in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-"""Names of the parameters of ``fit`` that all modes accept, with one exception: ``--record`` and
-``--listen`` do not accept ``priors`` and ``kp``.
+"""Names of the parameters of ``fit`` that the modes accept, with a few exceptions
+(`_MODE_OPTIONS`).
 """
 _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
@@ -303,21 +303,7 @@ most parameters keep their prior standard deviation."""
 def _read_measurements(
     stands: Path | None, logs: tuple[Path, ...], hold_out: tuple[str, ...]
 ) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
-    """Read the measurements of a fit, and select the held-out measurements.
-
-    Args:
-        stands: File of stands; None: ``logs`` are read.
-        logs: Files of logs.
-        hold_out: Values of ``--hold-out``: files of logs, or a single share.
-
-    Returns:
-        Measurements: stands or logs. Held-out measurements: share of each log [1], or logs; None
-        without ``--hold-out``.
-
-    Raises:
-        ConfigurationError: If a share is 1 or more or not the only value.
-        MeasurementError: If a file cannot be read, or is no list of stands or no log.
-    """
+    """Return stands or logs, and the held-out part: a share of each log [1], logs, or None."""
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 
@@ -341,20 +327,17 @@ _MEASURING_OPTIONS = (
     "--added",
     "--added-at",
 )
-"""Options of the current command that are not repeated in the suggested next command. The next
-command records, fits stands, or is ``walk``. That command refuses the listed options, or specifies
-other values.
+"""Options of the current command that are not repeated in the suggested next command, which refuses
+these options, or specifies other values.
 """
 
 
 def _select_next_step(
     result: Fit | StandPlan | Recording | TraceRecording, output: Path | None
 ) -> NextStep | None:
-    """Return the command to run next, depending on the type of ``result``.
+    """Return the command to run next, depending on the type of ``result``, or None.
 
-    For example, a plan is followed by a recording of the planned stands, and a complete recording
-    by a fit. The result is None after an explained fit with an output folder. In this case
-    `command` proposes a command with the written files.
+    For example, a plan is followed by a recording of the planned stands.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -390,12 +373,7 @@ def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) 
 
 
 def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
-    """Record the stands of the file ``plan`` with the robot to which ``bridge`` connects.
-
-    Raises:
-        ConfigurationError: For example, if ``bridge`` or ``output`` is None, or the bridge cannot
-            be opened.
-    """
+    """Record the stands of the file ``plan`` with the robot to which ``bridge`` connects."""
     from pupper_analysis.tools.fit.record.bridge import open_bridge
     from pupper_analysis.tools.fit.record.recorder import record_stands
 
@@ -413,15 +391,7 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 def _record_policy(
     robot: Robot, seconds: float, output: Path | None, bridge: str | None
 ) -> TraceRecording:
-    """Record observations and actions of a policy on the robot for ``seconds`` [s].
-
-    The trace is written to ``output``.
-
-    Raises:
-        ConfigurationError: For example, if ``bridge`` or ``output`` is None.
-        MeasurementError: For example, if too few observations or actions are received.
-        OutputError: If the trace cannot be written.
-    """
+    """Record the observations and actions of a policy for ``seconds`` [s], to ``output``."""
     from pupper_analysis.tools.fit.record.listen import record_policy
 
     if bridge is None or output is None:
@@ -439,13 +409,10 @@ def _write_models(
     *,
     anyway: bool,
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Write a fit of the selected robot ``selection`` to a folder.
+    """Write a fit of the selected robot to a folder; return notes, and the paths of the models.
 
     A fit that does not explain the measurements is written only if ``anyway`` is True, with
-    inflated intervals.
-
-    Returns:
-        Notes on the written or refused files; paths of the models, empty if nothing was written.
+    inflated intervals. There are no paths if nothing was written.
     """
     from pupper_analysis.tools.fit.write import write_fit
 

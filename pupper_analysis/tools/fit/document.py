@@ -89,10 +89,7 @@ def describe_fit(
 
 
 def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Words]:
-    """Yield the text of the estimate that changed most, in posterior standard deviations.
-
-    The change is abs(mean - stated) / std. Nothing is yielded if no estimate has a positive std.
-    """
+    """Yield the text of the estimate that changed most, in posterior standard deviations."""
     changes = [
         (abs(estimate.mean - estimate.stated) / estimate.std, estimate)
         for estimate in estimates
@@ -116,9 +113,8 @@ def _make_estimate_table(
 ) -> doc.Table:
     """Create the table of estimates with intervals, a row per parameter.
 
-    If ``planned`` is True, the table belongs to a plan, before any measurement, and contains the
-    stated values and the half widths of the predicted intervals. If ``detail`` is True, the short
-    terminal view omits the table.
+    If ``planned`` is True, the intervals are predicted, before any measurement. If ``detail`` is
+    True, the short terminal view omits the table.
     """
     units = {
         estimate.unit: READ_IN.get(estimate.unit, (1.0, estimate.unit)) for estimate in estimates
@@ -150,11 +146,7 @@ def _make_estimate_table(
 
 @build_document.register(MotionFit)
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
-    """Create the report of a fit of model parameters to measured motions.
-
-    `build_document` calls this function for a `MotionFit`. The second argument, the robot, is part
-    of the common signature and not used.
-    """
+    """Create the report of a fit of model parameters to measured motions."""
     error, repeatability = _describe_errors(fit)
     details = (
         repeatability,
@@ -167,10 +159,7 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
-    """Yield the texts of RMS prediction error and repeatability of the measurements, in degrees.
-
-    The error belongs to held-out samples, or to the fitted samples without held-out samples.
-    """
+    """Yield the texts of RMS prediction error and repeatability of the measurements, in degrees."""
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",
@@ -208,11 +197,7 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
 
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
-    """Create the report of a fit of model parameters to measured stands.
-
-    `build_document` calls this function for a `StandFit`. The second argument, the robot, is part
-    of the common signature and not used.
-    """
+    """Create the report of a fit of model parameters to measured stands."""
     answer: tuple[doc.Words, ...] = (
         _describe_total_mass(fit.total_mass),
         *_describe_kp_factor(fit),
@@ -264,10 +249,7 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
     """Yield the text of the mean ratio of estimated to stated kp, if the fit estimates kp.
 
-    If the robot was not weighed and no known mass was added, kp and mass cannot be separated. A
-    second text then suggests measurements that separate kp from mass. If the data do not determine
-    the total mass, this text is left out here, because another function yields it beside the total
-    mass.
+    A second text may suggest measurements that separate kp from mass.
     """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)
@@ -294,11 +276,7 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
-    """Create the report of a measurement plan: stands, and predicted interval per parameter.
-
-    `build_document` calls this function for a `StandPlan`. The second argument, the robot, is part
-    of the common signature and not used.
-    """
+    """Create the report of a measurement plan: stands, and predicted interval per parameter."""
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
     expected = _make_estimate_table(
         text("what-stands-will-tell"), plan.expected, detail=True, planned=True
@@ -326,10 +304,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
-    """Yield the text of a plan's known mass [kg], with position [mm] and number of stands.
-
-    Nothing is yielded for a plan without a known mass.
-    """
+    """Yield the text of a plan's known mass [kg], with position [mm] and number of stands."""
     if (place := plan.place) is not None:
         loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)
@@ -346,11 +321,7 @@ def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
 
 
 def _make_stand_table(plan: StandPlan) -> doc.Table:
-    """Create the table of planned stands, a row per stand.
-
-    Columns: name, feet in the air, heading [degrees], known mass [kg], utilisation [%], and the
-    commanded joint positions [degrees or mm].
-    """
+    """Create the table of planned stands, a row per stand, with the commands [degrees or mm]."""
     scales = {
         joint: READ_IN["m" if joint in plan.slides else "rad"] for joint in plan.stands[0].command
     }
@@ -382,11 +353,7 @@ def _make_stand_table(plan: StandPlan) -> doc.Table:
 
 @build_document.register(Recording)
 def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
-    """Create the report of a recording of stands: recorded, existing and missing stands.
-
-    `build_document` calls this function for a `Recording`. The second argument, the robot, is part
-    of the common signature and not used.
-    """
+    """Create the report of a recording of stands: recorded, existing and missing stands."""
     counts = {
         "taken": len(recording.recorded_stands),
         "had": len(recording.existing_stands),
@@ -414,11 +381,7 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 
 @build_document.register(TraceRecording)
 def recorded_trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
-    """Create the report of a recorded policy: samples, and signals that were not received.
-
-    `build_document` calls this function for a `TraceRecording`. The second argument, the robot, is
-    part of the common signature and not used.
-    """
+    """Create the report of a recorded policy: samples, and signals that were not received."""
     summary = text(
         "trace-recorded",
         samples=str(recording.samples),

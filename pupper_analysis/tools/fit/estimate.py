@@ -19,48 +19,41 @@ from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, Parameter, ParameterTable
 
 _MAX_STEPS = 60
-"""Maximum number of Gauss-Newton steps of a minimisation. After this number, the minimisation fails
-unless the predicted further decrease of the cost is small (`_MAX_UNREALISED_DECREASE`,
-`_STALL_RTOL`). Chosen, not tuned.
-"""
+"""Maximum number of Gauss-Newton steps of a minimisation. Chosen, not tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
-"""Default tolerance of the cost chi2 + z^T P z. The vector z is the deviation from the stated
-values in prior widths, and P is the prior precision. The iteration has converged if the predicted
-decrease of the cost is below this tolerance. An accepted step may also fall short of the required
-decrease by this amount. A decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is
-a hundredth of a standard deviation. Chosen, not tuned.
+"""Default tolerance of the cost (chi2 plus prior): predicted decrease below which the iteration has
+converged. A decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of
+a standard deviation. Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.01
-"""Default upper bound of the ratio of predicted decrease to cost. Below the bound, a stalled
-minimisation ends without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen,
-not tuned.
+"""Default upper bound of the ratio of predicted decrease to cost with which a stalled minimisation
+ends without error. Chosen, not tuned.
 """
 
 _MAX_STALL_RATIO = 0.25
-"""Upper bound of the ratio of actual decrease to the predicted decrease of the undamped step. Up to
-the bound, an accepted step with a small decrease of the cost (`min_relative_decrease` of
-`estimate_parameters`) is a stall. Chosen, not tuned.
+"""Upper bound of the ratio of actual decrease to the predicted decrease of the undamped step, up to
+which slow progress (`min_relative_decrease` of `estimate_parameters`) is a stall. Chosen, not
+tuned.
 """
 
 _MIN_DECREASE_RATIO = 0.1
-"""Required ratio of actual to predicted decrease of the cost. A step is accepted if the actual
-decrease is at least this ratio times the predicted decrease, minus `_MIN_PREDICTED_DECREASE`.
-Otherwise the step is corrected (`_MAX_CORRECTIONS`), or the damping is raised. Chosen, not tuned.
+"""Required ratio of actual to predicted decrease of the cost, with which a step is accepted
+(`_find_decrease`). Chosen, not tuned.
 """
 
 _MAX_CORRECTIONS = 2
-"""Maximum number of second-order corrections of an undamped step. A step that decreases the cost
-too little is corrected. Corrections are useful since the cost has curved valleys: for example,
-inertia is quadratic in CoM displacements. Chosen, not tuned.
+"""Maximum number of second-order corrections of an undamped step that decreases the cost too
+little.
+Corrections are useful since the cost has curved valleys: for example, inertia is quadratic in CoM
+displacements. Chosen, not tuned.
 """
 
 _MAX_UNREALISED_DECREASE = 1.0
-"""Upper bound of the predicted decrease of the cost (chi2 plus prior) at the end of a stalled
-minimisation (`estimate_parameters`). Below the bound, the minimisation ends without error, and the
-last undamped step widens the covariance. A decrease of 1 corresponds to a standard deviation.
-Chosen, not tuned.
+"""Upper bound of the predicted decrease of the cost (chi2 plus prior) with which a stalled
+minimisation ends without error. A decrease of 1 corresponds to a standard deviation. Chosen, not
+tuned.
 """
 
 _MIN_DAMPING = 1e-3
@@ -140,8 +133,7 @@ class LinearisedResiduals:
         """Compute the log marginal likelihood of the measurements, up to a constant.
 
         The marginal likelihood is the likelihood, integrated over the parameters under the prior.
-        The residuals are assumed to be linear in the parameters. The constant depends on the number
-        of residuals and on the correlation of the prior.
+        The residuals are assumed to be linear in the parameters.
 
         Args:
             table: Parameters.
@@ -224,8 +216,7 @@ class Posterior:
         """Expected value of ``chi2``: number of residuals minus effective number of parameters.
 
         The effective number of parameters is n - trace((P + J)^-1 P), with n parameters, prior
-        precision P and information J of the measurements. This number counts the parameters that
-        the measurements determine.
+        precision P and information J of the measurements.
         """
         n = len(self.mean)
         covariance = np.linalg.inv(self.precision + self.information)
@@ -249,25 +240,19 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    Step: each step minimises the linearised cost chi2 + prior within the lower bounds
-    (`_QuadraticCost.compute_step`).
+    Step: each step minimises the linearised cost chi2 + prior within the lower bounds.
 
     Acceptance: the cost must decrease by at least 10 % of the predicted decrease, minus
-    `_MIN_PREDICTED_DECREASE`. Otherwise an undamped step gets up to two second-order corrections,
-    and the step is then repeated with more damping.
+    `_MIN_PREDICTED_DECREASE`. Otherwise the step is corrected to second order, or damped more.
 
     Convergence: the predicted decrease of the undamped step is below ``min_decrease``.
 
-    Stall: no step is accepted up to `_MAX_DAMPING`, an accepted step decreases the cost by at most
-    ``min_decrease``, or 60 steps are done. Also if an accepted step decreases the cost by at most
-    ``min_relative_decrease`` times the cost, and by at most a quarter of the predicted decrease.
-    The cause may be jumps of the cost, for example in a simulation of joints that stick and slip. A
-    stalled iteration gives a result if the predicted decrease is below 1, or below ``stall_rtol``
-    times the cost. The covariance of this result is widened by the outer product of the undamped
-    step, and the result contains the predicted decrease. If the predicted decrease is larger, the
-    iteration continues from the accepted step, up to 60 steps.
+    Stall: the cost hardly decreases, although a decrease is predicted. The cause may be jumps of
+    the cost, for example in a simulation of joints that stick and slip. A stalled iteration gives a
+    result if the predicted decrease is below 1, or below ``stall_rtol`` times the cost. The
+    covariance of this result is widened by the outer product of the undamped step.
 
-    Noise: the noise of the residuals may depend on the parameters, for example encoder noise times
+    Noise: the noise of the residuals may depend on the parameters; for example, encoder noise times
     kp is a noise of torques. The noise is evaluated at the last parameters and not differentiated.
     Otherwise the minimisation would prefer parameters with large noise.
 
@@ -282,9 +267,7 @@ def estimate_parameters(
         stall_rtol: Largest predicted decrease of a stalled result, relative to the cost.
 
     Raises:
-        FitError: If the iteration does not converge, and gives no result after a stall. Also if the
-            gradient or the information of the cost is not finite, or the information is not
-            positive definite.
+        FitError: If the iteration does not converge, for example because the cost has no minimum.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if lower_bounds is None:
@@ -346,11 +329,7 @@ class _QuadraticCost:
 
     @property
     def has_minimum(self) -> bool:
-        """Whether this quadratic model has a minimum.
-
-        A minimum exists if the gradient and the Hessian (information matrix) are finite, and the
-        Hessian is positive definite.
-        """
+        """Whether this quadratic model has a minimum: a finite, positive definite Hessian."""
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:
@@ -360,13 +339,10 @@ class _QuadraticCost:
         return True
 
     def compute_step(self, damping: float) -> Array:
-        """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
+        """Return the step, shape (n,), in units of the prior widths, to the damped cost's minimum.
 
-        The step minimises the damped quadratic cost within the lower bounds.
-
-        Args:
-            damping: Damping factor [1]. The product of ``damping`` and the diagonal of the
-                posterior information is added to the posterior information.
+        The step respects the lower bounds. Damping [1] times the diagonal of the posterior
+        information is added to the posterior information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
         damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))
@@ -391,12 +367,9 @@ class _QuadraticCost:
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
         """Return the normal distribution with the parameters ``x`` as the mean.
 
-        The covariance is the inverse of the posterior information. The outer product of
-        ``unrealised_step``, if given, is added.
-
-        Args:
-            unrealised_step: Predicted step, shape (n,), in units of the prior widths, that did not
-                decrease the cost as predicted.
+        The covariance is the inverse of the posterior information, plus the outer product of
+        ``unrealised_step``, shape (n,), in units of the prior widths: a step that did not decrease
+        the cost as predicted.
         """
         width = self.table.width
         covariance = np.linalg.inv(self.posterior_information)
@@ -423,13 +396,9 @@ def _find_decrease(
 ) -> tuple[tuple[Array, float] | None, float]:
     """Find a step that decreases the cost enough (`_MIN_DECREASE_RATIO`), with growing damping.
 
-    ``linearise`` has two arguments: the parameters at which the residuals are linearised, and the
-    parameters at which the noise is evaluated.
-
     Returns:
-        Pair of the accepted parameters and the decrease of the cost, or None without an accepted
-        step; damping of the next step. The decrease may be negative, by at most
-        ``_MIN_PREDICTED_DECREASE``.
+        Accepted parameters and decrease of the cost, or None without an accepted step; damping of
+        the next step. The decrease may be slightly negative.
     """
     table, x = cost.table, cost.x
     while damping <= _MAX_DAMPING:

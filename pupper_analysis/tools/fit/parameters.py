@@ -179,9 +179,8 @@ _PRIOR_PATTERN = re.compile(
 
 
 _MIN_PRIOR_WIDTH = 1e-9
-"""Exclusive lower bound of the prior width that a user enters as ``KIND=VALUE[UNIT]``, in the
-entered unit. A width of 0 is also accepted. The exclusive upper bound is the reciprocal of this
-value. Widths outside the bounds are refused. Chosen, not tuned.
+"""Lower bound of a nonzero prior width that a user enters as ``KIND=VALUE[UNIT]``, in the entered
+unit. The upper bound is the reciprocal. Chosen, not tuned.
 """
 
 
@@ -235,12 +234,9 @@ def apply_priors(
 ) -> tuple[Parameter, ...]:
     """Create the parameters of a fit with prior standard deviations (widths).
 
-    The last matching prior determines the width of a parameter. Without a matching prior, the width
-    is the default of the kind. Parameters are left out in two cases:
-
-    - The width is 0: the stated value counts as exact. An example is the prior ``kp=0``. The
-      default width of a mass is relative, so that the width is 0 for a stated mass of 0.
-    - The width is negative or NaN.
+    The last matching prior determines the width of a parameter; by default the kind. A parameter
+    whose width is not positive is left out: the stated value counts as exact, for example with the
+    prior ``kp=0``.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible
@@ -330,10 +326,9 @@ class ParameterTable:
             components: Components of each subject.
 
         Returns:
-            Two lists of equal length. The first list contains the positions of the estimated
-            parameters in the list of all pairs: all components of the first subject, followed by
-            all components of the next subject. The second list contains the indices of the same
-            parameters in the parameter vector.
+            Two lists of equal length: the positions of the estimated parameters among all pairs of
+                subject and component (component varies fastest), and their indices in the parameter
+                vector.
         """
         keys = [(kind, subject, component) for subject in subjects for component in components]
         indices = [*map(self._indices.get, keys)]
@@ -373,9 +368,6 @@ class ParameterTable:
 
         Values that are not estimated are taken from ``stated``. The CoM is in the frame of
         ``stated``.
-
-        Returns:
-            Mass [kg]; CoM, shape (3,) [m].
         """
         mass = self.get_value(vector, "mass", link, "", stated.mass)
         return mass, self.get_com(vector, link, stated.lever)
@@ -418,9 +410,8 @@ AXES = ("x", "y", "z")
 def find_moved_link(model: pin.Model, number: int) -> str:
     """Return the URDF link that a Pinocchio joint moves.
 
-    If fixed joints connect several links, the result is the first link whose frame coincides with
-    the joint frame. If no frame coincides, the result is the first of the connected links. The
-    order is that of the model's frames.
+    If fixed joints connect several links, a link whose frame coincides with the joint frame is
+    preferred.
 
     Args:
         model: Pinocchio model.
@@ -438,8 +429,7 @@ def find_moved_link(model: pin.Model, number: int) -> str:
 def list_bodies(robot: Robot) -> tuple[tuple[str, int], ...]:
     """Return link name and Pinocchio joint index of each moving body that has mass.
 
-    A body consists of all links that fixed joints connect. The name of a body is the link name that
-    ``find_moved_link`` returns.
+    A body consists of all links that fixed joints connect (`find_moved_link`).
     """
     model = robot.structure.model
     return tuple(

@@ -207,10 +207,9 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
     Measured joint positions determine this ratio.
 
     - Factor on kp: geometric mean of estimated kp / stated kp over the joints.
-    - Factor on the carried mass: (1 + load) (sum of estimated masses) / (sum of the stated values
-      of these masses). The load is the force on the feet in excess of the weight of the masses, as
-      a fraction of the weight. If no mass is estimated, the ratio of masses is 1. If the load is
-      not estimated, the load is 0.
+    - Factor on the carried mass: (1 + load) (sum of estimated masses) / (sum of their stated
+    values). The load is the force on the feet in excess of the weight of the masses, as a fraction
+    of the weight.
 
     Args:
         posterior: Distribution of the parameters.

@@ -76,8 +76,7 @@ class FitFiles:
 def _round_parameters(vector: Array, posterior: Posterior) -> Array:
     """Return the parameters ``vector``, shape (n,), rounded according to their standard deviations.
 
-    `_EXTRA_DIGITS` digits beyond the first digit of the standard deviation remain. A parameter
-    within `_UNCHANGED_STDS` standard deviations of the stated value gets that value.
+    A parameter very near the stated value gets that value (`_UNCHANGED_STDS`).
     """
     return np.array(
         [
@@ -94,22 +93,10 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
 def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
 ) -> tuple[dict[PropertyKey, float | Array], list[Diagnostic]]:
-    """Collect the fitted values to write to the model files, and notes on omitted values.
+    """Collect the changed values to write to the model files, and notes on omitted values.
 
-    These values are left out:
-
-    - values within `_UNCHANGED_STDS` standard deviations of the value of the model
-    - parameters of kinds that no robot file contains, such as encoder offsets
-    - servo gains and armatures that the files of this robot cannot state
-
-    Args:
-        robot: Robot, with the values of the files.
-        posterior: Distribution of the parameters.
-        vector: Fitted values of the parameters of ``posterior``, shape (n,).
-
-    Returns:
-        {(kind, link or joint): fitted value}, and a note for each changed servo gain or armature
-        that the files cannot state.
+    ``vector`` contains the fitted values, shape (n,). The result has the keys (kind, link or
+    joint).
     """
     numbers: dict[PropertyKey, float | Array] = {}
     notes: list[Diagnostic] = []
@@ -146,9 +133,7 @@ def _set_com_component(
 ) -> None:
     """Set a component of a link's CoM [m] in ``numbers``, the fitted values to write to the files.
 
-    If ``numbers`` does not contain the CoM of the link yet, the other components are the values of
-    the robot's model. The CoM is that of all links that are fixed together, in the frame of the
-    Pinocchio joint that moves the links.
+    The CoM is that of all links that are fixed together, in the frame of their Pinocchio joint.
     """
     model = robot.pin_model
     joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
@@ -158,13 +143,7 @@ def _set_com_component(
 
 
 def _format_factor_name(parameter: Parameter, value: float) -> str:
-    """Return the name of the variable of `study` that changes a fitted parameter.
-
-    The result is empty in two cases:
-
-    - `study` has no variable for this kind of parameter.
-    - The variable is a factor, and ``value`` is 0.
-    """
+    """Return the name of the variable of `study` for a fitted parameter; empty if there is none."""
     if parameter.kind == "com":
         return f"com_{parameter.component}:{escape(parameter.subject)}"
     kind = "frictionloss" if parameter.kind == "friction" else parameter.kind
@@ -187,21 +166,15 @@ def draw_samples(
 
     All parameters of a robot are drawn jointly. Independent draws would give robots that the
     measurements exclude: measurements determine, for example, the total mass, but hardly the
-    distribution of the mass over the links.
-
-    The distribution is modified as follows:
-
-    - A robot with a mass or kp of at most 10 % of the written value is drawn again.
-    - Factors of other kinds (friction, damping, armature) are clipped at 0.
-    - Masses are normally distributed. Log-normal masses would bias the total mass (in a fit of v3
-      2.957 instead of 2.787 kg).
-    - If the mass of a body is a parameter, the CoM deviation of the body is multiplied by written
-      mass / drawn mass, because gravity depends on mass times CoM position.
+    distribution of the mass over the links. The distribution is truncated where values are
+    impossible. Masses are normally distributed: log-normal masses would bias the total mass (in a
+    fit of v3 2.957 instead of 2.787 kg). A CoM deviation is divided by the drawn factor on the
+    body's mass, because gravity depends on mass times CoM position.
 
     Args:
         posterior: Distribution of the parameters.
         vector: Parameter values as written to the corrected model files, shape (n,).
-        count: Number of robots. Fewer are returned if 100 rounds of this number do not suffice.
+        count: Number of robots. Fewer are returned if too many draws are rejected.
         seed: Seed of the generator.
 
     Returns:
@@ -236,19 +209,14 @@ def draw_samples(
 
 
 _MAX_DRAW_ROUNDS = 100
-"""Upper bound of the rounds in which the requested number of random robots is drawn. A round
-rejects robots by `_MIN_FACTOR`. If the rounds do not suffice, fewer samples are returned. Chosen,
-not tuned.
+"""Upper bound of the rounds in which random robots are drawn until the requested number is
+accepted.
+Chosen, not tuned.
 """
 
 _MIN_FACTOR = 0.1
-"""Lower bound of masses and kp, as a fraction of a reference value. Two steps use the bound:
-
-- Before an estimate is written, a smaller value is raised to this fraction of the stated value.
-- A robot drawn at random from the fitted distribution is rejected if a mass or kp is at most this
-  fraction of the written value.
-
-Chosen, not tuned.
+"""Lower bound of masses and kp that are written or sampled, as a fraction of the stated value or of
+the written value. Chosen, not tuned.
 """
 
 
@@ -271,17 +239,9 @@ def _format_json(
     messages: tuple[Diagnostic, ...],
     fit: object,
 ) -> bytes:
-    """Return the content of ``fit.json``.
+    """Return the content of ``fit.json``: files, parameters, covariance, edits, notes and fit.
 
-    The JSON object contains:
-
-    - paths of the written models, and hashes of the written files
-    - parameters, each with mean, standard deviation, 95 % interval and rounded value (from
-      ``vector``)
-    - covariance of the parameters
-    - edits of the model files
-    - notes ``messages``
-    - ``fit``, if not None
+    ``vector`` contains the rounded parameter values, shape (n,).
     """
     rows = [
         {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
@@ -379,8 +339,7 @@ def write_fit(
 def _read_own_hashes(folder: Path) -> dict[str, str]:
     """Read the hashes of the models that an earlier fit wrote to a folder: {relative path: hash}.
 
-    The hashes are read from ``fit.json`` in the folder. The result is empty if this file cannot be
-    read or contains no hashes.
+    The result is empty if they cannot be read.
     """
     try:
         document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, rewritten=True))

@@ -37,9 +37,7 @@ joints at 1 kHz, with 9 characters per number, have this size. Chosen, not tuned
 """
 
 _CELL_SEPARATORS = (",", ";", "\t")
-"""Possible separators of cells. The separator of a file is the most frequent separator in the first
-line that is not empty.
-"""
+"""Possible separators of cells; the most frequent in the header is used."""
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 """Start of a number with a decimal comma, up to the comma; the group is the integer part."""
@@ -120,14 +118,7 @@ def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Column
 
 
 def _parse_csv(source: str, text: str, known: Sequence[MeasurementColumn]) -> Columns:
-    """Parse the text of a CSV file with the columns ``known``.
-
-    ``source`` is the path of the file, for error messages.
-
-    Raises:
-        MeasurementError: For example, if a column is unknown, is repeated or has an unknown unit,
-            or if a cell is not a number.
-    """
+    """Parse the text of a CSV file with the columns ``known``; ``source`` is the path."""
     empty = "".join(_CELL_SEPARATORS) + " "
     header_line = next((line for line in text.splitlines() if line.strip(empty)), "")
     separator = max(_CELL_SEPARATORS, key=header_line.count)
@@ -163,14 +154,7 @@ def _parse_numbers(
 ) -> Array:
     """Return the numbers of a column's cells, shape (n,), in the file's unit; NaN if missing.
 
-    Args:
-        source: Path of the file, for error messages.
-        name: Header of the column, for error messages.
-        cells: Cells of the column, without surrounding blanks.
-        body: (line number, cells) of each row, for error messages.
-
-    Raises:
-        MeasurementError: If a cell is not a finite number and not a missing value.
+    ``body`` contains (line number, cells) of each row, for error messages.
     """
     try:  # fast path: all cells are numbers
         values = np.array(cells, dtype=float)
@@ -196,10 +180,7 @@ def _match_columns(
 
     Yields:
         Name without the unit; definition of the column; factor from the unit of the file to the SI
-        unit (1 without a unit).
-
-    Raises:
-        MeasurementError: If a column is unknown or repeated, or the unit is unknown.
+        unit.
     """
     names = set()
     for text in header:

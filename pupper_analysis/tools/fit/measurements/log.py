@@ -24,9 +24,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
 _MIN_JUMP = 0.5
-"""Lower bound of a clock jump [s]. The clock has jumped if the time between two samples exceeds
-this bound and also ten median intervals. A jump ends a run, which is a part of a log without jumps.
-Chosen, not tuned.
+"""Lower bound of a clock jump between two samples [s], if ten median intervals are shorter. A jump
+ends a run, which is a part of a log without jumps. Chosen, not tuned.
 """
 
 MIN_SAMPLES = 100
@@ -136,16 +135,9 @@ def make_log(
 
 
 def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
-    """Check that a log has enough samples, and that the sample times [s] increase.
+    """Check that a log has enough samples, and that the sample times [s], shape (n,), increase.
 
-    Args:
-        source: File of the log, for error messages.
-        time: Sample times, shape (n,) [s]; NaN if missing.
-        lines: Line number of each sample in the file, shape (n,).
-
-    Raises:
-        MeasurementError: If samples are fewer than `MIN_SAMPLES`, a time is missing, or a time is
-            not larger than the time before.
+    ``lines`` are the line numbers of the samples in the file ``source``, for errors.
     """
     if len(time) < MIN_SAMPLES:
         error = diagnose("log-too-short", samples=len(time), least=MIN_SAMPLES)

@@ -26,9 +26,8 @@ that samples are missing. Chosen, not tuned.
 """
 
 _MIN_JOINT_RANGE = 2e-3
-"""Largest range of positions [rad, m] with which a joint counts as at rest. The bound is three
-encoder steps if three steps are larger. The constant also bounds the standard deviation of
-positions: the comparison of units leaves out joints with at most this deviation. Chosen, not tuned.
+"""Largest range of positions [rad, m] with which a joint counts as at rest, unless the encoder is
+coarse. Chosen, not tuned.
 """
 
 _MAX_REACH_RATIO = 2.0
@@ -41,24 +40,24 @@ _DEGREES_PER_RADIAN = 180 / np.pi
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
 """Bounds of the median ratio, over the joints, between the standard deviations of commands and
-positions. If the ratio is outside the bounds, commands and positions probably have different units,
-and the log is refused. With degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not
+positions in equal units. With degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not
 tuned.
 """
 
 _MAX_SWAPPED_CORRELATION = -0.1
-"""Upper bound of two correlations if commands and positions are swapped. The servo error (command -
-position) is correlated with the changes of the position between samples, and with the changes of
-the command. If both correlations are below this bound, the columns are probably swapped. A servo
-supplies the energy that friction dissipates, so a correlation is usually positive in correct
+"""Upper bound of two correlations if commands and positions are swapped: of the servo error
+(command -
+position) with the changes of the position between samples, and with the changes of the command. A
+servo supplies the energy that friction dissipates, so a correlation is usually positive in correct
 columns. Measured in simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are
 swapped.
 """
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that the check for swapped columns allows for. The offset changes the
-energy balance of a motion if start and end positions differ. The value is about three standard
-deviations of the default prior of offsets (2 deg).
+energy
+balance of a motion if start and end positions differ. About three standard deviations of the
+default prior of offsets (2 deg).
 """
 
 _MAX_OPPOSED_CORRELATION = -0.7
@@ -67,21 +66,21 @@ wrong. A delay of a quarter period gives 0, and servos are not slower. Chosen, n
 """
 
 _MIN_OWN_CORRELATION = 0.5
-"""Lower bound of the correlation of the positions and commands of a joint. Below the bound, the
-column of positions may belong to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
+"""Correlation of the positions and commands of a joint below which the column of positions may
+belong
+to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
 """
 
 _MIN_OTHER_CORRELATION = 0.9
-"""Upper bound of the correlation of the positions of a joint with the commands of another joint.
-Above the bound, the positions are reported as the column of the other joint, if the correlation
-with the joint's own commands is also below `_MIN_OWN_CORRELATION`. The second condition is needed,
-since both correlations are high for similar commands. Chosen, not tuned.
+"""Correlation of the positions of a joint with the commands of another joint above which the column
+may belong to the other joint. The correlation with the own commands must also be low
+(`_MIN_OWN_CORRELATION`), since both are high for similar commands. Chosen, not tuned.
 """
 
 _MAX_INTERVAL_DEVIATION = 0.3
-"""Upper bound of the ratio of the standard deviation of the sampling intervals, without gaps
-(`_MAX_GAP_RATIO`), to the median of all intervals. Above the bound, the intervals are reported as
-uneven. Measured with a late scheduler: 0.01 to 0.1.
+"""Upper bound of the standard deviation of the sampling intervals, without gaps, divided by the
+median
+interval. Above the bound, the intervals are uneven. Measured with a late scheduler: 0.01 to 0.1.
 """
 
 _MAX_INTERVAL = 0.1
@@ -111,10 +110,9 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
 
 
 def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Yield remarks on a log whose columns are in actuator order.
+    """Yield remarks on a log (errors, warnings, notes) that contains the joints ``joints``.
 
-    The remarks are errors, warnings and notes, for example on slow sampling, degrees instead of
-    radians, exchanged or resting joints. ``joints`` are the joints that the log contains.
+    The columns are in actuator order.
     """
     indices = [robot.joint_names.index(name) for name in joints]
     position, command = log.position[:, indices], log.command[:, indices]
@@ -166,15 +164,8 @@ def _check_clock(log: Log) -> Iterator[Diagnostic]:
 def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield diagnostics on joints whose measured position follows the wrong command.
 
-    The first diagnostic lists joints whose position correlates with the command of another joint.
-    The second diagnostic lists joints whose position correlates negatively with the command of the
-    same joint. A diagnostic without joints is left out. With fewer than ten complete samples there
-    are no diagnostics.
-
-    Args:
-        robot: Robot.
-        log: Measured commands and positions.
-        moving: Indices of the joints that are compared.
+    Examples are the command of another joint, and the own command with the opposite sign.
+    ``moving`` are the indices of the compared joints.
     """
     command, position = log.command[:, moving], log.position[:, moving]
     rows = (np.isfinite(command) & np.isfinite(position)).all(axis=1)
@@ -206,15 +197,11 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield a diagnostic that lists the joints whose command follows the position.
 
-    The columns of commands and positions of the listed joints are probably swapped. The diagnostic
-    is a warning if at most half of the moving joints are listed, otherwise an error. Joints with
-    fewer than ten complete samples are left out.
-
     A servo supplies the energy that friction dissipates. Therefore the integral of (command -
     position) d position over a motion is usually positive. With swapped columns this integral is
-    usually negative, and also the integral of (command - position) d command. A joint is listed if
-    both integrals are clearly negative (`_MAX_SWAPPED_CORRELATION`). A single integral may be
-    negative because the load of the servo differs between start and end.
+    usually negative, and also the integral of (command - position) d command. Both are tested,
+    because a single integral may be negative if the load of the servo differs between start and
+    end.
     """
     backwards = []
     for index in moving:
@@ -276,8 +263,7 @@ def find_degrees(
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
     """Compare the units of two column groups: median over joints of std(first) / std(second) [1].
 
-    Both arrays have the shape (n, joints); NaN is ignored. Joints are left out if ``first`` is
-    constant, or if std(second) is at most `_MIN_JOINT_RANGE`. None if no joint remains.
+    Both arrays have the shape (n, joints); NaN is ignored. None if no joint is suited.
     """
     is_finite = np.isfinite(first) & np.isfinite(second)
     pairs = [
@@ -292,16 +278,14 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 def find_column_step(column: Array) -> float:
     """Estimate the step (resolution) of a joint's encoder from measured positions.
 
-    The positions are sorted, and the differences of successive positions are computed. The
-    `_MAX_TESTED_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested. The step is the
-    largest candidate of which all tested differences are multiples. Candidates are d / k with the
-    smallest difference d and k = 1 to `_MAX_PARTS`, not smaller than `_MIN_ENCODER_STEP`.
+    The step is about the largest number of which all small differences between sorted positions are
+    multiples.
 
     Args:
         column: Positions of a joint, shape (n,) [rad, m].
 
     Returns:
-        Step [rad, m]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
+        Step [rad, m]; 0 if no step is found, for example with fewer than `_MIN_STEPS` differences.
     """
     steps = np.diff(np.sort(column))
     steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_TESTED_STEPS]
@@ -331,14 +315,14 @@ rad.
 """
 
 _MULTIPLE_TOLERANCE = 0.05
-"""Tolerance of the ratio ``difference of two readings / encoder step``. The difference counts as a
-multiple of the step if the ratio deviates from a whole number by less than this tolerance. The
-tolerance covers rounding in the file. Chosen, not tuned.
+"""Tolerance with which (difference of two readings) / (encoder step) counts as a whole number:
+covers
+rounding in the file. Chosen, not tuned.
 """
 
 _MAX_TESTED_STEPS = 50
-"""Maximum number of differences between readings that are tested as multiples of an encoder step;
-the smallest differences are tested. A candidate step has the rounding error of the smallest
-difference, whose effect on the ratio grows with the tested difference. Fifty random differences are
-multiples of a candidate step with a probability of 1e-49. Chosen, not tuned.
+"""Maximum number of differences between readings that are tested as multiples of an encoder step. A
+candidate step has the rounding error of the smallest difference, whose effect on the ratio grows
+with the tested difference. Fifty random differences are multiples of a candidate step with a
+probability of 1e-49. Chosen, not tuned.
 """

@@ -24,8 +24,7 @@ from pupper_analysis.tools.fit.measurements.columns import Columns, MeasurementC
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
 
 MIN_STANDS = 3
-"""Smallest number of stands of a fit or a plan, and of the first ranking of wirings
-(`find_wiring`). Chosen, not tuned."""
+"""Smallest number of stands of a fit or a plan. Chosen, not tuned."""
 
 STAND_COLUMNS = (
     MeasurementColumn("stand", ""),
@@ -41,9 +40,9 @@ STAND_COLUMNS = (
 """Columns that a file of stands may contain."""
 
 _MAX_REPEAT_RANGE = 5e-3
-"""Largest range [rad, m] of a joint position in repeated readings of a stand. A larger range means
-that the robot moved, and the file is refused. The value exceeds the step of a 12-bit encoder,
-1.5e-3 rad.
+"""Largest range [rad, m] of a joint position in repeated readings of a stand; with a larger range,
+the
+robot moved. The value exceeds the step of a 12-bit encoder, 1.5e-3 rad.
 """
 
 
@@ -324,14 +323,10 @@ def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
 
 
 def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yield each link with a column of known masses, and the masses and positions in all stands.
+    """Yield each link with a column of known masses, and the masses and positions in m stands.
 
-    The second result has a row for each of m stands, shape (m, 4): mass [kg], and position in the
-    link frame [m]; zeros in a stand without mass.
-
-    Raises:
-        MeasurementError: If a mass is negative or lacks a coordinate of the position, or a link has
-            a column of positions and no column of masses.
+    The second result has the shape (m, 4): mass [kg], position in the link frame [m]; zeros without
+    mass.
     """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
@@ -352,8 +347,8 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 def estimate_encoder_step(stands: MeasuredStands) -> float:
     """Estimate the resolution of the joint encoders [rad, m] from measured positions.
 
-    `find_column_step` determines the step of each joint. The result is the median over the joints
-    with a step; 0 if at most half of the joints have a step.
+    The result is the median over the joints with a known step (`find_column_step`); 0 if at most
+    half of the joints have a step.
 
     Args:
         stands: Measured stands.

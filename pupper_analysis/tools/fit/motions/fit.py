@@ -78,7 +78,7 @@ def fit_motion(
     noise, which determines the intervals.
 
     Args:
-        robot: Robot. A free base is fixed at the pose in the MJCF.
+        robot: Robot. A free base is fixed.
         logs: Logs of the robot's motions.
         priors: Prior standard deviations, for example ``mass=50%`` or ``com:base=5mm``. With
             ``kp=0``, the stated kp is exact and is not estimated.
@@ -90,12 +90,10 @@ def fit_motion(
 
     Raises:
         ConfigurationError: If a prior, a gain or the fraction of ``hold_out`` is invalid.
-        FitError: If the iteration does not converge, or the cost has no minimum.
-        MeasurementError: If a log cannot be used or does not belong to this robot; if servo gains
-            are neither stated in a file nor passed; or if a log to be predicted repeats a fitted
-            motion.
-        ModelError: If a joint has no motor, or a motor is no position servo and kp and kd are not
-            both passed.
+        FitError: If no minimum is found; for example, the iteration does not converge.
+        MeasurementError: If a log cannot be used or does not belong to this robot, for example
+            because servo gains are unknown.
+        ModelError: If the servo gains of a joint are unknown, for example.
         UnknownNameError: If a log contains a joint that the robot lacks.
     """
     prior_list = parse_priors(priors)
@@ -142,12 +140,7 @@ def fit_motion(
 def _check_runs(
     robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[LogSegment]
 ) -> None:
-    """Check that there are samples to fit, and that joints of ``logs`` have commands and a servo.
-
-    Raises:
-        MeasurementError: If there are no samples to fit, or a joint lacks a stiffness, or has no
-            commands in a run.
-    """
+    """Check that there are samples to fit, and that logged joints have commands and a servo."""
     if not runs or not any(run.counts.any() for run in runs):
         source = logs[0].source if logs else robot.name
         raise MeasurementError(source, diagnose("nothing-to-fit"))
@@ -169,9 +162,6 @@ def _make_parameters(
 
     The damping kd of the servos is no parameter: an error of kd appears in the estimated damping of
     the joint, since both have the same effect.
-
-    Raises:
-        ConfigurationError: If a prior matches no parameter.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
@@ -199,12 +189,9 @@ def _make_parameters(
 def _report_motions(
     logs: Sequence[Log], notes: Iterable[Diagnostic], motion: MotionResiduals, posterior: Posterior
 ) -> MotionFit:
-    """Create the result of a fit from its distribution of the parameters (`posterior`).
+    """Create the result of a fit from the distribution of the parameters (`posterior`).
 
-    Each recorded run is simulated twice with a small time step: with the parameters of the files,
-    and with the estimates. The result contains the RMS position errors [rad, m] of both
-    simulations, for fitted and held-out samples. The covariance of the result is inflated if the
-    median ratio of error to encoder noise exceeds 1.
+    Position errors are predicted with small time steps, with stated and with estimated parameters.
     """
     robot = motion.simulator.robot
     errors: dict[tuple[str, str], list[Array]] = {}
@@ -253,14 +240,10 @@ def _report_motions(
 
 
 def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
-    """Return the distribution for a larger standard deviation of the measurement noise.
+    """Return the distribution for measurement noise that is ``noise_ratio`` times as large.
 
     Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
     directions. The prior is unchanged.
-
-    Args:
-        posterior: Distribution of the parameters.
-        noise_ratio: Factor on the standard deviation of the noise, at least 1.
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     sizes, inverse_square = np.outer(width, width), noise_ratio**-2
@@ -272,11 +255,10 @@ def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
 
 
 def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
-    """Compute the ratio of position error to encoder noise: median, and value of each joint (nu,).
+    """Return the ratio of position error to encoder noise: median, and values of shape (nu,).
 
-    A joint with constant readings has a noise of 0. The error of such a joint is divided by the
-    median noise of the other joints, or by `_MIN_NOISE_STD` if no joint has noise. The median
-    leaves out such joints, unless no joint has noise. NaN without measurements.
+    Constant readings contain no noise, so that a substitute noise is used. NaN without
+    measurements.
     """
     has_noise = noise > 0
     typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
@@ -300,13 +282,8 @@ def _report_misfit(
 ) -> Iterator[Diagnostic]:
     """Yield a failure if the fitted model does not explain the motion.
 
-    Args:
-        robot: Robot.
-        by_joint: RMS position error of each joint, shape (nu,) [rad, m]; NaN if not
-            measured.
-        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad, m]; 0 for
-            constant readings, NaN if not measured.
-        rms_error: RMS position error over all joints [rad and m mixed].
+    RMS errors ``by_joint`` and encoder ``noise`` have the shape (nu,) [rad, m]; NaN if not
+    measured.
     """
     median_ratio, noise_ratios = _compute_noise_ratios(by_joint, noise)
     if (
@@ -328,12 +305,7 @@ def _report_notes(
 ) -> Iterator[Diagnostic]:
     """Yield warnings if the fit predicts worse than the stated parameters, or if motions repeat.
 
-    Motions repeat if held-out commands agree with fitted commands (`measure_replay`).
-
-    Args:
-        runs: Recorded runs, with fitted and held-out positions.
-        rms_error: RMS position error with the fitted parameters [rad and m mixed].
-        stated_error: RMS position error with the stated parameters [rad and m mixed].
+    Both RMS position errors [rad and m mixed] belong to the same samples.
     """
     if rms_error > stated_error:
         yield diagnose(
@@ -347,20 +319,18 @@ def _report_notes(
 
 
 _MIN_REPLAY_CORRELATION = 0.95
-"""Upper bound of the correlation of the commands of two different motions. Above the bound, both
-runs count as the same motion. A held-out motion that repeats a fitted motion does not test the fit.
-A held-out log of this kind is refused, and a held-out part of a log is reported. Measured: at least
-0.99 in repeated logs, and hardly 0.5 in other motions of the same joints.
+"""Correlation of the commands of two runs above which both count as the same motion. A held-out
+motion
+that repeats a fitted motion does not test the fit. Measured: at least 0.99 in repeated logs, and
+hardly 0.5 in other motions of the same joints.
 """
 
 
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
-    """Find where one motion repeats in another: shift of best agreement, and the correlation there.
+    """Find a motion in another: shift [samples] of best agreement, and the correlation there.
 
     ``pattern`` is searched in ``series``. Both are commands, shape (samples, nu) [rad, m]. The
-    shift is in samples. All joints are correlated jointly. A parabola through the maximum refines
-    the shift, unless the maximum is at an end. The result is (0, 0) if the series is shorter than
-    the pattern, or the pattern is constant.
+    result is (0, 0) if a comparison is not possible, for example with a constant pattern.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
     is_constant = np.abs(centred_pattern).max(initial=0.0) <= _MIN_NOISE_STD
@@ -387,8 +357,8 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 def _get_middle_half(rows: Array) -> Array:
     """Return the middle half of ``rows``, shape (n, ...), the samples of a log.
 
-    Another log of the same motion contains the middle half even after a time shift by a quarter of
-    the length.
+    Another log of the same motion contains this half even after a time shift by a quarter of the
+    length.
     """
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
@@ -397,9 +367,7 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
     """Compute the largest correlation, from -1 to 1, between held-out and fitted commands.
 
     Held-out samples are excluded from the fit, to validate the fit. A correlation near 1 means that
-    the held-out motion repeats a fitted motion. The middle half of the held-out part of each run is
-    compared with the fitted part of each run, at all time shifts. The correlation of two parts is 0
-    if the fitted part is shorter, or the held-out commands are constant. The result is 0 if no run
+    the held-out motion repeats a fitted motion, possibly at another time. The result is 0 if no run
     has a held-out part.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
@@ -413,9 +381,8 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
 def measure_repeatability(runs: Sequence[LogSegment]) -> float:
     """Compute the RMS error with which joint positions repeat under equal commands [rad, m mixed].
 
-    The result is the RMS difference of the positions in two runs, divided by sqrt(2). The middle
-    half of each run is compared with the first earlier run of the same commands, aligned in time.
-    NaN if no commands are repeated.
+    The RMS difference of the positions in two runs with the same commands is divided by sqrt(2).
+    NaN, for example, if no commands are repeated.
     """
     differences = []
     for index, run in enumerate(runs):
@@ -438,14 +405,11 @@ def measure_repeatability(runs: Sequence[LogSegment]) -> float:
 
 
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
-    """Estimate the standard deviation [rad, m] of the encoder noise from third differences.
+    """Estimate the standard deviation [rad, m] of a joint's encoder noise from third differences.
 
     For white noise of variance s^2, the variance of third differences is 20 s^2. Motions of some Hz
-    contribute little. The median is used, since joints jump for a moment after a new command. If an
-    encoder step is found, the result is at least step / sqrt(12). NaN without differences.
-
-    Args:
-        series: Positions of a joint in each run, shape (n,) [rad, m].
+    contribute little. The median is used, since joints jump for a moment after a new command. NaN
+    without differences.
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -480,9 +444,8 @@ residual by 0.25 %. Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.1
-"""Upper bound of the ratio of predicted decrease to cost of a stalled iteration with a result. The
-result is NOT EXPLAINED if the decrease is too large (`_report_stall`). Measured on a log of v3
-(4 s, encoders of 12 bits): no step realises the last 2 to 10 % of the cost.
+"""Upper bound of the ratio of predicted decrease to cost of a stalled iteration with a result.
+Measured on a log of v3 (4 s, encoders of 12 bits): no step realises the last 2 to 10 % of the cost.
 """
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
@@ -532,10 +495,10 @@ class MotionResiduals:
         self._square_deviations = np.zeros(len(self.table))
 
     def _find_scaled_parameters(self) -> tuple[IntArray, IntArray]:
-        """Return the indices of parameters that are proportional to kp, and the index of this kp.
+        """Return the indices of parameters that are determined relative to a kp, and of this kp.
 
         A common factor on kp, friction, damping, armature, masses and moments of a joint and its
-        link hardly changes the motion. Joints with a known kp are left out.
+        link hardly changes the motion.
         """
         links = dict(
             zip(self.simulator.bodies.links, self.simulator.robot.joint_names, strict=True)
@@ -550,21 +513,13 @@ class MotionResiduals:
         return scaled, kps
 
     def _correct_scale_bias(self, moments: Array) -> tuple[float, Array]:
-        """Return a term of the cost that removes the bias of a common factor, and its derivative.
+        """Return a term of the cost against the bias of a common factor, and its derivative, (n,).
 
-        The measurements determine the ratios of parameters to kp. The prior alone determines their
-        common factor S. Its derivative of the prior cost is 2 sum_i z_i (m_i + z_i), with the
-        deviations z_i from the stated values and the stated values m_i, in prior widths. The
-        squares z_i^2 favour small factors even if the deviations have a mean of zero. For v3,
-        these squares shifted S by -7 %, at a standard deviation of 3 %. The term -2 sum_i z_i^2
-        ln(kp) removes the squares of parameters that the measurements determine. The deviations are
-        those of the last evaluation of the noise. For correlated priors, z_i^2 is z_i (P z)_i.
-
-        Args:
-            moments: Parameters in first-moment coordinates, shape (n,).
-
-        Returns:
-            Term of the cost, and its derivative by the parameters, shape (n,).
+        The measurements determine the ratios of parameters to kp, and the prior alone their common
+        factor. The squared deviations z_i^2 from the stated values, in prior widths, favour small
+        factors. For v3, these squares shifted the factor by -7 %, at a standard deviation of 3 %.
+        The term -2 sum_i z_i^2 ln(kp) removes the squares of parameters that the measurements
+        determine.
         """
         kp = np.maximum(moments, _MIN_KP_FRACTION * self.table.stated)[self._kp_columns]
         weights = self._square_deviations[self._scaled_columns]
@@ -579,14 +534,10 @@ class MotionResiduals:
         The residuals are predicted minus measured joint positions, divided by the long-run standard
         deviation of the noise.
 
-        If ``moments`` is the same object as ``noise_point``, the noise is estimated again from the
-        new residuals. The derivatives are then evaluated again if none exist, or if the squared
-        distance from the point of the last derivatives exceeds `_MAX_DERIVATIVE_DISTANCE`.
-        Otherwise noise and derivatives of earlier calls are used.
-
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).
-            noise_point: ``moments`` itself, to evaluate the noise; any other array for a trial.
+            noise_point: ``moments`` itself, to estimate the noise again; any other array for a
+                trial with earlier noise and derivatives.
         """
         vector = self.moments.to_parameters(moments)
         residuals = [
@@ -668,12 +619,11 @@ class MotionResiduals:
         - P: prior precision, the inverse of the prior covariance.
         - B: covariance of J^T r under the autocorrelated noise, with the residuals r.
 
-        The covariance of the parameters is the sandwich estimate (A + P)^-1 (B + P) (A + P)^-1. If
-        the iteration stalled, the last step did not decrease the cost as predicted. The outer
-        product of this step is then added to the covariance.
+        The covariance of the parameters is the sandwich estimate (A + P)^-1 (B + P) (A + P)^-1,
+        wider if the iteration stalled.
 
         Raises:
-            FitError: If the iteration does not converge, or the cost has no minimum, for example.
+            FitError: If the iteration does not converge, for example.
         """
         moments = self.moments.from_parameters(self.table.stated)
         for self._is_autoregressive, min_decrease in (
@@ -714,9 +664,8 @@ are represented by their effect within this time. Chosen, not tuned.
 """
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Also, for
-example, a tolerance: commands count as constant if the deviations from the mean are at most this
-value. Chosen, not tuned.
+"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Chosen, not
+tuned.
 """
 
 _SAMPLES_PER_LAG = 20
@@ -758,8 +707,7 @@ class SeriesNoise:
     def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
         """Fit autoregressive noise to some residual series by the Yule-Walker equations.
 
-        The equations give a stable filter. White noise is returned if the samples are too few, or
-        the RMS is at most ``_MIN_NOISE_STD``.
+        White noise is returned if the samples are too few, for example.
 
         Args:
             series: Residuals of a joint in each run, shape (n,) [rad, m]; NaN if missing.
@@ -781,18 +729,14 @@ class SeriesNoise:
 
     @property
     def long_run_std(self) -> float:
-        """Standard deviation of a joint's noise e over long times [rad, m], s / (1 - sum c).
+        """Standard deviation of a joint's noise e over long times [rad, m]: s / (1 - sum c).
 
-        The value is at least the standard deviation of e. The noise model is e_k = sum_i c_i
-        e_(k-i) + w_k, with white noise w of standard deviation s.
+        The value is at least the standard deviation of e.
         """
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
         """Return a factor B^T of the covariance B^T B of m weighted sums of n noise samples.
-
-        The noise is filtered white noise. Weighted sums of the noise are equal to sums of the white
-        noise, with weights that are filtered backwards in time.
 
         Args:
             weights: Weights of the samples in each sum, shape (n, m).
@@ -838,15 +782,11 @@ def differentiate_motion(
 ) -> Mapping[int, tuple[IntArray, Array]]:
     """Compute the derivatives of predicted joint positions by the parameters of a fit.
 
-    The parameters are first-moment coordinates (`MomentCoordinates`): the CoM c of a body with an
-    estimated mass m is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0.
-
-    Joints that affect each other form a group. In each group, the finite-difference steps are along
-    the eigenvectors of the information matrix, scaled by the uncertainties. Parameters of different
-    groups are changed in the same simulation. Steps along single parameters are used only without
-    ``information``, since the intervals were then a quarter too narrow: a common factor on kp,
-    friction and masses has hardly any effect on the motion, but the errors of single steps add up
-    to a false effect of this factor.
+    The parameters are first-moment coordinates (`MomentCoordinates`). Joints that affect each other
+    form a group. The finite-difference steps are along eigenvectors of the information matrix of a
+    group. With steps along single parameters, the intervals were a quarter too narrow: a common
+    factor on kp, friction and masses has hardly any effect on the motion, but the errors of single
+    steps add up to a false effect of this factor.
 
     Args:
         simulator: Simulator.
@@ -854,7 +794,7 @@ def differentiate_motion(
         run: Part of a log that is simulated.
         point: First-moment coordinates, shape (n,).
         information: Information of the coordinates, shape (n, n), in units of the prior widths;
-            None if only the priors are known, with steps along single parameters.
+            None for steps along single parameters.
 
     Returns:
         {index of the group in `simulator.groups`: (indices of k parameters, derivatives of shape
@@ -893,12 +833,10 @@ def differentiate_motion(
 
 
 def _make_steps(columns: list[int], information: Array | None) -> Array:
-    """Return finite-difference steps of the k parameters with indices ``columns``, shape (k, k).
+    """Return finite-difference steps of k parameters, in units of the prior widths, shape (k, k).
 
-    Each row is a step, in units of the prior standard deviations. Without ``information`` (inverse
-    covariance, in the same units), each step changes a single parameter. Otherwise each step is
-    along an eigenvector of ``information``, and is `_DIFFERENCE_STEP` posterior standard deviations
-    long.
+    The rows are along eigenvectors of ``information``, shape (n, n), in the same units, or along
+    single parameters without it.
     """
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))

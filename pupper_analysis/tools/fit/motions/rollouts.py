@@ -39,12 +39,10 @@ DELAY_PARAMETERS = (
 """Estimated delays, common to all servos: (kind, subject, component, stated value [s]) of each
 `Parameter`. The stated value, 0 s, is the mean of the prior.
 
-- ``delay``: delay of the commands [s]. It includes the following lag of the commands.
+- ``delay``: delay of the commands [s], including the lag of the commands.
 - ``lag``, ``command``: time constant [s] of a first-order lag of the commands.
 - ``lag``, ``position``: time constant [s] of a first-order lag of the positions that the servo
   compares with the commands.
-
-A slow motor has both lags. A bus delays only the commands.
 """
 
 BURN_IN_DURATION = 0.25
@@ -65,8 +63,7 @@ _MAX_STEPS_PER_SAMPLE = 20
 
 _SOLVER_TOLERANCE = 1e-11
 """Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). The tolerance is small
-since the solver's error in dry friction would appear in finite differences. The solver and the
-tolerance of models with equality constraints are not changed. Chosen, not tuned.
+since the solver's error in dry friction would appear in finite differences. Chosen, not tuned.
 """
 
 _MAX_BATCH_SIZE = 8
@@ -131,10 +128,9 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
 
 
 def _fill_commands(command: Array) -> Array:
-    """Return commands, shape (n, nu) [rad, m], in which missing commands (NaN) are replaced.
+    """Return commands, shape (n, nu) [rad, m], with gaps (NaN) filled by the previous command.
 
-    A missing command is replaced by the previous command of the joint. A missing command at the
-    start is replaced by the joint's first command. A joint without commands keeps NaN.
+    A gap at the start is filled by the next command; a joint without commands keeps NaN.
     """
     filled = command.copy()
     for column in filled.T:
@@ -148,11 +144,10 @@ def _fill_commands(command: Array) -> Array:
 
 
 def _fit_initial_state(time: Array, position: Array) -> Array:
-    """Fit a parabola in time, shape (n,) [s], to the ``position`` of each joint, (n, nu) [rad, m].
+    """Fit initial positions [rad, m] and velocities [rad/s, m/s], shape (2, nu), by parabolas.
 
-    Returns:
-        Positions [rad, m] and velocities [rad/s, m/s] at time 0, shape (2, nu); NaN for a joint
-        with three or fewer samples.
+    ``time`` [s] has the shape (n,), ``position`` [rad, m] (n, nu). NaN for a joint with too few
+    samples.
     """
     initial_state = np.full((2, position.shape[1]), np.nan)
     for joint, column in enumerate(position.T):
@@ -247,10 +242,7 @@ class Simulator:
         )
 
     def _predict_batch(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
-        """Return the encoder positions of a run [rad, m], predicted for k parameter vectors.
-
-        The shape is (k, samples, nu); k is at most `_MAX_BATCH_SIZE`.
-        """
+        """Predict the encoder positions of a run, shape (k, samples, nu) [rad, m]."""
         while len(self._models) < len(vectors):
             self._models.append(copy.copy(self._model))  # 20 ms, with the meshes
         models = self._models[: len(vectors)]
@@ -293,30 +285,21 @@ class Simulator:
         return np.array(positions)
 
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
-        """Return the values of a parameter kind for all joints, shape (nu,), in the kind's unit.
-
-        Estimated values are taken from the parameter ``vector``, shape (n,). Values of joints
-        without an estimated parameter are taken from ``stated``, shape (nu,).
-        """
+        """Return the values of a parameter kind, shape (nu,); ``stated`` if not estimated."""
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:
-        """Return the delay of commands [s]; with ``part``, the time constant of the part's lag [s].
-
-        The value is taken from a parameter vector; 0 if not estimated. Parts are the components of
-        `DELAY_PARAMETERS`: ``command`` and ``position``.
-        """
+        """Return the delay of commands [s], or the lag of a ``part`` [s]; 0 if not estimated."""
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
         """Replace the derivative by the position lag by other derivatives, in place.
 
         To second order, a first-order lag of positions with time constant T is equivalent to a
-        damping of -kp T and an armature of kp T^2. Let D be the derivative by the damping of a
-        joint, and A the derivative by the armature of the joint. The derivative by T is the sum of
-        -kp D + 2 kp T A over the joints. This formula gives equivalent parameters equal
-        derivatives, without finite-difference errors. Nothing changes unless damping and armature
-        are estimated for each joint that has a parameter.
+        damping of -kp T and an armature of kp T^2. The derivative by T is the sum of -kp D + 2 kp T
+        A over the joints, with the derivatives D by the damping and A by the armature of a joint.
+        This formula has no finite-difference errors. Nothing changes if these parameters are not
+        estimated for all logged joints.
 
         Args:
             vector: Parameters, shape (n,).
@@ -344,11 +327,9 @@ class Simulator:
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
         """Write a parameter vector into a model: servos, damping, friction, armature, masses, CoMs.
 
-        Negative kp, dry friction and armature are replaced by 0. Masses are at least
-        `MIN_MASS_FRACTION` times the stated mass. Damping may be negative, since central finite
-        differences about 0 need it. A first-order lag of the measured positions with time constant
-        T [s] is approximated: kp T^2 is added to the armature, and -kp T to the damping of the
-        servo.
+        Negative kp, dry friction and armature are replaced by 0. Damping may be negative, for
+        finite differences about 0. A first-order lag of the measured positions with time constant T
+        [s] is approximated by an armature kp T^2 and a damping -kp T.
 
         Args:
             model: Copy of the simulator's model; changed in place.
@@ -376,14 +357,9 @@ class Simulator:
 
 
 def _average_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Return the mean command in each simulation step, shape (k - 1, nu) [rad, m].
+    """Return the mean commands between k times ``edges`` [s], shape (k - 1, nu) [rad, m].
 
-    A step is the interval between two of k times. Before the first time, the first command holds.
-
-    Args:
-        time: Times from which the commands hold, shape (n,) [s].
-        command: Commands, shape (n, nu) [rad, m]; a command holds until the next time.
-        edges: Boundaries of the intervals, shape (k,) [s].
+    Each command, shape (n, nu), holds from its ``time``, shape (n,) [s], until the next.
     """
     boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
     steps = np.diff(boundaries)[:, None] * np.vstack([command[:1], command])
@@ -395,10 +371,8 @@ def _average_commands(time: Array, command: Array, edges: Array) -> Array:
 def _apply_lag(command: Array, lag: float) -> Array:
     """Return mean commands per time step after a first-order lag, shape (k, nu) [rad, m].
 
-    Args:
-        command: Mean commands per time step, shape (k, nu) [rad, m].
-        lag: Time constant [time steps]. A negative value has the opposite effect, which permits
-            central differences about 0.
+    The time constant ``lag`` is in time steps. A negative lag has the opposite effect, for finite
+    differences about 0.
     """
     decay = math.exp(-1 / abs(lag)) if lag else 0.0
     deviations = command - command[0]
@@ -453,10 +427,7 @@ class MovingBodies:
         )
 
     def _merge_fixed_bodies(self, body: int) -> None:
-        """Add the inertias of all bodies that are fixed to a body to the inertia of this body.
-
-        The fixed bodies then have no mass. Nothing changes without such bodies.
-        """
+        """Move the masses and inertias of the bodies that are fixed to a body into this body."""
         model = self.model
         fixed = np.flatnonzero(model.body_weldid == body)
         if len(fixed) == 1:
@@ -485,8 +456,7 @@ class MovingBodies:
         """Write masses [kg] and CoM positions [m] of a parameter vector into a MuJoCo model.
 
         Values that are not estimated keep the values of the file. The rotational inertia is scaled
-        with the mass. A mass is at least `MIN_MASS_FRACTION` of the stated mass. A body without
-        mass is not changed.
+        with the mass, which is at least `MIN_MASS_FRACTION` of the stated mass.
 
         Args:
             model: Copy of the model with merged inertials; changed in place.
@@ -506,15 +476,15 @@ class MovingBodies:
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Group the joints that affect each other, with the parameters of each group.
 
-        The base is fixed. Therefore the joints of each branch of the tree at the base form a group.
-        Models with equality constraints or tendons have a single group.
+        Since the base is fixed, branches of the tree at the base are independent without equality
+        constraints and tendons.
 
         Args:
             table: Parameters of the fit.
 
         Returns:
             For each group: indices of the joints, and indices of the parameters of the group's
-            joints and links.
+                joints and links.
         """
         model = self.model
         roots = [_find_root_body(model, int(body)) for body in self._bodies]
@@ -624,10 +594,9 @@ class MomentCoordinates:
         )
 
     def _compute_mass_ratio(self, vector: Array) -> Array:
-        """Return m0 / m for each CoM coordinate whose body has an estimated mass.
+        """Return stated / current mass for each CoM coordinate whose body has an estimated mass.
 
-        The result converts first moments to CoMs. m0 is the stated mass of the body, and m the mass
-        in the parameter vector, but at least `MIN_MASS_FRACTION` times m0.
+        The current mass counts as at least `MIN_MASS_FRACTION` of the stated mass.
         """
         min_mass = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))
@@ -635,15 +604,12 @@ class MomentCoordinates:
     def to_parameters(self, moments: Array) -> Array:
         """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
 
-        The inverse of `from_parameters`. If the mass m of a body is estimated, a component of its
-        CoM is
+        If the mass m of a body is estimated, a component of its CoM is
 
             c = c0 + (m0 / m) (coordinate - c0) [m],
 
-        with the stated values c0 and m0, and m at least `MIN_MASS_FRACTION` m0. So the coordinate
-        is also a length, in the axes of the CoM. If delay and lag of the servo commands are both
-        estimated [s], the delay is its coordinate plus the lag. Other parameters are equal to the
-        coordinates.
+        with the stated values c0 and m0, and m at least `MIN_MASS_FRACTION` m0. If delay and lag of
+        the servo commands are both estimated [s], the delay is its coordinate plus the lag.
         """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com
@@ -654,10 +620,9 @@ class MomentCoordinates:
     def from_parameters(self, vector: Array) -> Array:
         """Convert physical parameters, shape (n,), to first-moment coordinates, shape (n,).
 
-        A CoM component c [m] of a body with an estimated mass m [kg] becomes
-        c0 + (m / m0) (c - c0), with the stated values c0 and m0, and m at least
-        `MIN_MASS_FRACTION` m0. The delay [s] becomes the delay minus the time constant of the lag
-        of commands, if both are estimated. Other parameters are unchanged.
+        A CoM component c [m] of a body with an estimated mass m [kg] becomes c0 + (m / m0) (c -
+        c0), with the stated values c0 and m0, and m at least `MIN_MASS_FRACTION` m0. The delay [s]
+        becomes the delay minus the time constant of the lag of commands, if both are estimated.
         """
         moments = vector.copy()
         deviation = vector[self._coms] - self._stated_com
@@ -667,10 +632,6 @@ class MomentCoordinates:
 
     def differentiate_parameters(self, moments: Array) -> Array:
         """Compute the Jacobian of `to_parameters`, shape (n, n).
-
-        `to_parameters` converts first-moment coordinates, the coordinates of the fit, to physical
-        parameters. Below `MIN_MASS_FRACTION` times the stated mass, the CoM does not depend on the
-        mass.
 
         Args:
             moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).

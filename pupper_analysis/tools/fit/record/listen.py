@@ -31,9 +31,7 @@ SIGNALS = ("positions", "velocities", "targets", "commands", "angular_velocity",
 """
 
 MIN_ACTIONS = 20
-"""Smallest number of observations, of actions, and of rows of a trace. With a smaller number, no
-trace is written. Chosen, not tuned.
-"""
+"""Smallest number of observations, of actions, and of rows of a trace. Chosen, not tuned."""
 
 LISTENERS_GROUP = "pupper_analysis.listeners"
 """Name of the entry point group with which other packages add listeners. An entry point is a
@@ -126,11 +124,7 @@ def record_policy(robot: Robot, bridge: str, seconds: float, output: str | Path)
 
 
 def _open_listener(name: str, robot: Robot) -> Listener:
-    """Return an open connection that receives messages; ``name`` is ``NAME`` or ``NAME:ARGUMENTS``.
-
-    Raises:
-        ConfigurationError: If there is no listener of this name, or ROS 2 cannot be used.
-    """
+    """Open a connection that receives messages; ``name`` is ``NAME`` or ``NAME:ARGUMENTS``."""
     listener: Listener = open_connection(name, robot, _BUILTIN_LISTENERS, LISTENERS_GROUP)
     return listener
 
@@ -139,11 +133,8 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
     """Assemble the arrays of a trace, with a row per action, from received messages.
 
     An action belongs to the observation that is nearest in time. A row contains the last message of
-    each signal up to this observation. A signal without messages has no array in the trace. An
-    action is left out in two cases:
-
-    - Another action is nearer to the same observation, or is equally near and earlier.
-    - A signal was first received after the observation.
+    each signal up to this observation. Actions without such a row are left out, for example before
+    all signals have been received.
 
     Args:
         series: Messages.

@@ -54,7 +54,7 @@ tuned."""
 
 _MAX_POSITION_AGE = 0.3
 """Largest accepted age of a measured position [s]. Older positions mean lost messages or a stopped
-controller. The recorder waits this time for newer positions. Chosen, not tuned.
+controller. Chosen, not tuned.
 """
 
 _MAX_TRACKING_ERROR = 0.5
@@ -68,36 +68,34 @@ the response of the joint is checked (`_MIN_TRAVEL_RATIO`). Chosen, not tuned.
 """
 
 _MIN_TRAVEL_RATIO = 0.25
-"""Lower bound of (measured travel / commanded travel) of a joint from one stand to the next. Below
-the bound, the servo does not follow, and the recording ends. Positions are compared after the robot
-was lifted. Otherwise, feet that stick to the ground can limit the travel of a working joint to 0.1
-of the commanded travel. Chosen, not tuned.
+"""Lower bound of (measured travel / commanded travel) of a joint from one stand to the next, below
+which the servo does not follow. Positions are compared after the robot was lifted: feet that stick
+to the ground can limit the travel of a working joint to 0.1 of the commanded travel. Chosen, not
+tuned.
 """
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Lower bound of (measured travel / commanded travel) of a joint whose servo certainly works. The
-bound applies to commanded travels above `_MIN_COMMANDED_TRAVEL`: gravity and other servos do not
-move a joint that far. If the servo fails later, the rows recorded since that time are withdrawn.
-Chosen, not tuned.
+"""Lower bound of (measured travel / commanded travel) of a joint whose servo certainly works:
+gravity
+and other servos do not move a joint that far. If the servo fails later, the rows recorded since
+that time are withdrawn. Chosen, not tuned.
 """
 
 _REST_RANGE = 1e-3
-"""Upper bound of the range (largest minus smallest value) of a joint position [rad, m] within
-`_REST_WINDOW`. If the range of each joint is below the bound, the robot counts as at rest. Chosen,
-not tuned.
+"""Upper bound of the range (largest minus smallest value) of each joint position [rad, m] within
+`_REST_WINDOW` of a robot at rest. Chosen, not tuned.
 """
 
 _REST_WINDOW = 1.0
-"""Duration [s] of the most recent measurements, of which range and mean are computed. The range
-decides whether the robot is at rest (`_REST_RANGE`). The mean is the measured joint position.
-Chosen, not tuned.
+"""Duration [s] of the measurements whose range decides whether the robot is at rest, and whose mean
+is
+the measured joint position. Chosen, not tuned.
 """
 
 LEAD_RATIOS = (1.3, 0.7)
-"""Factors on the lead (planned command minus position at rest) in the two approaches to a stand,
-beyond and short of the planned command. The positions are read after each approach. Measured in
-simulations: if dry friction at rest is 0.65 of its limit, 0.15 of the limit remains in the mean of
-both readings.
+"""Factors on the lead (planned command minus position at rest) in the two approaches to a stand.
+Measured in simulations: if dry friction at rest is 0.65 of its limit, 0.15 of the limit remains in
+the mean of both readings.
 """
 
 _RETURN_SECONDS = 2.0
@@ -109,9 +107,8 @@ _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Smallest accepted CoM margin of a planned stand, as a fraction of `Robot.stand_height`. A plan
-with a smaller margin is refused. The margin is computed with the masses of the model files and the
-known masses of the stand. Chosen, not tuned.
+"""Smallest accepted CoM margin of a planned stand, as a fraction of `Robot.stand_height`, with the
+masses of the model files and the known masses of the stand. Chosen, not tuned.
 """
 
 
@@ -179,9 +176,8 @@ def record_stands(
     Raises:
         ConfigurationError: If the output is the plan itself, the command of a joint without limits
             is missing, or the mass or the place of a known load is invalid.
-        MeasurementError: If the plan or the output cannot be read, or the output belongs to another
-            plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
-            or a stand is not balanced with the masses of the model.
+        MeasurementError: If the plan or the output cannot be read, or cannot be used with this
+            robot; for example, a stand is not balanced with the masses of the model.
         OutputError: If the output cannot be written, or another recording writes to the file.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
         ModelError: If the model with a known load cannot be built.
@@ -196,11 +192,7 @@ def record_stands(
 
 @contextmanager
 def _lock_output(path: Path) -> Iterator[None]:
-    """Lock an output file, so that no other recording writes to the file at the same time.
-
-    Raises:
-        OutputError: If another recording writes to the file, or the lock file cannot be created.
-    """
+    """Lock an output file in a ``with`` block, so that no other recording writes to the file."""
     target, _ = resolve_target(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -219,20 +211,7 @@ def _lock_output(path: Path) -> Iterator[None]:
 def _record_missing_stands(
     robot: Robot, plan: str | Path, path: Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet.
-
-    The bridge is not closed.
-
-    Raises:
-        MeasurementError: If the plan or the output cannot be read, or the output belongs to another
-            plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
-            or a stand is not balanced with the masses of the model.
-        ConfigurationError: If the command of a joint without limits is missing, or the mass or the
-            place of a known load is invalid.
-        OutputError: If the output cannot be written.
-        UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
-        ModelError: If the model with a known load cannot be built.
-    """
+    """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet."""
     planned = read_stands(plan).order_joints(robot)
     check_writable(path, RECORD_KIND)
     margins = list(_check_plan(robot, planned))  # before anything moves
@@ -308,8 +287,8 @@ class _RecordingSession:
             num_stands: Number of recorded stands, from the first, over which the median is taken.
 
         Returns:
-            {joint: median of |half the difference of both readings| [rad, m]}. The product with kp
-            is the friction torque. Empty if no stand was read twice.
+            {joint: median of |half the difference of both readings| [rad, m]}. Empty if no stand
+            was read twice.
         """
         differences = self._half_differences[:num_stands]
         if not differences:
@@ -334,10 +313,6 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        If the bridge (connection to the robot) can move the joints in ramps, each joint approaches
-        from both sides, and the two positions at rest are averaged (`LEAD_RATIOS`). Otherwise the
-        positions, for example typed by the operator, are read once.
-
         Args:
             stand: Planned stand.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
@@ -349,8 +324,8 @@ class _RecordingSession:
 
         Raises:
             _StandSkippedError: If the operator skips the stand, or the robot does not come to rest.
-            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
-                stops the recording.
+            _RecordingEndedError: If the recording cannot continue; for example, a servo does not
+                follow.
         """
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
@@ -376,21 +351,10 @@ class _RecordingSession:
     def _check_travel(
         self, stand: PlannedStand, commanded_travel: Array, travel: Array, rows: int
     ) -> None:
-        """Check that each joint followed the command from the previous stand to this stand.
+        """Check that the joints followed the commands from the previous stand.
 
-        For each servo that worked (`_LIVE_TRAVEL_RATIO`), ``rows`` is stored. If the servo stops
-        later, only this number of rows is kept.
-
-        Args:
-            stand: Stand that the robot has reached. The robot was lifted and set down there.
-            commanded_travel: Differences of the commands of both stands, shape (nu,) [rad, m].
-            travel: Differences of the measured joint positions, shape (nu,) [rad, m].
-            rows: Number of rows that this recording has written before this stand.
-
-        Raises:
-            _RecordingEndedError: If the commanded travel of a joint was above
-                `_MIN_COMMANDED_TRAVEL`, and the joint moved by less than `_MIN_TRAVEL_RATIO` of the
-                commanded travel.
+        The travels have the shape (nu,) [rad, m]. ``rows``, the number of rows before this stand,
+        is stored for servos that worked.
         """
         is_commanded = np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL
         ratio = np.divide(travel, commanded_travel, out=np.ones(self._robot.nu), where=is_commanded)
@@ -404,11 +368,7 @@ class _RecordingSession:
     ) -> _RecordingEndedError:
         """Create the error that ends the recording because a servo does not follow.
 
-        Args:
-            stand: Stand to which the robot moves.
-            joint: Index of the joint, in actuator order.
-            error: Difference between position and command, or between measured and commanded travel
-                [rad, m].
+        ``error`` is the deviation of the joint [rad, m].
         """
         finding = diagnose(
             "servo-does-not-follow",
@@ -421,23 +381,10 @@ class _RecordingSession:
     def _average_from_both_sides(
         self, stand: PlannedStand, target: Array, rest: Array
     ) -> tuple[Array, Array]:
-        """Return the mean joint positions at rest after approaches from both sides.
+        """Return mean and half difference of the positions after two opposite approaches.
 
-        The commands of the approaches are clipped to the joint limits.
-
-        Args:
-            stand: Stand that the robot has reached.
-            target: Commands of the stand, shape (nu,) [rad, m].
-            rest: Joint positions at rest with the commands ``target``, shape (nu,) [rad, m].
-
-        Returns:
-            Mean positions, and half the difference (first minus second approach), shape (nu,) [rad,
-            m] each.
-
-        Raises:
-            _StandSkippedError: If the robot does not come to rest.
-            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
-                stops the recording.
+        Each has the shape (nu,) [rad, m], as the commands ``target`` and the positions ``rest`` at
+        rest with these commands.
         """
         lower, upper = self._robot.lower_limits, self._robot.upper_limits
         readings = []
@@ -450,13 +397,7 @@ class _RecordingSession:
         return (first + second) / 2, (first - second) / 2
 
     def _ramp_commands(self, stand: PlannedStand, target: Array) -> tuple[Array, Array]:
-        """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad, m].
-
-        The ramp to the first stand starts at the measured positions.
-
-        Returns:
-            Commands and joint positions before the ramp, shape (nu,) [rad, m] each.
-        """
+        """Ramp the command to ``target``; return command and positions before, (nu,) [rad, m]."""
         if self._command is None:  # start at the measured positions
             self._command = self._read_positions(stand)
             self._bridge.send(self._command)
@@ -466,16 +407,9 @@ class _RecordingSession:
         return start, first_position
 
     def _move_command(self, stand: PlannedStand, target: Array, min_seconds: float = 0.0) -> None:
-        """Ramp the command to ``target``, at most at `MAX_JOINT_SPEED`, and check the servos.
+        """Ramp the command to ``target``, shape (nu,) [rad, m], and check the servos.
 
-        Args:
-            stand: Stand, for messages.
-            target: Commands at the end of the ramp, shape (nu,) [rad, m].
-            min_seconds: Least duration of the ramp [s].
-
-        Raises:
-            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
-                stops the recording.
+        The ramp is limited by `MAX_JOINT_SPEED`, and takes about ``min_seconds`` [s] or longer.
         """
         assert self._command is not None
         start = self._command
@@ -488,12 +422,7 @@ class _RecordingSession:
             self._check_tracking(stand)
 
     def _check_tracking(self, stand: PlannedStand) -> None:
-        """Check that all servos are near the commands, and that the operator does not stop.
-
-        Raises:
-            _RecordingEndedError: If a position differs from the command by more than
-                `_MAX_TRACKING_ERROR`, positions are lost, or the operator stops the recording.
-        """
+        """Check that the joints are near the commands, and that the operator does not stop."""
         assert self._command is not None
         error = np.abs(self._read_positions(stand) - self._command)
         if error.max() > _MAX_TRACKING_ERROR:
@@ -503,17 +432,7 @@ class _RecordingSession:
             raise _RecordingEndedError(diagnose("recording-stopped"))
 
     def _read_positions(self, stand: PlannedStand) -> Array:
-        """Return measured joint positions, shape (nu,) [rad, m], at most `_MAX_POSITION_AGE` old.
-
-        The positions are in actuator order. If the last positions are older, the function waits for
-        new positions.
-
-        Args:
-            stand: Stand that an error names.
-
-        Raises:
-            _RecordingEndedError: If no recent positions of all joints arrive in this time.
-        """
+        """Wait for recent joint positions (`_MAX_POSITION_AGE`), shape (nu,) [rad, m]."""
         start = self._bridge.now()
         while True:
             time, position = self._bridge.read()
@@ -524,15 +443,10 @@ class _RecordingSession:
             self._bridge.wait(_COMMAND_INTERVAL)
 
     def _average_at_rest(self, stand: PlannedStand) -> Array:
-        """Wait until the robot is at rest, and return mean joint positions, shape (nu,) [rad, m].
-
-        The mean is over the last `_REST_WINDOW`. The robot is at rest if each position changes by
-        less than `_REST_RANGE` within this time.
+        """Wait until the robot is at rest; return mean joint positions, shape (nu,) [rad, m].
 
         Raises:
             _StandSkippedError: If the robot is not at rest within `_REST_TIMEOUT`.
-            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
-                stops the recording.
         """
         assert self._command is not None
         count = round(_REST_WINDOW / _COMMAND_INTERVAL)
@@ -554,12 +468,8 @@ def _list_instructions(
 ) -> Iterator[str]:
     """Yield the instructions for the operator: heading, known masses, feet in the air.
 
-    Args:
-        stand: Stand to be measured next.
-        loads: {link: mass [kg] and position (x, y, z) in the link frame [m], shape (4,)} of the
-            known masses in this stand.
-        previous: Preceding stand; None for the first stand. An unchanged heading and an unchanged
-            total of the known masses are not repeated.
+    ``loads`` maps the link of a known mass to the mass [kg] and the position in the link frame [m],
+    shape (4,).
     """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
@@ -585,15 +495,7 @@ def _list_instructions(
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
-    """Check all stands of a plan with the model's masses, and yield the CoM margins [m].
-
-    Raises:
-        MeasurementError: If a command exceeds the joint limits, or a stand is not balanced.
-        ConfigurationError: If the command of a joint without limits is missing, or the mass or the
-            place of a known load is invalid.
-        UnknownNameError: If the robot lacks the link of a known load.
-        ModelError: If the model with a known load cannot be built.
-    """
+    """Check all stands of a plan with the model's masses, and yield the CoM margins [m]."""
     # An empty command is beyond any finite limit.
     planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
     for row, name in enumerate(planned.names):
@@ -634,12 +536,7 @@ def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> f
 
 
 def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
-    """Return the names of the recorded stands of a file; empty if there is no file.
-
-    Raises:
-        MeasurementError: If the file cannot be read, contains a stand that is not planned, or has
-            other joints or commands than the plan.
-    """
+    """Return the names of the stands in a file, after a check that they belong to the plan."""
     if not path.exists():
         return set()
     recorded = read_stands(path)
@@ -655,9 +552,9 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Tolerance [rad, m] of the difference between recorded and planned commands. A recorded stand
-belongs to the plan if the differences are at most this value plus 1e-5 of the command (the default
-of ``np.allclose``). Files contain six decimals. Chosen, not tuned.
+"""Absolute tolerance [rad, m] of the difference between recorded and planned commands. Files
+contain
+six decimals. Chosen, not tuned.
 """
 
 
@@ -674,15 +571,8 @@ def _append_row(
 ) -> int:
     """Append a measured stand to a CSV file; the file is replaced atomically.
 
-    Args:
-        path: File.
-        planned: Stands of the plan.
-        row: Index of the stand in the plan.
-        position: Measured joint positions, shape (nu,) [rad, m].
-        swing: Feet in the air.
-
-    Returns:
-        Length of the file before, with a final line end [bytes]; 0 for a new or empty file.
+    ``position`` contains the measured joint positions, shape (nu,) [rad, m]. The result is the
+    length of the file before, with a final line end [bytes].
     """
     row_stand = replace(planned.select_rows([row]), position=position[None], swing=(tuple(swing),))
     content_before = path.read_bytes() if path.exists() else None

@@ -32,9 +32,8 @@ _SPIN_INTERVAL = 0.02
 """Time [s] between two checks for messages while the bridge is opened. Chosen, not tuned."""
 
 _DISCOVERY_TIMEOUT = 5.0
-"""Time limit [s] for opening the bridge. Opening fails if a joint has no position at this time, or
-if no node subscribes to the commands. ROS nodes on the same machine discover each other within 0.1
-to 1 s. Chosen, not tuned.
+"""Time limit [s] for opening the bridge: all joints have a position, and a node subscribes to the
+commands. ROS nodes on the same machine discover each other within 0.1 to 1 s. Chosen, not tuned.
 """
 
 
@@ -245,10 +244,9 @@ class RosListener(WallClock):
         self._append(signal, values)
 
     def _receive_state(self, message: Any) -> None:
-        """Update joint positions and velocities from a message, and append both to the signals.
+        """Update joint positions [rad, m] and velocities [rad/s, m/s]; append them to the trace.
 
-        Units are rad and rad/s, or m and m/s. A signal gets the first values when the values of all
-        joints have been received.
+        A signal begins when the values of all joints are known.
         """
         for kind, state in self._state.items():
             for name, value in zip(message.name, getattr(message, kind), strict=False):

@@ -46,8 +46,8 @@ rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
 """Lower bound of (normal force on a foot / weight of the robot) of a foot that carries load.
-`SimulatedRobot.feet_up` reports a foot below the bound as in the air. The weight does not include
-attached known masses. Chosen, not tuned.
+Chosen,
+not tuned.
 """
 
 
@@ -156,13 +156,9 @@ class SimulatedRobot:
         return True
 
     def _place_on_feet(self, swing: Sequence[str]) -> None:
-        """Reset the simulation to the commanded posture, at rest, `_DROP_HEIGHT` above the ground.
+        """Reset the simulation to the commanded posture, at rest, slightly above the ground.
 
-        The base is rotated such that the feet other than ``swing`` are on level ground
-        (`compute_level_base`).
-
-        Args:
-            swing: Names of the feet in the air.
+        The base is rotated such that the feet other than ``swing`` are on level ground.
         """
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [
@@ -184,10 +180,8 @@ class SimulatedRobot:
     ) -> tuple[str, ...] | Diagnostic:
         """Return the names of the feet with hardly any normal force in the simulation.
 
-        The result is a diagnostic, the reason for skipping the stand, in two cases:
-
-        - The robot has contacts other than the contacts of the feet.
-        - Fewer than three feet carry load.
+        The result is a diagnostic if the stand cannot be used; for example, another part touches
+        the ground.
 
         Args:
             feet: All feet of the robot.

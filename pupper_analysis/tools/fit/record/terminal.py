@@ -118,8 +118,7 @@ class TypedBridge(WallClock):
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
     """Open a bridge with joint positions that a person types, and an operator at the terminal.
 
-    The second argument (``ARGUMENTS`` of ``NAME:ARGUMENTS``) is ignored: `open_bridge` passes two
-    arguments.
+    The second argument (``ARGUMENTS`` of ``NAME:ARGUMENTS``) is ignored.
 
     Returns:
         Bridge; operator.

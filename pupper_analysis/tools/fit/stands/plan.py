@@ -114,17 +114,10 @@ def plan_stands(
 ) -> StandPlan:
     """Choose the stands whose measurement determines the parameters of a robot best.
 
-    The design is D-optimal: ``choose_stands`` maximises the determinant of the information, first
-    greedily, then by exchanges. The candidates are random stands with these properties:
-
-    - reachable and balanced
-    - held by the servos, with feed-forward torques for the masses of the model
-    - within 60 % of the known torque limits
-    - free of self-collision, if the nominal stand is free of self-collision
-    - heading of 180 deg in about half of the candidates, otherwise 0
-    - known mass, if there is one, on about half of the candidates
-
-    If possible, at most a third of the chosen stands has a foot in the air.
+    The design is D-optimal: ``choose_stands`` maximises the determinant of the information. The
+    candidates are random stands that are balanced, and that the servos hold within 60 % of the
+    known torque limits (`RandomStands`). Some candidates have a foot in the air, carry the known
+    mass, or have a heading of 180 deg.
 
     Args:
         robot: Robot with a free base and feet.
@@ -139,8 +132,8 @@ def plan_stands(
         seed: Seed of the random stands.
 
     Raises:
-        ConfigurationError: If the count, the seed, a prior, kp, the mass or the place is invalid,
-            the base is fixed, or the robot has closed loops, couplings, welds or grips.
+        ConfigurationError: If an argument is invalid, the base is fixed, or the robot has closed
+            loops, couplings, welds or grips.
         MeasurementError: If a joint has no stated kp and ``kp`` is None, or too few random stands
             are in reach, held by the servos and within the torque limits.
         ModelError: If ``kp`` is passed and a joint has no motor, or the model with the known mass
@@ -198,23 +191,11 @@ def _draw_candidates(
 ) -> list[_Candidate]:
     """Draw the random stands from which the stands of a plan are chosen.
 
-    Every second stand has a heading of 180 deg, the other stands have a heading of 0. If there is a
-    known mass, the robot carries this mass in the second half of the stands.
-
-    Args:
-        robot: Robot without the known mass.
-        loaded_robot: Robot with the known mass; ``robot`` if there is none.
-        added: Known mass [kg].
-        count: Number of stands of the plan.
-        stiffness: Servo stiffness, shape (nu,) [N m/rad, N/m].
-        kp: Servo stiffness that the caller requests, scalar or shape (nu,) [N m/rad, N/m].
-        rng: Generator of random numbers, which is advanced.
-        priors: Prior standard deviations.
+    ``loaded_robot`` carries the known mass ``added`` [kg]; it is ``robot`` itself without such a
+    mass.
 
     Raises:
-        MeasurementError: If fewer than ``count`` random stands, with or without the known mass, are
-            in reach, held by the servos and within the torque limits.
-        ConfigurationError: If a prior of an encoder offset, mass or CoM matches no parameter.
+        MeasurementError: If too few random stands are possible.
     """
     variants = [robot] if loaded_robot is robot else [robot, loaded_robot]
     num_draws = -(-_CANDIDATES_PER_STAND * count // len(variants))  # rounded up
@@ -233,10 +214,7 @@ def _draw_candidates(
 
 
 def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]:
-    """Sort chosen candidates into the order of measurement, and name the stands s01, s02 ...
-
-    `_Candidate.sort_key` defines the order.
-    """
+    """Sort chosen candidates into the order of measurement, and name the stands s01, s02 ..."""
     ordered = sorted(candidates, key=lambda candidate: candidate.sort_key)
     return tuple(
         replace(candidate.planned, name=f"s{number:02d}")
@@ -247,8 +225,8 @@ def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]
 def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estimate, ...]:
     """Predict the interval of each parameter after the planned stands, around the stated value.
 
-    ``information`` is the information matrix of the planned stands and the priors, shape (n, n), in
-    units of the parameters' widths.
+    ``information`` has the shape (n, n), includes the priors, and is in units of the parameters'
+    widths.
     """
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))
     return tuple(
@@ -263,11 +241,7 @@ def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estima
 
 
 def _compute_base_top(robot: Robot) -> float:
-    """Return the height [m] of the highest point of the base's geoms, at least 0.
-
-    The height is measured from the origin of the base frame, along its z axis. The bounding box of
-    each geom is used.
-    """
+    """Return the height [m] of the base's geoms above the base origin, along base z; at least 0."""
     model, config = robot.mj_model, Configuration(robot, robot.home)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
@@ -308,8 +282,7 @@ class _Candidate:
     def sort_key(self) -> tuple[float, int, float, float]:
         """Known mass [kg], number of swing feet, heading [rad] and base height [m] of a stand.
 
-        Stands of a plan are sorted by this key, so that the operator seldom changes the known mass,
-        the swing feet and the heading.
+        In this order, the operator seldom changes the known mass, the swing feet and the heading.
         """
         stand = self.planned
         return stand.added, len(stand.swing), stand.heading, self.height
@@ -351,9 +324,8 @@ def choose_stands(
 ) -> tuple[int, ...]:
     """Choose stands that maximise the determinant of the total information (D-optimal design).
 
-    1. Greedy selection: the measurement with the largest gain is added until ``count`` is reached.
-    2. Single exchanges (Fedorov's algorithm), until no exchange improves the determinant, at most
-    five rounds (V. V. Fedorov, Theory of Optimal Experiments, 1972).
+    A greedy selection is improved by single exchanges (V. V. Fedorov, Theory of Optimal
+    Experiments, 1972). The result is a local optimum.
 
     Args:
         informations: Information of each measurement, shape (n, n); at least ``count`` matrices.
@@ -369,11 +341,7 @@ def choose_stands(
     rare_indices = set(np.flatnonzero(is_rare).tolist())
 
     def list_available(chosen_indices: Sequence[int]) -> list[int]:
-        """Return the indices of the measurements that may be chosen next.
-
-        Rare measurements are excluded after ``max_rare`` of these were chosen, unless no other
-        measurement remains.
-        """
+        """Return the indices of the measurements that may be chosen next."""
         candidates = [index for index in range(len(informations)) if index not in chosen_indices]
         full = len(rare_indices & set(chosen_indices)) >= max_rare
         return [
@@ -421,8 +389,7 @@ def _make_measured_stands(
 ) -> MeasuredStands:
     """Return planned stands as measured stands, with NaN as the measured joint positions [rad, m].
 
-    An added mass [kg] is at the offset [m] of ``tool``, in the frame of the link of ``tool``. If
-    ``tool`` is None, added masses are left out.
+    Added masses are attached at ``tool``; None leaves them out.
     """
     command = np.array([list(stand.command.values()) for stand in planned])
     loads = {}
@@ -502,14 +469,15 @@ _LIFTED_PROBABILITY = 0.4
 not tuned."""
 
 _MIN_CLEARANCE = 0.005
-"""Clearance [m] between links that planned stands require, unless the clearance in the nominal
-stand is less than twice as large (`_CLEARANCE_FRACTION`). Chosen, not tuned: an encoder offset of 3
-deg displaces the knees of v3 by about this distance."""
+"""Upper bound of the clearance [m] between links that planned stands require. Chosen, not tuned: an
+encoder offset of 3 deg displaces the knees of v3 by about this distance.
+"""
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal stand. The fraction applies if the product is less than `_MIN_CLEARANCE`: thighs may be
-close to the body. Chosen, not tuned.
+nominal
+stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
+tuned.
 """
 
 _COM_MARGIN_RATIO = 0.05
@@ -561,8 +529,7 @@ class RandomStands:
         """Draw random stands that the servos hold.
 
         Args:
-            count: Number of stands. Fewer are returned if too many random tasks have no stand
-                (`_TRIES_PER_STAND`, `_MAX_FAILED_TRIES`).
+            count: Number of stands. Fewer are returned if too many random tasks have no stand.
 
         Returns:
             Pairs of a stand and the steady state of this stand on the compliant servos.
@@ -596,10 +563,7 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a stand task with random height, roll, pitch and foot positions.
-
-        If the robot has more than three feet, a random foot may be in the air.
-        """
+        """Draw a stand task with random height, roll, pitch, foot positions and swing foot."""
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
@@ -625,13 +589,9 @@ class RandomStands:
         )
 
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
-        """Return the stand of a task and the steady state with feed-forward torques, or None.
+        """Return the stand of a task and the steady state with feed-forward torques.
 
-        The result is None, and the reason is counted, in these cases:
-
-        - There is no stand, also with the smaller CoM margin.
-        - The servos do not hold the robot on the same feet.
-        - A motor exceeds `_MAX_UTILISATION` of the torque limit.
+        None if the servos hold no such stand; the reason is counted.
         """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
@@ -658,11 +618,9 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the height [m] that the base loses on its servos, in the default stand task.
+    """Return the height [m] that the base loses on its servos in the default stand, at least 0.
 
-    The servos have no feed-forward. The result is at least 0. It is 0 if the stand cannot be
-    solved or has no equilibrium on the servos. ``kp`` is the servo stiffness [N m/rad, N/m]; the
-    model's if None.
+    The servos have no feed-forward. The result is 0 if no equilibrium is found.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -674,11 +632,7 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 def _compute_clearance(robot: Robot) -> float | None:
     """Return the clearance [m] between links that all stands of a plan must keep.
 
-    The result is `_CLEARANCE_FRACTION` of the clearance in the nominal stand (the default stand
-    task), and at most `_MIN_CLEARANCE`. The result is None in two cases:
-
-    - The nominal stand cannot be solved, for example because links overlap.
-    - The nominal stand has no link pairs.
+    None, for example, if links overlap in the nominal stand.
     """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
@@ -690,11 +644,7 @@ def _compute_clearance(robot: Robot) -> float | None:
 
 
 def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Return the largest prior standard deviation of an encoder offset [rad, m]; 0 if known.
-
-    Raises:
-        ConfigurationError: If a prior of an encoder offset matches no joint.
-    """
+    """Return the largest prior standard deviation of an encoder offset [rad, m]; 0 if known."""
     offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
     offset_priors = [prior for prior in priors if prior.kind == "offset"]
     return max((parameter.width for parameter in apply_priors(offsets, offset_priors)), default=0.0)
@@ -703,9 +653,8 @@ def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Compute the standard deviation [m] of the robot's CoM position before any measurement.
 
-    The standard deviation follows from the priors of link masses and CoM positions. Joints are at
-    the nominal positions. Links without a prior in ``priors`` have the default prior. The result is
-    the larger of the standard deviations of x and y, in the base frame.
+    The result is the larger of the standard deviations of x and y in the base frame, at the nominal
+    joint positions. Links without a prior in ``priors`` have the default prior.
 
     Args:
         robot: Robot.

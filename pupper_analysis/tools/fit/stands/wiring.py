@@ -23,9 +23,10 @@ from pupper_analysis.tools.fit.measurements.stands import MIN_STANDS, MeasuredSt
 from pupper_analysis.tools.fit.result import Fit
 
 _MAX_WEIGHED_WIRINGS = 12
-"""Upper bound of the number of wirings that are ranked by the evidence of all stands, if only some
-stands contradict the given wiring. A robot with four legs of three joints has 84 wirings with one
-error. Chosen, not tuned.
+"""Upper bound of the number of wirings that are ranked by the evidence of all stands, after a
+ranking
+by a few contradictory stands. A robot with four legs of three joints has 84 wirings with one error.
+Chosen, not tuned.
 """
 
 _MAX_FITTED_WIRINGS = 3
@@ -37,8 +38,8 @@ offset is large as well.
 
 _MAX_EXTENDED_WIRINGS = 1
 """Upper bound of the number of wirings with one error to which a second error is added, if no
-wiring with one error explains the stands. Each takes an evaluation of the evidence per wiring with
-one error. Chosen, not tuned.
+wiring
+with one error explains the stands. Chosen, not tuned.
 """
 
 
@@ -145,16 +146,9 @@ def find_wiring(
 ) -> Wiring | None:
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
-    The search has these steps:
-
-    1. Candidates are wirings that differ from the present wiring by one error (`generate_wirings`).
-    2. The candidates are ranked by the log evidence of the measurements, linearised about the
-    stated values.
-    3. The three most probable candidates are fitted, if they are more probable than the present
-    wiring.
-    4. If none explains the stands, a second error is added to the most probable candidate, and
-    steps 2 and 3 are repeated. Each error must increase the log evidence by `_MIN_EVIDENCE_GAIN`.
-    This step is left out if ``doubted`` is given.
+    Candidates are wirings that differ from the present wiring by one error (`generate_wirings`), or
+    by two. They are ranked by the log evidence of the measurements, linearised about the stated
+    values. The most probable candidates are fitted.
 
     Args:
         robot: Robot.
@@ -162,9 +156,8 @@ def find_wiring(
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
         doubted: Rows of stands that contradict the present wiring, if the wiring explains the other
-            stands. If given, the candidates are first ranked by these stands alone (with other
-            stands, up to `MIN_STANDS`). Only the best `_MAX_WEIGHED_WIRINGS` candidates are then
-            ranked by all stands, which is faster.
+            stands. The candidates, with one error, are then ranked by a few stands first, which is
+            faster.
 
     Returns:
         First fitted wiring whose fit has no failures; None without such a wiring.
