@@ -33,20 +33,22 @@ evaluates. Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
 """Upper bound [1] of the standard deviation of the total vertical ground force on the feet, divided
-by the robot's weight. If the bound is exceeded, `find_chatter` reports contact chatter. The
-deviation is taken over the last `_CHATTER_STATES` states of a rollout. Chosen, not tuned."""
+by
+the robot's weight. Beyond the bound, contacts chatter. Chosen, not tuned.
+"""
 
 MAX_CREEP_SPEED = 1e-3
-"""Upper bound of the creep speed of a foot [m/s], 5 mm in 5 s. Creep is the slow slip of a loaded
-contact. `find_creep` reports a faster foot. `simulate_nudges` subtracts creep up to this speed from
-the slip of a foot. Chosen, not tuned."""
+"""Upper bound of the creep speed of a foot [m/s] that is no failure, 5 mm in 5 s. Creep is the slow
+slip of a loaded contact. Chosen, not tuned.
+"""
 
 
 _SOLVER_NOISE_RATIO = 0.2
-"""Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge). Up to this
-bound, the remaining motion counts as an error of the constraint solver. A nudge is a small velocity
-of all coordinates. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots at
-rest move at 0.02 to 0.12 of the nudge without end."""
+"""Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge) of motion
+that
+counts as an error of the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's
+default settings, robots at rest move at 0.02 to 0.12 of the nudge without end.
+"""
 
 
 def find_instability(
@@ -55,14 +57,8 @@ def find_instability(
     """Create the messages that state why a stand is not stable: growing mode, or effect of a nudge.
 
     A mode is an eigenvector of MuJoCo's linearised simulation step. A nudge is a small velocity of
-    all coordinates.
-
-    There are up to two messages:
-
-    - The fastest mode that grows within ``HOLD_DURATION``, if the settled state is at rest. Without
-      such a mode: the motion after the nudge does not decay. A remaining speed of at most 20 % of
-      the speed of the nudge (`_SOLVER_NOISE_RATIO`) is ignored.
-    - The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
+    all coordinates. A growing mode explains that the motion after the nudge does not decay, which
+    is then not reported.
 
     Args:
         stability: Modes at the settled state of the simulation.
@@ -90,13 +86,8 @@ def find_instability(
 def proves_unrest(nudge: Nudge) -> bool:
     """Return True if the response to a nudge (a small velocity) alone proves a stand unstable.
 
-    Either of two responses shows this:
-
-    - A joint moved by `MAX_JOINT_DISPLACEMENT` or more.
-    - The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than 20 % of the
-      nudge (`_SOLVER_NOISE_RATIO`).
-
-    A slower motion proves nothing, since a foot with almost no load may bounce.
+    Proofs are a displaced joint (`MAX_JOINT_DISPLACEMENT`), and motion that does not decay. A slow
+    motion proves nothing, since a foot with almost no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True
@@ -128,11 +119,9 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with doubling time and the joints that move most.
+    """Create the message about a growing mode: doubling time [s], joints that move most.
 
-    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The doubling time [s]
-    is omitted if unknown. For an oscillating mode, the message contains the frequency [Hz]. If a
-    simulation with displaced joints measured the growth, it contains the displacement [rad, m].
+    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest.
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"
@@ -151,8 +140,7 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     """Report contact chatter: ground forces on a standing robot that vary from step to step.
 
     Chatter is reported if the standard deviation of the total vertical force on the feet exceeds 5
-    % of the weight (`_MAX_FORCE_VARIATION`). The deviation is taken over the last 50 states
-    (`_CHATTER_STATES`).
+    % of the weight (`_MAX_FORCE_VARIATION`) over the last states (`_CHATTER_STATES`).
 
     A possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
     resolves the edges of the cone to a limited accuracy. Another cause is stiff ground, which

@@ -53,19 +53,16 @@ doubles in ``HOLD_DURATION``, the time for which a stand must hold. Slower modes
 MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
-"""Upper bound of the number of time steps per control period [1]. The period is divided so that the
-delay is a whole number of steps. If no number up to this bound fits, the delay is rounded. The
-period has more steps only if the model's time step requires more. Chosen, not tuned."""
+"""Upper bound of the number of time steps into which a control period is divided, so that the delay
+is
+a whole number of steps. Chosen, not tuned.
+"""
 
 _DELAY_TOLERANCE = 1e-6
-"""Tolerance [1] of three comparisons, up to which a difference counts as rounding. Chosen, not
-tuned.
-
-- A deviation of the delay from a multiple of the time step counts as rounding, relative to the
-  larger of time step and delay.
-- An excess of the control period over a multiple of the file's time step counts as rounding, in
-  time steps.
-- The imaginary part of an eigenvalue of the closed loop counts as zero (absolute value)."""
+"""Tolerance [1] up to which a difference counts as rounding: relative for delays and control
+periods,
+absolute for the imaginary part of an eigenvalue of the closed loop. Chosen, not tuned.
+"""
 
 _TRANSIENT_RATIO = 0.1
 """Ratio [1] of the amplitudes of a mode after and before the delay plus a control period. Modes
@@ -84,8 +81,9 @@ displacement, and no foot slips."""
 
 _REST_SPEED = 0.01
 """Upper bound of the joint velocities [rad/s, m/s] with which a robot counts as at rest at the end
-of a simulation. The end is the last fraction `_COMPARED_SHARE` of the simulated time. Chosen: 5 %
-of `_NUDGE_SPEED`."""
+of
+a simulation. Chosen: 5 % of `_NUDGE_SPEED`.
+"""
 
 _COMPARED_SHARE = 0.2
 """Length of each of two intervals of a simulation, as a fraction of the simulated time [1]. The
@@ -108,8 +106,9 @@ bound, the robot has left the stand. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
 """Absolute term [rad, m] in the upper bound of the largest joint displacement in the second half of
-a simulation (see `_MAX_SHIFT_RATIO`). Displacements grow slowly without a failure, since MuJoCo's
-friction creeps. Measured: v3 creeps by 0.01 mrad in 12 s."""
+a
+simulation (see `_MAX_SHIFT_RATIO`). Measured: v3 creeps by 0.01 mrad in 12 s, without a failure.
+"""
 
 _MAX_SHIFT = 0.1
 """Upper bound of the displacement of a joint from the stand [rad, m]. A simulation of the
@@ -146,10 +145,7 @@ class WorstMode(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether the mode decays, or grows so slowly that a stand still holds.
-
-        This is so if the growth rate is at most `MAX_GROWTH_RATE` [1/s].
-        """
+        """Whether the growth rate is at most `MAX_GROWTH_RATE`, so that a stand still holds."""
         return self.growth_rate <= MAX_GROWTH_RATE
 
 
@@ -213,16 +209,11 @@ class ControlledStand:
         """Linearise the motion in one control period: x' = F x + L u_late + P u_prompt.
 
         x and x' are the deviations of (qpos, qvel, act) from the stand before and after the period.
-        u_late and u_prompt are deviations of the motor torques [N m] from the holding torques.
-        During the first ``delay_steps % steps`` time steps of a period the earlier command u_late
-        still acts; then the later command u_prompt acts. Dry friction of joints and tendons is
-        zero.
+        The earlier command u_late [N m] still acts at the beginning of a period, then the later
+        command u_prompt. Dry friction of joints and tendons is zero.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
-
-        Raises:
-            ConfigurationError: If a derivative is not finite.
         """
         model = copy.copy(self.model)
         model.dof_frictionloss[:] = 0.0
@@ -247,11 +238,9 @@ class ControlledStand:
         return powers[-1], powers[self.steps - late] @ sums[late], sums[self.steps - late]
 
     def compute_joint_inertias(self) -> Array:
-        """Compute the inertia that each motor accelerates in the stand.
+        """Compute the inertia that each motor accelerates in the stand: torque / acceleration.
 
-        The inertia of a joint is the control period divided by the velocity change that a torque of
-        1 N m (or 1 N) of its motor causes in this period. The other motors keep their torques, and
-        the feet are on MuJoCo's soft ground.
+        The other motors keep their torques, and the feet are on MuJoCo's soft ground.
 
         Returns:
             Inertia [kg m^2, kg], shape (nu,); NaN for joints without motor, and if the torque does
@@ -289,11 +278,10 @@ class ControlledStand:
         )
 
     def _scale_direction(self, vector: NDArray[np.complex128]) -> Array:
-        """Scale the real part of a mode, so that it can be the initial deviation of a simulation.
+        """Scale a mode to an initial deviation (2 nv,) [m, rad, m/s, rad/s] of a simulation.
 
-        In the scaled mode, the joint that moves most has a displacement of `_NUDGE_ANGLE` or a
-        velocity of `_NUDGE_SPEED`. ``vector`` and the result have the shape (2 nv,): displacements
-        [m, rad] and velocities [m/s, rad/s]. The result is zero if no joint moves.
+        The joint that moves most has a displacement of `_NUDGE_ANGLE` or a velocity of
+        `_NUDGE_SPEED`.
         """
         nv = self.model.nv
         scales = np.repeat([_NUDGE_ANGLE, _NUDGE_SPEED], nv)
@@ -318,16 +306,16 @@ class ControlledStand:
     def find_smallest_damping_ratio(self, kp: Array, kd: Array) -> float:
         """Find the smallest damping ratio of the oscillating modes of the closed control loop.
 
+        The eigenvalue of a mode is z = exp(s T), where T is the control period. The damping ratio
+        of the mode is -Re(s) / abs(s). Modes that decay within the delay plus a control period
+        (`_TRANSIENT_RATIO`) are not considered.
+
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
             kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
 
         Returns:
             Damping ratio [1], at most 1; 1 if no mode oscillates, negative if an oscillation grows.
-            The eigenvalue of a mode is z = exp(s T), where T is the control period. The damping
-            ratio of the mode is -Re(s) / abs(s). A negative real z is an oscillation at half of the
-            control rate. Modes that decay within the delay plus a control period
-            (`_TRANSIENT_RATIO`) are not considered.
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd)).astype(complex)
         is_real = np.abs(values.imag) <= _DELAY_TOLERANCE
@@ -339,10 +327,8 @@ class ControlledStand:
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
         """Return the transition matrix (n, n) of the closed loop over one control period.
 
-        ``kp`` and ``kd`` are the gains of all joints, shape (nu,).
-
-        The states are the deviations x of `_linearise`, then the torques [N m] that were commanded
-        in the ``delay_steps // steps + 1`` previous periods, the latest first.
+        The states are the deviations of `_linearise`, then previous commands [N m], the latest
+        first.
         """
         nv, count = self.model.nv, len(self._driven)
         feedback = np.zeros((count, len(self._first)))
@@ -370,7 +356,8 @@ class ControlledStand:
     ) -> bool:
         """Simulate the controlled stand from a deviation along a mode; return True if it holds.
 
-        The MuJoCo model has torque motors instead of the servos, and all friction.
+        The MuJoCo model has torque motors instead of the servos, and all friction. The stand holds
+        if the driven joints stay near the stand, and come to rest or oscillate less and less.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
@@ -378,15 +365,6 @@ class ControlledStand:
             duration: Simulated time [s].
             mode: Mode of this controlled stand (`find_worst_mode`), along which the robot is
                 displaced.
-
-        Returns:
-            True if all conditions hold. Only joints with a motor are evaluated.
-
-            - The joints come to rest, or the oscillation decays.
-            - No joint displacement from the stand exceeds 0.1 rad or m (`_MAX_SHIFT`).
-            - All joint velocities are below 100 rad/s or m/s (`_MAX_JOINT_SPEED`).
-            - In the second half of the simulation, the largest joint displacement is at most
-              `_MAX_SHIFT_RATIO` times its value at the middle, plus `_MIN_SHIFT`.
         """
         data = copy_data(self.model, self._start)
         target, stiff = data.qpos[self._places].copy(), kp[self._driven]
@@ -424,10 +402,8 @@ def find_largest_damping_factor(
 ) -> float:
     """Find the largest factor on the damping gains with which a controlled stand is stable.
 
-    1. Powers of 2 from 1 / `MAX_FACTOR` to `MAX_FACTOR` are tried, nearest to 1 first, until the
-       stand is stable (`ControlledStand.is_stable`).
-    2. The stable factor is doubled until the stand is unstable.
-    3. The last interval is bisected.
+    The search starts at the tried power of 2 nearest to 1 with which the stand is stable, doubles
+    the factor until the stand is unstable, and bisects the last interval.
 
     Args:
         loop: Controlled stand.
@@ -477,8 +453,7 @@ def bisect_factor(
 def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array) -> None:
     """Convert servos to torque motors, in place: ctrl becomes the torque at the joint [N m].
 
-    ``gear`` is the gear ratio of each of these actuators, by which MuJoCo multiplies the force.
-    Limits of force and torque remain.
+    ``gear`` is the gear ratio of each of these actuators.
     """
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_NONE.value
@@ -489,19 +464,12 @@ def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: A
 
 
 def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[float, int, int]:
-    """Divide a control period into time steps such that the delay is a multiple of a time step.
+    """Divide a control period into time steps such that the delay [s] is a multiple of a time step.
 
-    Args:
-        timestep: Largest time step [s].
-        rate: Control rate [Hz]; None for 1 / ``timestep``.
-        delay: Delay [s]. It is rounded to whole time steps if no division into up to
-            ``_MAX_STEPS_PER_PERIOD`` steps fits.
+    ``timestep`` [s] is the largest time step; also the period if ``rate`` [Hz] is None.
 
     Returns:
-        Period [s], time steps per period, and time steps of the delay.
-
-    Raises:
-        ConfigurationError: If rate or delay is out of range.
+        Period [s], time steps per period, and time steps of the delay (rounded).
     """
     if rate is not None and not 0 < rate <= MAX_RATE:
         raise ConfigurationError("rate", diagnose("rate-not-valid", given=rate, most=MAX_RATE))

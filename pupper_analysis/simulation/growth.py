@@ -57,27 +57,30 @@ would stop a small nudge along these modes. Chosen larger than the deviation tha
 holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Upper bound of the simulated time [s] of a growth test without a result. The current
-`_CHUNK_DURATION` is completed. If a foot has almost no load, growth is followed up to twice this
-time. Derived: `DOUBLINGS` of a mode that doubles in ``HOLD_DURATION``, and one more
-``HOLD_DURATION`` for the decay of other motion."""
+"""Simulated time [s] after which a growth test without a result ends. Derived: `DOUBLINGS` of a
+mode
+that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other motion.
+"""
 
 LEAVING_ANGLE = 1e-2
 """Lower bound of the displacement of a joint from the tested state [rad, m] with which a growing
-mode is confirmed although a foot has almost no load. The displacement is evaluated at the end of
-each `_CHUNK_DURATION`. Chosen equal to ``stability.MAX_JOINT_DISPLACEMENT``, the bound after a
-nudge. Measured on three robots with feet that carry 1e-5 to 1e-4 of the weight: the difference of
-two simulations grows by five doublings to 0.01 to 0.09 mrad, or by six to 2.6 mrad, and then stops.
+mode
+is confirmed although a foot has almost no load. Chosen equal to
+``stability.MAX_JOINT_DISPLACEMENT``. Measured on three robots with feet that carry 1e-5 to 1e-4 of
+the weight: the difference of two simulations grows by five doublings to 0.01 to 0.09 mrad, or by
+six to 2.6 mrad, and then stops.
 """
 
 _CHUNK_DURATION = 2.0
-"""Interval of simulated time [s] after which a growth test evaluates if the motion has grown or
-decayed. The interval is rounded to complete windows of time (`_MAX_WINDOW`). Chosen, not tuned."""
+"""Interval of simulated time [s], about, after which a growth test evaluates if the motion has
+grown
+or decayed. Chosen, not tuned.
+"""
 
 _DECAYED_RATIO = 1e-2
-"""Upper bound of two ratios [1] with which a growth test ends because the motion has decayed: D /
-(bound of the initial D), and D / (maximum of D in the first window). D is the deviation, half the
-difference of the two simulations. Chosen, not tuned."""
+"""Ratio [1] of the deviation D to its initial value, below which the motion of a growth test has
+decayed. D is half the difference of the two simulations. Chosen, not tuned.
+"""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s] and growth factor [1] of an early end of a growth test. After this time, the
@@ -86,10 +89,10 @@ times its smallest value. The time begins at the start, or at the end of the las
 Exponential growth with a doubling time of ``HOLD_DURATION`` has a factor of 2.8."""
 
 _ENDED_GROWTH = 1.25
-"""Lower bound [1] of the growth ratio in a growth test; below, growth has ended. The ratio is
-(maximum of D so far) / (maximum of D up to two doubling times ago). D is half the difference of the
-two simulations. The ratio is 4 for exponential growth. Measured: Pupper v3 with a foot on a slope
-and 2 kg leaves its stand; the smallest ratio is 1.9, when the growth slows down."""
+"""Lower bound [1] of the ratio of maxima of the deviation D in a growth test, now and two doubling
+times ago; below, growth has ended. The ratio is 4 for exponential growth. Measured: Pupper v3 with
+a foot on a slope and 2 kg leaves its stand; the smallest ratio is 1.9, when the growth slows down.
+"""
 
 _MAX_DOUBLING_RATIO = 1.6
 """Upper bound [1] of the ratio (time of a doubling) / (time of the previous doubling) of growth
@@ -98,16 +101,15 @@ exponential growth, and 2, for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
 """Lower bound [1] of the ratio (final amplitude) / (first maximum of the deviation D) of a
-sustained oscillation. D is half the difference of the two simulations of a growth test, which must
-last at least `_HALF_TIME` (18 s). The amplitude is half the range of a joint's signed deviation in
-the last period of the slowest oscillating mode. Chosen, not tuned."""
+sustained
+oscillation in a growth test. D is half the difference of the two simulations. Chosen, not tuned.
+"""
 
 _MIN_OSCILLATION_RATIO = 0.5
-"""Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation. With a
-smaller ratio, growth counts as buckling. D is half the difference of the two simulations of a
-growth test. Both values are taken when D has grown by ``2 ** DOUBLINGS``; the amplitude is defined
-as for `_SUSTAINED_RATIO`. Chosen between 1, for an oscillation about the undisturbed motion, and
-0.25, for exponential growth that doubles in one period."""
+"""Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation in a
+growth test. With a smaller ratio, growth counts as buckling. Chosen between 1, for an oscillation
+about the undisturbed motion, and 0.25, for exponential growth that doubles in one period.
+"""
 
 _MAX_WINDOW = 1.0
 """Upper bound [s] of the length of the time windows of a growth test. The difference of the two
@@ -142,10 +144,8 @@ def confirm_growth(
     """Test by simulation if modes that grow within ``HOLD_DURATION`` in the linear model do grow.
 
     A mode is an eigenvector of MuJoCo's linearised simulation step. `Mode.grows_within` selects the
-    modes: an oscillation may grow at any rate. Each test simulates deviations
-    along modes (`simulate_growth`). Modes that grow only without dry friction
-    (``Mode.without_dry_friction``) are tested last, and only if no other mode is confirmed to grow
-    within ``HOLD_DURATION``.
+    modes: an oscillation may grow at any rate. Each test simulates deviations along modes
+    (`simulate_growth`).
 
     Args:
         stability: Modes of the linearised step at the state.
@@ -154,12 +154,12 @@ def confirm_growth(
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        Stability with the result of the tests; ``stability`` itself if no mode grows within
-        ``HOLD_DURATION``, or if the state is not at rest.
+        Stability with the result of the tests; ``stability`` itself if there is nothing to test, or
+        if the state is not at rest.
 
         - ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
-          time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
-          is None for a sustained oscillation.
+        time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
+        is None for a sustained oscillation.
         - ``refuted_modes`` contains the tested modes that the simulation does not confirm.
         - Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
     """
@@ -198,11 +198,9 @@ def confirm_growth(
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
-    """Return the upper bounds of the initial deviations for the growth tests of modes.
+    """Return initial deviations for tests of modes: pairs of [rad, m] and [rad/s, m/s].
 
-    Each element is a pair: joint displacement [rad, m] and velocity [rad/s, m/s]. The large pair is
-    used if dry friction would stop a small deviation (``Mode.without_dry_friction``), otherwise the
-    small pair. If modes without dry friction oscillate, both pairs are tried, the small pair first.
+    The large pair is for modes whose small deviations dry friction would stop.
     """
     small, large = (MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
@@ -291,12 +289,8 @@ def simulate_growth(
 def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
     """Count the steps before the first of two simulations diverges; n without divergence.
 
-    At a divergence a value is not finite, or the time does not advance (``monitor.has_diverged``).
-
-    Args:
-        times: Initial time of each simulation, shape (2,) [s].
-        rollouts: States after each step, shape (2, n, size).
-        timestep: Time step [s].
+    ``times`` are the initial times, shape (2,) [s], ``rollouts`` the states after each step, shape
+    (2, n, size).
     """
     advances = np.diff(rollouts[..., 0], axis=1, prepend=times[:, None]) > timestep / 2
     is_valid = advances & np.isfinite(rollouts).all(axis=-1)
@@ -308,11 +302,8 @@ def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
 def _halve_difference(positions: Array, valid: int) -> Array:
     """Return half the difference of the joint positions of two simulations, (n, joints) [rad, m].
 
-    The difference is infinite after a divergence, since MuJoCo resets both to the same state.
-
-    Args:
-        positions: Joint positions of both simulations, shape (2, n, joints) [rad, m].
-        valid: Number of steps before the divergence.
+    From step ``valid`` on, the difference is infinite: after a divergence, MuJoCo resets both to
+    the same state.
     """
     half: Array = (positions[0] - positions[1]) / 2
     half[valid:] = np.inf
@@ -320,15 +311,9 @@ def _halve_difference(positions: Array, valid: int) -> Array:
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
-    """Return True if the growth of a deviation has ended, by its maxima in successive windows.
+    """Return True if the growth of a deviation, with its maxima in time windows, has ended.
 
-    Growth has ended if (largest deviation so far) / (largest deviation up to two doubling times
-    ago) is below ``_ENDED_GROWTH``. The result is False if the growth began less than two doubling
-    times ago.
-
-    Args:
-        maxima: Largest deviation in each window of time, shape (n,).
-        doubling: Doubling time of the growth, in windows.
+    ``maxima`` has the shape (n,), ``doubling`` is the doubling time in windows.
     """
     begin = int(maxima[: _count_windows_until_grown(maxima)].argmin())
     largest, since = np.maximum.accumulate(maxima[begin:]), math.ceil(2 * doubling)
@@ -336,13 +321,9 @@ def _has_ended(maxima: Array, doubling: float) -> bool:
 
 
 def _count_windows_until_grown(maxima: Array) -> int:
-    """Count the time windows until a deviation has grown by the factor ``2 ** DOUBLINGS``.
+    """Count the time windows until a deviation has grown by ``2 ** DOUBLINGS``; n if it has not.
 
-    The factor is relative to the smallest maximum of the windows so far. The result is n without
-    such growth.
-
-    Args:
-        maxima: Largest deviation in each of n windows of time, shape (n,).
+    ``maxima`` are the largest deviations in n windows.
     """
     grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * np.minimum.accumulate(maxima))
     return int(grown[0]) + 1 if len(grown) else len(maxima)
@@ -350,15 +331,10 @@ def _count_windows_until_grown(maxima: Array) -> int:
 
 @np.errstate(invalid="ignore", over="ignore")
 def _final_amplitude(lows: Array, highs: Array, count: int) -> float:
-    """Return the largest amplitude [rad, m] of the joints' oscillations in the last time windows.
+    """Return the largest oscillation amplitude [rad, m] of a joint in the last ``count`` windows.
 
-    The amplitude of a joint is half the range of its signed deviation in these windows; 0 if the
-    deviation is constant.
-
-    Args:
-        lows: Smallest deviation of each joint in n windows, shape (n, joints) [rad, m].
-        highs: Largest deviation of each joint in n windows, shape (n, joints) [rad, m].
-        count: Number of windows at the end, at least one period of the oscillation.
+    ``lows`` and ``highs`` are the extreme signed deviations in n windows, shape (n, joints) [rad,
+    m].
     """
     return float(np.max(highs[-count:].max(axis=0) - lows[-count:].min(axis=0)) / 2)
 
@@ -368,20 +344,8 @@ def _make_displacement(
 ) -> Array:
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
-    The displacement is the sum of the modes that were found with both finite-difference steps
-    (``repeated_at_second_step``). Each mode is scaled to the bounds ``angle`` and ``speed`` before
-    the summation, so that a fast mode, with large velocities, does not hide a slow mode. The sum is
-    scaled to the same bounds. If no mode was found with both steps, all coordinates get a
-    velocity, and no position changes.
-
-    Args:
-        model: MuJoCo model.
-        modes: Modes along which the state is displaced.
-        angle: Largest displacement of a position [rad, m].
-        speed: Largest change of a velocity [rad/s, m/s].
-
-    Returns:
-        Displacement in the tangent space: positions [m, rad], velocities [m/s, rad/s], activations.
+    Each mode is scaled before the summation, so that a fast mode, with large velocities, does not
+    hide a slow mode. The sum is within ``angle`` [m, rad] and ``speed`` [m/s, rad/s].
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]
@@ -392,13 +356,7 @@ def _make_displacement(
         return displacement
 
     def scale(displacement: Array) -> Array:
-        """Scale a displacement (2 nv + na,) to the bounds of positions and of velocities.
-
-        The bounds are ``angle`` [rad, m] and ``speed`` [rad/s, m/s].
-
-        One factor is applied to all components, so that one bound is reached and no bound is
-        exceeded.
-        """
+        """Scale a displacement (2 nv + na,) until it reaches a bound of positions or velocities."""
         largest_angle = np.abs(displacement[:nv]).max() / angle
         largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
         return np.asarray(displacement / max(largest_angle, largest_speed))
@@ -425,13 +383,10 @@ _NUM_TRANSLATIONS = {int(JointKind.FREE): 3, int(JointKind.SLIDE): 1}
 
 
 def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
-    """Add a displacement in the tangent space to a state (mjSTATE_FULLPHYSICS).
+    """Return a state (mjSTATE_FULLPHYSICS), displaced in the tangent space.
 
-    Args:
-        model: MuJoCo model.
-        start: State (mjSTATE_FULLPHYSICS).
-        displacement: Changes of position [m, rad], velocity [m/s, rad/s] and activation, shape (2
-            nv + na,).
+    ``displacement`` has the shape (2 nv + na,): positions [m, rad], velocities [m/s, rad/s],
+    activations.
     """
     data, nv = mujoco.MjData(model), model.nv
     mujoco.mj_setState(model, data, start, STATE_SPEC)
@@ -447,28 +402,16 @@ def _doubling_time(mode: Mode) -> float:
 
 
 def _window_duration(mode: Mode) -> float:
-    """Return the length [s] of the time window in which a mode's maximum deviation is taken.
-
-    The window is the longer of two times: a period, and a quarter of the doubling time.
-    `simulate_growth` bounds the result by ``_MAX_WINDOW``.
-    """
+    """Return the length [s] of the time window in which a mode's maximum deviation is taken."""
     period = 1 / mode.frequency if mode.frequency else 0.0
     return max(period, _doubling_time(mode) / 4)
 
 
 def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
-    """Return the doubling time [s] of a deviation from its maxima in successive time windows.
+    """Return the doubling time [s] of a deviation from its maxima in windows of time, shape (n,).
 
-    The doubling time is half the time of two successive doublings.
-
-    None if the deviation does not grow by ``2 ** DOUBLINGS``, if growth slows down, or if a
-    deviation is zero. After a divergence in the first window, the result is ``window``.
-
-    Args:
-        maxima: Largest deviation in each window of time, shape (n,); infinite after a divergence.
-        window: Length of a window [s].
-        lost: Whether the simulation diverged. Fewer doublings, or growth that slows down, are then
-            sufficient, and the result is the mean time of a doubling up to the divergence.
+    The doubling time is half the time of two successive doublings, or a mean if the simulation
+    diverged (``lost``). None without sufficient growth. A window is ``window`` [s] long.
     """
     if not math.isfinite(maxima[0]):
         return window  # diverged within the first window: an upper bound of the doubling time
@@ -490,11 +433,10 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
 
 
 def _crossing_time(rising: Array, level: float, window: float) -> float:
-    """Return the time [s] at which a rising sequence reaches a level.
+    """Return the time [s] at which a sequence, sampled every ``window`` [s], rises to a level.
 
-    The elements are ``window`` [s] apart; the first is at time 0. The first element must be below
-    ``level``, and the last must be at least ``level``. The logarithm is interpolated linearly
-    between two elements.
+    The logarithm is interpolated linearly. The first element must be below ``level``, the last must
+    not.
     """
     after = int(np.searchsorted(rising, level))
     low, high = np.log(rising[after - 1]), np.log(rising[after])
@@ -506,14 +448,7 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
     """Return the mode that a growth test confirms, with the simulated growth and joints.
 
-    Of all tested modes, the mode whose doubling time is nearest to the simulated doubling time (as
-    a ratio) is selected. If the test confirms only a sustained oscillation, the first oscillating
-    mode is selected, and its growth is that of the linear model.
-
-    Args:
-        modes: Modes that were tested together.
-        trial: Result of the test.
-        timestep: Time step of the model [s].
+    It is the tested mode whose doubling time is nearest to the simulated one, for example.
     """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

@@ -48,11 +48,9 @@ class LinearStep:
     def predict(self, before: Array, state: Array, duration: float) -> Array:
         """Predict with the linear model how far the robot moves from a state, at later times.
 
-        The displacement is predicted at the times T, 2 T, ..., n T after ``state``. The interval T
-        is a multiple of MuJoCo's time step, at most `_MAX_SAMPLE_TIME` unless the time step itself
-        is longer. n is the smallest number with n T >= ``duration``.
-
-        The model extrapolates the change in the last time step, from ``before`` to ``state``.
+        The model extrapolates the change in the last time step, from ``before`` to ``state``. The
+        displacement is predicted at n times: multiples of an interval of about `_MAX_SAMPLE_TIME`
+        or less, up to ``duration``.
 
         Args:
             before: State one time step before ``state`` (mjSTATE_FULLPHYSICS), shape (size,).
@@ -60,18 +58,16 @@ class LinearStep:
             duration: Predicted time after ``state`` [s].
 
         Returns:
-            Displacements at the n times, shape (n, 2 nv + na), in the tangent space. Columns:
-                positions [m, rad], velocities [m/s, rad/s], activations. Values may be infinite or
-                NaN if a mode grows.
+            Displacements, shape (n, 2 nv + na), in the tangent space: positions [m, rad],
+            velocities [m/s, rad/s], activations. Values may be infinite or NaN if a mode grows.
         """
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
         """Return True if this linear model predicts simulated positions from the first two states.
 
-        Only positions are compared, at the sample times of `predict`. The largest error must be at
-        most `_INTERVAL_RTOL` times the largest displacement, plus `_INTERVAL_ATOL` [m, rad mixed].
-        The result is False if the states do not reach the first predicted time.
+        The tolerances are `_INTERVAL_RTOL` and `_INTERVAL_ATOL`. The result is False if the states
+        are too few.
 
         Args:
             states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size), n > 2.
@@ -87,9 +83,8 @@ class LinearStep:
         return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
 
     def _predict(self, before: Array, state: Array, count: int) -> Array:
-        """Predict displacements from ``state`` at ``count`` sample times, shape (count, 2 nv + na).
+        """Predict displacements from ``state`` at ``count`` sample times, (count, 2 nv + na).
 
-        The columns are those of ``predict``. The times are multiples of ``_stride`` time steps;
         ``before`` is the state one step before ``state``.
         """
         change = self.subtract(before, state)

@@ -38,8 +38,8 @@ from pupper_analysis.stance.stand import Stand
 
 FALLEN_HEIGHT_RATIO = 0.5
 """Lower bound [1] of the height of the CoM above the feet, divided by the expected height. A robot
-with a lower CoM has fallen (`StandReference.has_fallen`). The CoM is represented by the point of
-the base at which it is in the expected stand. Walks use the same bound. Chosen, not tuned."""
+with a lower CoM has fallen. Chosen, not tuned.
+"""
 
 MAX_STANDING_TILT = math.radians(10)
 """Upper bound of the tilt of the base [rad] of a robot that stands (`StandCheck.stands`). Chosen
@@ -145,10 +145,7 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position (3,) [m] of the base point that represents the CoM, in a state.
-
-        The point moves with the base. In the expected stand, it is at the CoM of the robot.
-        """
+        """Return the world position (3,) [m] of the base point that represents the CoM."""
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
         position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
         return position
@@ -429,9 +426,9 @@ _SAMPLE_TIME = 0.02
 
 _EQUAL_POSITION_ATOL = 1e-6
 """Tolerance of positions [m, rad] and activations with which two states count as equal in
-`record_contacts`. A state that equals the state evaluated last reuses its contacts, except in the
-last second before the nudge. Chosen: if a foot of v3 moves by 1e-6 m into MuJoCo's soft ground, its
-force changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of the weight."""
+`record_contacts`. Chosen: if a foot of v3 moves by 1e-6 m into MuJoCo's soft ground, its force
+changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of the weight.
+"""
 
 _EQUAL_SPEED_ATOL = 1e-5
 """Tolerance of velocities [m/s, rad/s] with which two states count as equal in `record_contacts`.
@@ -442,19 +439,18 @@ LIGHT_FOOT_LOAD = 5e-3
 """Upper bound [1] of the ratio (load of a foot) / (load of all feet) with which the foot counts as
 light (almost unloaded). A light foot may leave the ground for a moment without a failure. Measured
 on unequal slopes: with minimum tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the
-weight, and a nudge lifts these feet. The value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load
-of four feet."""
+weight, and a nudge lifts these feet.
+"""
 
 MIN_PUSH_RATIO = 1e-3
-"""Lower bound of a contact force, divided by the robot's weight [1], used twice. Two bodies are
-reported as touching if the normal force of a contact between them is larger. `record_contacts`
-reuses the contacts of an equal state only if the force on each stance foot is larger. Chosen, not
-tuned."""
+"""Lower bound of a contact force that is not negligible, divided by the robot's weight [1]; for
+example, of bodies that are reported as touching. Chosen, not tuned.
+"""
 
 MEASURING_TIME = 1.0
-"""Duration [s] of the interval in which settled torques, forces, heights and positions are
-averaged. The interval ends at the nudge, and ``verify_stand`` simulates at least this time before
-the nudge. Chosen, not tuned."""
+"""Duration [s] of the interval before the nudge in which settled torques, forces, heights and
+positions are averaged. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -517,12 +513,7 @@ def record_contacts(
     """Find contact failures in a rollout of a stand, and average torques and forces before a nudge.
 
     Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
-    nudge.
-
-    The states are sampled backwards, a sample per `_SAMPLE_TIME`. All samples of the last second
-    before the nudge are evaluated. To save time, another sample reuses the contacts of the sample
-    evaluated last under two conditions. Both states are equal (`_EQUAL_POSITION_ATOL`,
-    `_EQUAL_SPEED_ATOL`), and each stance foot carries more than `MIN_PUSH_RATIO` of the weight.
+    nudge. Outside of this second, the states are sampled about every `_SAMPLE_TIME`.
 
     Args:
         robot: Robot.
@@ -533,9 +524,9 @@ def record_contacts(
         settling: Number of states before the nudge (a small velocity of all coordinates).
         loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
             a predicted load below `LIGHT_FOOT_LOAD`.
-        is_released: Whether the servos start without the static torques, so that the robot drops
-            by its sag and bounces. The feet ``loaded`` may then leave the ground until the last
-            second before the nudge.
+        is_released: Whether the servos start without the static torques, so that the robot drops by
+            its sag and bounces. The feet ``loaded`` may then leave the ground until the last second
+            before the nudge.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
@@ -635,11 +626,8 @@ def _list_contact_failures(
 ) -> Iterator[Diagnostic]:
     """Yield messages about contact failures: bodies on the ground, unloaded feet, touching parts.
 
-    Args:
-        touched: {body other than a foot of the stance: first time on the ground [s]}.
-        surfaces: {body: surface that the body touches; None for the floor or an unknown surface}.
-        idle: {foot that must carry load: first time without load [s]}.
-        pressed: Pairs of bodies that push on each other, for a fixed base without stance feet.
+    ``touched`` and ``idle`` contain the first times [s], ``pressed`` pairs of bodies that push on
+    each other.
     """
     for body, moment in sorted(touched.items()):
         yield diagnose(

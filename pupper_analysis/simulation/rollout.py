@@ -33,14 +33,15 @@ depth at which the contacts carry the weight. Each further distance is twice the
 Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
-"""Tolerance [m] of the bisection in ``place_on_ground``. The bisected quantity is the distance by
-which the base is lowered. Chosen, not tuned.
+"""Tolerance [m] of the bisection for the distance by which ``place_on_ground`` lowers the base.
+Chosen,
+not tuned.
 """
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
 """MuJoCo's types of actuator dynamics for servos with ``timeconst``. The activation follows the
-command, clipped to ``ctrlrange``, as a first-order filter. At rest it equals the clipped command.
+command, clipped to ``ctrlrange``, as a first-order filter.
 """
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -95,11 +96,10 @@ def make_stand_start(
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
-            the robot cannot make the contacts of the task.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
         UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = stand.check(robot)
@@ -130,14 +130,10 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Compute the state of a stand lowered into soft ground until contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered along the ground normal at
-    the first stance foot, with constant joint positions, until the forces along this direction
-    balance. The direction is vertical if feet are on separate planes, or if there are no stance
-    feet. The simulation then starts near equilibrium, not with a fall of some millimetres.
-
-    The stand is not lowered in three cases: the base is fixed; a part is welded or grips; or feet
-    are on separate planes and the stand already has penetration depths. If the contacts do not
-    carry the weight at `_MAX_DROP`, the state at this depth is returned.
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground normal,
+    with constant joint positions, until the forces along this direction balance. The simulation
+    then starts near equilibrium, not with a fall of some millimetres. A stand that is held
+    otherwise, for example by a fixed base, is not lowered.
 
     Args:
         robot: The robot.
@@ -156,10 +152,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def compute_surplus_force(drop: float) -> float:
-        """Return the supporting force minus the weight [N] with the base lowered by ``drop`` [m].
+        """Return the supporting force minus the weight [N], along the ground normal.
 
-        Both are components along the ground normal. The supporting force is that of contacts,
-        constraints and passive elements, such as gravity compensation.
+        The base is lowered by ``drop`` [m].
         """
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
@@ -203,10 +198,8 @@ def settled_activations(
 ) -> Array:
     """Compute the activations (model.na,) of actuators with filter dynamics at a constant command.
 
-    The activation of an actuator with filter dynamics (`FILTER_DYNAMICS`) is its command in
-    ``ctrl``, shape (model.nu,). The command is clipped to ``ctrlrange`` if this range is a limit.
-    The activation is zero for other actuators, and for time constants above ``max_time_constant``
-    [s].
+    The activation is the command in ``ctrl``, shape (model.nu,), clipped to ``ctrlrange`` if this
+    range is a limit. The activation is zero for time constants above ``max_time_constant`` [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():

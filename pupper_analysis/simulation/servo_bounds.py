@@ -161,12 +161,10 @@ def bound_servo_gains(
 
     Both bounds are common factors on the present gains of all joints.
 
-    - Minimum stiffness, without feed-forward: if the robot stands, an estimate
-      (`estimate_minimum_stiffness`). Otherwise the result of `minimum_stiffness`; simulations then
-      search for a larger stiffness with which the robot stands. None for a fixed base, for example.
-    - Maximum damping: stability limit of an explicit PD controller with a command per time step. If
-      the present stiffness is below 1.1 times the minimum (`_STABLE_RATIO`), the limit is computed
-      for this larger stiffness.
+    - Minimum stiffness, without feed-forward: predicted by statics; if the robot does not stand,
+    larger values are also simulated. None for a fixed base, for example.
+    - Maximum damping: stability limit of an explicit PD controller with a command per time step,
+    with at least about the minimum stiffness.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -176,10 +174,9 @@ def bound_servo_gains(
         stands: Whether the robot is known to stand with the present stiffness without feed-forward.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
-            the linear model of the stand is not finite.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
@@ -226,9 +223,8 @@ def bound_servo_gains(
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
     """Find by simulation a stiffness factor with which the robot stands without feed-forward.
 
-    The factors `_TRIED_RATIOS` times ``least`` are simulated in turn. ``least`` is the factor that
-    `minimum_stiffness` predicts. A factor above 1 also multiplies the damping. None if the robot
-    stands with no factor.
+    ``least`` is the factor that `minimum_stiffness` predicts. None if the robot stands with no
+    tried factor.
     """
     for ratio in _TRIED_RATIOS:
         factor = ratio * least
@@ -251,9 +247,10 @@ of the simulations. Chosen, not tuned: with 8 times the stiffness of its ankles 
 10 times it stands."""
 
 _MAX_SUSPECTS = 3
-"""Upper bound of the number of classes of servos that `find_soft_servos` simulates. The bound
-limits the time: each class, and all classes together, take up to four simulations. Chosen, not
-tuned."""
+"""Upper bound of the number of classes of servos that `find_soft_servos` simulates, which limits
+the
+time. Chosen, not tuned.
+"""
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
 """Codes of the messages about an unstable mode; such a message names the joints of the mode."""
@@ -269,11 +266,9 @@ def find_soft_servos(
 ) -> SoftServos | None:
     """Find the servos whose low gains alone make a stand with feed-forward fail.
 
-    The failures of ``run`` name the joints of unstable modes. The classes of these joints
-    (corresponding joints of similar limbs, with equal gains) are simulated, at most three
-    (`_MAX_SUSPECTS`). First each class is simulated alone, then all of them together. Stiffness and
-    damping of the simulated classes are multiplied by `_SINGLE_FACTORS` in turn, until the robot
-    stands.
+    The failures of ``run`` name the joints of unstable modes. The gains of the classes of these
+    joints (corresponding joints of similar limbs, with equal gains), at most three, are multiplied
+    by `_SINGLE_FACTORS`, until the robot stands.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -283,17 +278,13 @@ def find_soft_servos(
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
 
     Returns:
-        Servos of the first class, or of all simulated classes, with which the robot stands. None in
-        these cases:
-
-        - The robot stands in ``run``, or the base is fixed.
-        - The failures name no unstable mode of servos with stiffness.
-        - The robot stands with no tried factor.
+        Servos of a class, or of all simulated classes, with which the robot stands. None, for
+        example, if the robot stands with no tried factor.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     named: list[object] = []
@@ -333,17 +324,10 @@ def find_soft_servos(
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Find the largest factor on the damping gains with which a stand is stable.
+    """Find the largest factor on the damping gains with which a stand is stable; None if none is.
 
-    The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``) first. The result is
-    infinite without a bound, and None if the damping is zero or no tried factor is stable.
-
-    Args:
-        loop: Stand with an explicit PD controller, one command per time step.
-        kp: Present stiffness, shape (nu,) [N m/rad].
-        kd: Present damping, shape (nu,) [N m s/rad].
-        least: Smallest factor on the stiffness with which the stand does not buckle; None if
-            unknown.
+    ``least`` is the smallest factor on the stiffness with which the stand does not buckle. The
+    result is infinite without a bound.
     """
     if not kd.any():
         return None

@@ -61,21 +61,21 @@ rotation, the robot has left the stand. Chosen, not tuned."""
 _RESTING_RATIO = 0.25
 """Upper bound [1] of three ratios with which a settling simulation ends early: height deviation /
 `MAX_HEIGHT_DEVIATION`, height drift / `SETTLED_DRIFT`, and foot displacement /
-`MAX_FOOT_DISPLACEMENT`. The growing modes then decide if the robot stays at rest. Chosen, not
-tuned."""
+`MAX_FOOT_DISPLACEMENT`. Chosen, not tuned.
+"""
 
 _LOST_RATIO = 2.0
 """Upper bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
-`MAX_STAND_ROTATION`. If a ratio exceeds the bound, the simulation ends with failure. Chosen: a base
-that starts at rest overshoots to at most twice the final tilt."""
+`MAX_STAND_ROTATION` in a simulation of a robot that may come to rest. Chosen: a base that starts at
+rest overshoots to at most twice the final tilt.
+"""
 
 _CHECK_INTERVAL = RECORD_INTERVAL
 """Simulated time between two tests whether the robot is at rest or has left the stand [s]."""
 
 _DECAY_TIME_CONSTANTS = 3.0
-"""Duration of the nudged simulation, in time constants of the least damped mode. The duration is at
-least ``_MIN_NUDGE_TIME``, and at most the time after the nudge in ``verify_stand``. Chosen: 5 % of
-the nudge remains after three time constants.
+"""Duration of the nudged simulation, within bounds, in time constants of the least damped mode.
+Chosen: 5 % of the nudge remains after three time constants.
 """
 
 _MIN_NUDGE_TIME = 1.5
@@ -91,20 +91,20 @@ _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
 LARGE_NUDGE_SPEED = 0.05
-"""Initial speed of the base [m/s] in simulations with a large nudge. `calms_after_base_nudges` uses
-the speed along +-x, +-y and +-z of the world. ``trial.simulate_large_nudges`` uses the speed along
-+-x and +-y, and for a yaw rotation with the angular speed (this speed) / (CoM height). Chosen, not
-tuned. Measured for the reduced Talos with added servos at a time step of 2 ms: its soles chatter
-without end after this nudge, at 0.1 to 0.7 rad/s. After the smaller nudge of ``nudge_state``, the
-soles are at rest."""
+"""Initial speed of the base [m/s] in simulations with a large nudge. Chosen, not tuned. Measured
+for
+the reduced Talos with added servos at a time step of 2 ms: its soles chatter without end after this
+nudge, at 0.1 to 0.7 rad/s. After the smaller nudge of ``nudge_state``, the soles are at rest.
+"""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
 """Safety factor [1] on the speed at which a displaced foot approached its target in the last
-second. Until the end of the settling simulation, the foot is assumed to approach the target no
-faster than speed times factor. Chosen, not tuned."""
+second,
+to predict the distance at the end of the settling simulation. Chosen, not tuned.
+"""
 
 
 def comes_to_rest(
@@ -120,15 +120,11 @@ def comes_to_rest(
     The following conditions must hold:
 
     1. In a settling simulation of at most 5 s (the default of `verify_stand`), base and feet come
-       to rest. The simulation ends early once at rest.
+    to rest near the stand.
     2. After a nudge (a small velocity of all coordinates) the motion decays. The robot then stands
-       only on the feet.
+    only on the feet.
     3. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless the nudged
-       simulations refute the mode.
-
-    The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
-    without decay for ``SHAKING_SECONDS``. It is also False if a foot will remain too far from its
-    target (`_stays_displaced`).
+    simulations refute the mode.
 
     Args:
         robot: Robot.
@@ -139,9 +135,9 @@ def comes_to_rest(
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
@@ -187,11 +183,8 @@ def calms_after_base_nudges(
     """Return True if a robot stays in the stand after six base nudges, without lasting shaking.
 
     Each simulation starts in the stand, with feed-forward torques. The base has the velocity
-    `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. A simulation ends once the
-    robot no longer shakes (speeds of at most ``MIN_SHAKING_SPEED``), or after 6 s
-    (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no failure. The
-    result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
-    without decay for ``SHAKING_SECONDS``.
+    `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. The simulations last at most 6
+    s (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no failure.
 
     This test finds chatter that `comes_to_rest` may miss. The larger nudge may lift a sole, which
     then chatters without end.
@@ -203,9 +196,9 @@ def calms_after_base_nudges(
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
@@ -224,13 +217,7 @@ def calms_after_base_nudges(
 
 
 def _calms_down(held: StandStart, reference: monitor.StandReference, start: Array) -> bool:
-    """Simulate a moving robot for up to 6 s; return True without a fall or lasting shaking.
-
-    Args:
-        held: Stand, MuJoCo model and servo command.
-        reference: The stand.
-        start: State with a velocity (mjSTATE_FULLPHYSICS).
-    """
+    """Simulate a robot from a moving state; return True if it stays, without lasting shaking."""
     model, shaking = held.drive.model, ShakingRecord(held.drive.model)
     timestep = float(model.opt.timestep)
     interval = max(2, round(_CHECK_INTERVAL / timestep))
@@ -249,15 +236,10 @@ def _calms_down(held: StandStart, reference: monitor.StandReference, start: Arra
 
 
 def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
-    """Return True if the decay after a nudge proves a growing mode of the linear model wrong.
+    """Return True if a decay over ``duration`` [s] after a nudge refutes a growing mode.
 
-    Two conditions must hold. The mode is missing with the finite-difference step ``SECOND_STEP``,
-    since ``DIFFERENCE_STEP`` may cross the kink of dry friction. The simulation lasts for at least
-    ``MIN_ABSENT_DOUBLINGS`` doubling times of the mode.
-
-    Args:
-        mode: Growing mode of the spectrum.
-        duration: Simulated time after the nudge [s], in which the motion decayed.
+    The mode must be missing with the finite-difference step ``SECOND_STEP``, since
+    ``DIFFERENCE_STEP`` may cross the kink of dry friction.
     """
     doubling_time = mode.doubling_time or math.inf
     return not mode.repeated_at_second_step and MIN_ABSENT_DOUBLINGS * doubling_time <= duration
@@ -266,18 +248,10 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
 def _simulate_until_rest(
     held: StandStart, reference: monitor.StandReference, shaking: ShakingRecord
 ) -> Array | None:
-    """Simulate a stand until the robot is at rest; return the states of the last second.
+    """Simulate a stand until rest; return the states of the last second, shape (n, size).
 
-    The simulated speeds are added to ``shaking``.
-
-    Returns:
-        States, shape (n, size). None in these cases:
-
-        - The robot does not rest in time.
-        - The simulation diverges.
-        - The base or a foot leaves the stand (`_LOST_RATIO`).
-        - The robot shakes without decay.
-        - The base rests while a foot stays too far from its target (`_stays_displaced`).
+    None if the robot does not come to rest in the stand. The simulated speeds are added to
+    ``shaking``.
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
@@ -319,17 +293,9 @@ def _simulate_nudge(
     duration: float,
     shaking: ShakingRecord,
 ) -> Array | None:
-    """Simulate a robot after a nudge (a small velocity); return the states, shape (n, size).
+    """Simulate ``duration`` [s] after a nudge of ``state``; return the states, shape (n, size).
 
-    The simulation ends early, and the result is None, if it diverges, or if the robot leaves the
-    stand or shakes without decay.
-
-    Args:
-        held: Start of the settling simulation, with model and command.
-        reference: The stand.
-        state: State at rest (mjSTATE_FULLPHYSICS), without the nudge.
-        duration: Simulated time [s].
-        shaking: Speeds of the settling simulation; the speeds after the nudge are added.
+    None if the robot leaves the stand, for example. The speeds are added to ``shaking``.
     """
     model = held.drive.model
     timestep = float(model.opt.timestep)
@@ -356,13 +322,8 @@ def _simulate_nudge(
 def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
     """Return True if a foot is expected to be too far from its target at the end of a simulation.
 
-    The distance to the target is assumed to decrease at most ``_DISPLACEMENT_RATE_FACTOR`` times as
-    fast as in the last second. False if the ratios span less than a second.
-
-    Args:
-        ratios: Largest mean foot displacement in a second, relative to ``MAX_FOOT_DISPLACEMENT``,
-            once per ``_CHECK_INTERVAL``.
-        remaining: Remaining simulated time [s].
+    ``ratios`` are displacements relative to ``MAX_FOOT_DISPLACEMENT``, one per ``_CHECK_INTERVAL``,
+    and ``remaining`` is the remaining time [s].
     """
     if len(ratios) <= INTERVALS_PER_SECOND:
         return False
@@ -371,14 +332,9 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
 
 
 def _height_ratio(held: StandStart, states: Array) -> float:
-    """Return how far the motion of the base height exceeds the bounds for rest, as a ratio [1].
+    """Return the ratio [1] of the motion of the base height to the bounds for rest; 1 at a bound.
 
-    The result is the larger of two ratios: standard deviation / `MAX_HEIGHT_DEVIATION`, and
-    magnitude of the mean velocity / `SETTLED_DRIFT`. A ratio up to 1 is within the bound.
-
-    Args:
-        held: Start of the simulation.
-        states: States over which deviation and drift are computed, shape (n, size).
+    ``states`` have the shape (n, size).
     """
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
@@ -394,7 +350,7 @@ def _max_horizontal_norm(displacements: Array) -> float:
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
     """Compute target minus mean position of each loaded contact point, shape (points, 3) [m].
 
-    Positions are centres of contact points in the world frame, sampled every ``_SAMPLE_TIME``.
+    Positions are sphere centres in the world frame.
     """
     positions, stand = [], held.stand
     for state in states[:: -max(1, round(_SAMPLE_TIME / held.drive.model.opt.timestep))]:

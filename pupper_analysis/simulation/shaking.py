@@ -102,10 +102,8 @@ class ShakingRecord:
     def is_sustained_over(self, seconds: int) -> bool:
         """Return True if the robot shakes, and has not become slower over successive windows.
 
-        The end of the record is divided into `SHAKING_SECONDS` windows. From the second window on,
-        the largest speed in each window must be at least `_MIN_SHAKING_RATIO` times the largest
-        speed in all earlier windows. The result is False if the record is too short, or without
-        shaking in the last second.
+        The last `SHAKING_SECONDS` windows are compared (`_MIN_SHAKING_RATIO`). The result is False
+        if the record is too short.
 
         Args:
             seconds: Length of each window [s].

@@ -55,15 +55,10 @@ def stand_stability(
 ) -> Stability:
     """Judge if a stand is stable against small motions, from the eigenvalues of a MuJoCo step.
 
-    The evaluated state depends on ``feedforward``:
-
-    - True: state after the stand was simulated for ``SETTLING_TIME``.
-    - False: equilibrium of the servos (`steady_state`, feet pinned), simulated for
-      `CONTACT_SETTLING_TIME`.
-
-    If the state is at rest, and a mode is predicted to grow within ``HOLD_DURATION``, nudged
-    simulations test this prediction (`confirm_growth`). Each takes up to twice
-    ``growth.LONGEST_TRIAL`` of simulated time. The result does not cover larger pushes.
+    The evaluated state is that of the settled stand with feed-forward, and without feed-forward the
+    equilibrium of the servos (`steady_state`, feet pinned). If the state is at rest, and a mode is
+    predicted to grow within ``HOLD_DURATION``, nudged simulations test this prediction
+    (`confirm_growth`). The result does not cover larger pushes.
 
     Args:
         robot: Robot.
@@ -78,10 +73,9 @@ def stand_stability(
         Modes that grow, with doubling times, and the stability margin.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the stand has stance feet but the base
-            is fixed, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
@@ -116,9 +110,9 @@ def rest_stability(
         Modes that grow at the equilibrium, with doubling times, and the stability margin.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
@@ -127,10 +121,9 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speed [m/s, rad/s] of a robot at rest. `find_final_spectrum` treats a state up
-to this speed as at rest, and `remains_small` accepts a remaining motion up to this speed.
-``causes.proves_unrest`` ignores slower motions. Feet usually creep more slowly. Chosen, not
-tuned."""
+"""Upper bound of the speed [m/s, rad/s] of a robot at rest, in judgements of simulated motion. Feet
+usually creep more slowly. Chosen, not tuned.
+"""
 
 
 def evaluate_final_stability(
@@ -144,8 +137,7 @@ def evaluate_final_stability(
 ) -> Stability:
     """Judge the stability of a robot at the end of a simulation, from the modes of MuJoCo's step.
 
-    The evaluated state is the final state, if the robot is at rest. Otherwise, the evaluated state
-    is near the initial state (`find_final_spectrum`).
+    The evaluated state is that of `find_final_spectrum`.
 
     Args:
         drive: MuJoCo model with servos.
@@ -164,12 +156,9 @@ def find_final_spectrum(
 ) -> tuple[Stability, mujoco.MjData]:
     """Compute the modes of MuJoCo's linearised step at the end of a simulation.
 
-    The evaluated state is:
-
-    - The initial state, if the simulation has failed: the modes that upset the robot grow there.
-    - The final state, if at rest (speeds up to `MAX_RESTING_SPEED`).
-    - Otherwise, the state that `judge_settled` returns after a new simulation of `SETTLING_TIME`
-      from the initial state.
+    The final state is evaluated if the robot is at rest. Otherwise the state is that of a new
+    simulation of `SETTLING_TIME` (`judge_settled`). If the simulation has failed, the initial state
+    is evaluated: the modes that upset the robot grow there.
 
     Args:
         drive: MuJoCo model with servos.
@@ -231,9 +220,8 @@ def judge_stability(
 ) -> Stability:
     """Judge the stability of a state of a MuJoCo model: eigenvalues of a step, then a simulation.
 
-    The eigenvalues (modes) are those of the linearised time step. If the state is at rest, a nudged
-    simulation tests the modes that grow within ``HOLD_DURATION`` (`confirm_growth`). A mode that
-    does not grow in the simulation is removed from the growing modes.
+    The eigenvalues (modes) are those of the linearised time step. A nudged simulation tests modes
+    that grow within ``HOLD_DURATION`` from a state at rest (`confirm_growth`).
 
     Args:
         model: MuJoCo model.
@@ -247,19 +235,11 @@ def judge_stability(
 def _find_modes(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Simulate a state for a settling time, and compute its modes, with and without light contacts.
+    """Simulate a state for ``settle`` [s]; return its modes, also without light contacts.
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
-    If the state is at rest, the modes are therefore also computed without the contacts of such
-    bodies. A mode of this second spectrum that grows within ``HOLD_DURATION`` is added if it grows
-    faster than the known modes, and also with dry friction. Measured for Pupper v3 with 2 kg and
-    one foot on a slope of 10 deg: the foot with 2e-4 of the load hid a mode with a doubling time of
-    4.3 s. MuJoCo's simulation shows this mode after 12 s.
-
-    Args:
-        model: MuJoCo model; unchanged after the call.
-        data: State, with ``ctrl``; not changed.
-        settle: Time for which the state is simulated first [s].
+    Measured for Pupper v3 with 2 kg and one foot on a slope of 10 deg: the foot with 2e-4 of the
+    load hid a mode with a doubling time of 4.3 s. MuJoCo's simulation shows this mode after 12 s.
 
     Returns:
         Spectrum, and the state of the spectrum.
@@ -302,9 +282,9 @@ two geoms is below the margin, here an overlap of 1 km."""
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Bound of the displacement of a joint after a nudge [rad, m]. If a joint reaches the bound, the
-nudge has displaced the robot. The displacement is measured from the position before the nudge,
-without creep. Chosen, not tuned."""
+"""Displacement of a joint after a nudge [rad, m], without creep, from which the nudge has displaced
+the robot. Chosen, not tuned.
+"""
 
 _MAX_SPEED_RATIO = 0.9
 """Upper bound [1] of the ratio (speed in the last third) / (speed in the second third) of the time
@@ -388,9 +368,7 @@ def nudge_state(model: mujoco.MjModel, state: Array) -> Array:
 
 
 def count_nudged_steps(model: mujoco.MjModel, duration: float) -> int:
-    """Return the number of steps of a nudged simulation, at least 3.
-
-    At least 3 steps are needed because `measure_response` divides the states into thirds.
+    """Return the number of steps of a nudged simulation, at least 3 (`measure_response`).
 
     Args:
         model: MuJoCo model.
@@ -466,12 +444,7 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     """Continue a nudged simulation; return True if the remaining motion stays small.
 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. This
-    is no failure if the motion stays small for `BOUNCING_TIME`. Three conditions must hold:
-
-    - The simulation does not diverge.
-    - The speed in the last third of the time is at most 1.5 times the speed after the nudge
-      (`_MAX_BOUNCE_RATIO`), and at most `MAX_RESTING_SPEED`.
-    - No joint moves by `MAX_JOINT_DISPLACEMENT` or more from ``end``.
+    is no failure if speeds and joint displacements stay small for `BOUNCING_TIME`.
 
     Args:
         model: MuJoCo model.
@@ -489,13 +462,9 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
 
 
 def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str]:
-    """Return the largest joint displacement, and its unit ``"rad"`` or ``"m"``.
+    """Return the largest of joint displacements, shape (n, joints) [rad, m], and its unit.
 
-    Without displacements the result is (0, ``"rad"``). NaN counts as the largest value.
-
-    Args:
-        distances: Displacements, shape (n, joints) [rad, m].
-        units: Unit of each joint, shape (joints,).
+    NaN counts as the largest value.
     """
     if not distances.size:
         return 0.0, "rad"
@@ -504,16 +473,10 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 
 
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
-    """Return how much a nudge increases the mean velocity of the base [m/s, rad/s], at least 0.
+    """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
 
-    The increase is that of the absolute value of a velocity component; the result is the maximum
-    over all components of all free joints. A robot that still settles slows down, which does not
-    count.
-
-    Args:
-        model: MuJoCo model.
-        states: States after the nudge, shape (n, size).
-        creep: States before the nudge, shape (m, size).
+    ``states`` are the states after, and ``creep`` the states before the nudge, shape (n, size)
+    each. A robot that still settles slows down, which does not count.
     """
     free = model.dof_jntid[:, None] == np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     columns = 1 + model.nq + np.flatnonzero(free.any(axis=1))
@@ -523,9 +486,6 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
 
 def measure_speed_deviation(velocities: Array) -> float:
     """Compute how fast a robot shakes: the largest speed, without slow motion such as creep.
-
-    To exclude slow motion, a straight line in time is fitted to each velocity by least squares and
-    subtracted.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].

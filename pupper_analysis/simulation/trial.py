@@ -87,22 +87,23 @@ Measured on 80 random robots with 50 to 97 % of their payloads: robots that fell
 CoM margin below 3 displacements."""
 
 _MIN_LOAD_RATIO = 0.02
-"""Lower bound [1] of the ratio (load of a foot) / (mean load of the feet). `is_near_limit` returns
-True for a smaller ratio, since a nudge may lift such a foot. On unequal slopes, contact forces with
-minimum tangential forces may load two of four feet with only 1/10,000 of the weight. Chosen, not
-tuned."""
+"""Lower bound [1] of the ratio (load of a foot) / (mean load of the feet), below which a nudge may
+lift the foot. On unequal slopes, contact forces with minimum tangential forces may load two of four
+feet with only 1/10,000 of the weight. Chosen, not tuned.
+"""
 
 _MIN_SATURATION_DEVIATION = 1e-3
-"""Lower bound of the deviation of a joint [rad, m] that saturates the motor: (distance of the
-static torque from the nearer effort limit) / kp. `saturates_after_nudge` returns True for a smaller
-deviation: a small nudge saturates the motor, which then has no stiffness. Measured on a quadruped
-with 8.4 kg: with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the robot; at 7e-5
-rad it does not."""
+"""Deviation of a joint [rad, m] below which a small nudge saturates the motor, which then has no
+stiffness: (distance of the static torque from the nearer effort limit) / kp. Measured on a
+quadruped with 8.4 kg: with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the
+robot; at 7e-5 rad it does not.
+"""
 
 _LIMIT_ATOL = 1e-6
-"""Tolerance of joint positions [rad, m]. A joint rests on a limit if the distance from the limit is
-below the tolerance. A joint is immobile if the width of its range is at most the tolerance. Chosen
-as the rounding of configurations in files."""
+"""Tolerance of joint positions [rad, m], for joints that rest on a limit or have no range. Chosen
+as
+the rounding of configurations in files.
+"""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
@@ -113,14 +114,14 @@ samples (`_SAMPLE_TIME`). Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
 """Upper bound of the motion of a coordinate [m, rad] in the remaining time, with which a nudged
-simulation may end early. Also the largest distance by which a predicted coordinate may leave the
-range of its values since the nudge (`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of
-`MAX_JOINT_DEVIATION`."""
+simulation may end early. Chosen as a hundredth of `MAX_JOINT_DEVIATION`.
+"""
 
 _SPEED_FACTOR = 1.5
 """Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
-remaining time of a nudged simulation. Reason: an oscillation may be slower while the speed is
-measured. Chosen, not tuned.
+remaining
+time of a nudged simulation: an oscillation may be slower while the speed is measured. Chosen, not
+tuned.
 """
 
 _PREDICTION_FACTOR = 1.25
@@ -129,13 +130,16 @@ time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
 """Upper bound [1] of the product (growth rate of a mode) * (remaining time) with which the
-remaining motion can be bounded. A larger product, growth by a factor of more than 4.8e8, counts as
-unbounded motion. Chosen, not tuned."""
+remaining
+motion can be bounded. A larger product is growth by a factor of more than 4.8e8. Chosen, not tuned.
+"""
 
 _CLEARANCE_FACTOR = 2.0
-"""Factor [1] on the largest remaining motion of a coordinate. To test if a part other than a foot
-could reach the ground, the base is lowered by factor * motion. Chosen, not tuned: the motion of the
-base is counted once, and the motion of the joints once."""
+"""Factor [1] on the largest remaining motion of a coordinate, in the test if a part other than a
+foot
+could reach the ground. Chosen, not tuned: the motion of the base is counted once, and the motion of
+the joints once.
+"""
 
 
 class Failure(StrEnum):
@@ -205,19 +209,7 @@ def simulate_nudges(
     The model is simulated with the dry friction of joints and contacts. A stand that only dry
     friction holds is not detected here; ``growth.confirm_growth`` does this, with a larger nudge.
 
-    Each simulation ends at the first failure, after ``duration``, or if the remaining motion is
-    known and causes no failure. Shaking is a failure if the robot still shakes after ``duration``,
-    and has not become slower in about the last three quarters of this time
-    (``ShakingRecord.is_sustained_over``).
-
-    The remaining motion counts as known in two cases:
-
-    - The upper bound from the current speeds and the fastest growing mode is at most 1 mm or 1
-      mrad.
-    - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. By
-      the prediction of this step, each coordinate leaves the range of its values since the nudge by
-      at most 1 mm or 1 mrad. The feet do not slide too far if they continue at their mean speed.
-
+    A simulation ends early at a failure, or if the remaining motion is small and causes no failure.
     A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is
     back on the ground at the end.
 
@@ -234,10 +226,9 @@ def simulate_nudges(
         Whether the stand survives all nudges; otherwise the earliest failure, with its time [s].
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
-            stance feet, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)
@@ -295,10 +286,8 @@ def simulate_large_nudges(
     starts with `LARGE_NUDGE_SPEED` along +x, -x, +y or -y of the world, or rotates about its z axis
     with `LARGE_NUDGE_SPEED` / CoM height.
 
-    A simulation ends once the robot does not shake for an interval (``ShakingRecord.is_calm``), or
-    after ``HOLD_DURATION``. Only shaking without decay and divergence are failures, as defined in
-    `simulate_nudges`. The trial ends at the first failure. A robot that leaves the stand without
-    shaking is no failure here: `simulate_nudges` detects this.
+    Failures are shaking without decay and divergence; the trial ends at the first failure. A robot
+    that leaves the stand without shaking is no failure here: `simulate_nudges` detects this.
 
     Args:
         robot: Robot, with a free base.
@@ -310,10 +299,9 @@ def simulate_large_nudges(
         Outcome; ``nudges`` is the number of simulated nudges.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
-            stance feet, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)
@@ -369,18 +357,9 @@ def is_near_limit(
     """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
-    forces by about one percent. A stand is near a limit in any of the following cases:
-
-    - The CoM margin is below 5 times the displacement of the CoM (`_MIN_MARGIN_RATIO`).
-    - A motor utilisation or friction utilisation is above 90 % (`_MAX_UTILISATION`).
-    - A deviation of less than 0.001 rad or m saturates a servo (`_MIN_SATURATION_DEVIATION`).
-    - A foot bears less than 2 % of the mean load (`_MIN_LOAD_RATIO`), and there are no welds or
-      grips.
-    - A joint is less than 0.02 rad or m from a limit (`_MIN_LIMIT_DISTANCE`). Joints whose range
-      permits no motion are ignored. A joint that moves no foot, and belongs to no loop or coupling,
-      may rest on a limit.
-
-    The result is False if the statics have no CoM margin, or if the base is fixed or welded.
+    forces by about one percent. The CoM margin, the utilisation of motors and friction, the loads
+    of feet, the saturation of servos and the joint positions are compared with bounds, for example
+    `_MIN_MARGIN_RATIO`. The result is False for a base that no nudge moves.
 
     Args:
         robot: Robot, with the payload.
@@ -416,7 +395,7 @@ def is_near_limit(
 def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayLike | None) -> bool:
     """Return True if the static torque of a servo is near an effort limit, above or below it.
 
-    The distance from the limit must be below kp times `_MIN_SATURATION_DEVIATION`.
+    The tolerance is kp times `_MIN_SATURATION_DEVIATION`.
 
     Args:
         robot: Robot.
@@ -429,16 +408,10 @@ def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayL
 
 
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
-    """Return the lower and upper joint positions beyond which a nudged stand counts as failed.
+    """Return lower and upper joint positions, shape (nu,) [rad, m], beyond which a stand fails.
 
-    The limits are the joint limits of the robot, with two exceptions:
-
-    - A limit is infinite if a joint rests on the limit in the stand, for example the joint of a
-      closed gripper. A nudge presses such a joint by microradians into MuJoCo's soft limit.
-    - Both limits are infinite if the range of the joint permits no motion.
-
-    Returns:
-        Lower and upper limits, shape (nu,) each [rad, m].
+    A limit is infinite if the joint rests on it in the stand: a nudge presses such a joint by
+    microradians into MuJoCo's soft limit.
     """
     angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
@@ -452,8 +425,7 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
     """Return the height [m] of a stand's CoM above the mean of its contact points.
 
-    For a robot with welds or grips, the result is the stand height of the robot: the base height in
-    the nominal stand.
+    For a robot with welds or grips, the result is `Robot.stand_height`.
 
     Args:
         robot: Robot.
@@ -534,7 +506,7 @@ class _FailureConditions:
         """Compute an upper bound of the motion of a coordinate [m, rad] in the remaining time.
 
         The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with v = ``speed``, r = ``growth_rate``
-        [1/s] and T = ``remaining``. It is infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
+        [1/s] and T = ``remaining``; infinite if r T is too large.
 
         Args:
             speed: Largest speed of a coordinate [m/s, rad/s].
@@ -550,8 +522,7 @@ class _FailureConditions:
     def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
         """Predict the motion in the remaining time with the linearised simulation step.
 
-        The step is linearised once per interval, at the last state of the first run that needs the
-        prediction. All runs use this linear model.
+        The linear model of an interval is shared by all runs.
 
         Args:
             states: Simulated states after successive steps of the last interval, shape (n, size).
@@ -560,8 +531,8 @@ class _FailureConditions:
         Returns:
             Displacements from the last of ``states`` at m later times, multiplied by
             ``_PREDICTION_FACTOR``, shape (m, nv) [m, rad]; and velocities, shape (m, nv) [m/s,
-            rad/s]. None if a mode grows, if the linearised step does not reproduce ``states``, or
-            if a predicted value is not finite.
+            rad/s]. None if the linear model is no basis for a prediction; for example, a mode
+            grows.
         """
         if self.growth_rate:
             return None
@@ -666,8 +637,6 @@ class _NudgedEvaluation:
     def advance(self, states: Array, stride: int, remaining: float) -> None:
         """Evaluate the states of the next interval; update ``failure`` and ``is_decided``.
 
-        ``is_decided`` becomes True if the simulation may end.
-
         Args:
             states: States after each step of the interval (mjSTATE_FULLPHYSICS), shape (n, size).
             stride: Number of steps between two evaluated states; the first state is evaluated.
@@ -697,14 +666,9 @@ class _NudgedEvaluation:
         )
 
     def _find_failure(self, samples: Array) -> _Event | None:
-        """Return the first failure in successive states; None without a failure.
+        """Return the first failure in successive states, shape (n, size); None without a failure.
 
-        If a motor has saturated before a failure, the first saturation is returned as the failure.
-        Two conditions alone are no failure here: a saturated motor, and a lifted contact point with
-        little load. `advance` reports such a condition if it remains at the end of the simulation.
-
-        Args:
-            samples: Successive states (mjSTATE_FULLPHYSICS), shape (n, size).
+        The saturation of a motor before a failure is the cause, and is returned instead.
         """
         conditions = self._conditions
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
@@ -761,11 +725,7 @@ class _NudgedEvaluation:
     ) -> bool:
         """Return True if no failure is expected in the remaining time of this nudged simulation.
 
-        The remaining motion of each coordinate is bounded by the largest speed of the last interval
-        and the largest growth rate of a mode found so far (`_FailureConditions.bound_motion`). If
-        this bound is too large, the linearised step predicts the motion (`_bound_motion`). The
-        conditions of a failure are then evaluated with the remaining motion. The result is False,
-        for example, while a motor is saturated, a foot is lifted or the robot shakes.
+        The conditions of a failure are evaluated with an upper bound of the remaining motion.
 
         Args:
             states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
@@ -819,24 +779,10 @@ class _NudgedEvaluation:
     def _bound_motion(
         self, states: Array, speed: float, remaining: float
     ) -> tuple[Array | None, Array]:
-        """Compute upper bounds of the motion, and of the speeds, in the remaining time.
+        """Estimate bounds of motion [m, rad] and speeds [m/s, rad/s], shape (nv,), until the end.
 
-        If the bound from ``speed`` is at most `_MAX_REMAINING_MOTION`, the motion is this bound.
-        Otherwise the motion is the prediction of the linearised step.
-
-        Args:
-            states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
-            speed: Largest speed of a coordinate in the interval [m/s, rad/s].
-            remaining: Remaining time [s].
-
-        Returns:
-            Motion, shape (nv,) [m, rad], and speeds, shape (nv,) [m/s, rad/s]. The motion is None
-            instead of a prediction in these cases:
-
-            - A motor has saturated, or there is no prediction.
-            - A predicted coordinate leaves the range of its values since the nudge by more than
-              `_MAX_REMAINING_MOTION`.
-            - A foot would slide too far.
+        ``speed`` is the largest speed in the last interval. The motion is None if no useful bound
+        is known.
         """
         conditions, nv = self._conditions, self._conditions.held.drive.model.nv
         motion, speeds = conditions.bound_motion(speed, remaining), np.full(nv, speed)
@@ -861,8 +807,7 @@ class _NudgedEvaluation:
     def _reaches_ground(self, distance: float) -> bool:
         """Return True if a body or swing foot would touch the ground with a lowered base.
 
-        The base is moved by ``distance`` [m] against the lift-off direction of each stance foot
-        (`Stand.lift_directions`), in turn.
+        The base is moved by ``distance`` [m] against the lift-off directions of the stance feet.
         """
         conditions = self._conditions
         columns = 1 + conditions.robot.mj_convention.qpos_index[:3]
@@ -877,9 +822,8 @@ class _NudgedEvaluation:
 def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
     """Return the failure "shaking" if a robot shakes without decay at the end of a simulation.
 
-    None without such shaking. The speeds are compared over about three quarters of the simulated
-    time ``elapsed`` [s]: an oscillation with a time constant below about six times the simulated
-    time counts as decaying.
+    The speeds are compared over about three quarters of the simulated time ``elapsed`` [s]. None
+    without such shaking.
     """
     window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
     if not shaking.is_sustained_over(window):
@@ -898,8 +842,8 @@ def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, flo
 def _is_earliest_known(runs: list[_NudgedEvaluation]) -> bool:
     """Return True if a run has failed, and no undecided run can have an earlier failure.
 
-    A failure that follows a saturation has the time of the saturation. A later divergence, whose
-    time is 0, is not considered.
+    A failure after a saturation has the time of the saturation. A divergence, with time 0, is not
+    considered.
     """
     times = [run.failure[0] for run in runs if run.failure is not None]
     if not times:

@@ -282,9 +282,7 @@ def judge_stance(
 def _min_doubling_time(stability: Stability | None) -> float:
     """Return the smallest doubling time [s] of the modes that grow within ``HOLD_DURATION``.
 
-    For an oscillation, which may grow at any rate (`Mode.grows_within`), the time may be longer.
-    The result is infinite if there are no such modes, if all of them are sustained oscillations
-    (which have no doubling time), if the state is not at rest, or if ``stability`` is None.
+    The result is infinite if no time is known, for example because the state is not at rest.
     """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
@@ -330,10 +328,7 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 def classify_ending(run: Outcome) -> Ending:
     """Classify how a simulation ended: the robot holds, stands differently, rises or fails.
 
-    Returns:
-        ``HOLDS`` if the simulation passed. ``DISAGREES`` if the robot stands still on the feet, but
-        not as predicted (``Outcome.stays``). ``LIFTED`` if the robot ended upright, but far above
-        the stand. ``COLLAPSES`` if the robot collapsed otherwise, else ``FAILS``.
+    The classes are described by the attributes of `Outcome`, for example ``stays``.
     """
     if run.passed:
         return Ending.HOLDS
@@ -355,20 +350,7 @@ def _find_worst_code(
 ) -> VerdictCode:
     """Return the worst verdict code that applies to the simulations of a stance.
 
-    Codes of `UNKNOWN_CODES` are not considered. The published file is the MJCF as its author wrote
-    it. If the robot stands, but not as predicted, the code is ``DISAGREES``. In three cases the
-    code is ``FAILS`` instead: a motor is overloaded, the published file fails from a keyframe on
-    its servos, or the published file collapses in the computed stance. The second case is ignored
-    if the user has given the gains.
-
-    Args:
-        fed: Simulation with feed-forward.
-        alone: Simulation without feed-forward; None if there is none.
-        servos: Servos of the simulation.
-        overloaded_motors: Motors above their effort limits.
-        keyframe_run: Simulation of the published file from the keyframe.
-        published: Differences between the published MJCF and the simulated model.
-        remarks: Other assumptions.
+    Codes of `UNKNOWN_CODES` are not considered.
     """
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
     own_run_fails = keyframe_run is not None and keyframe_run.fails and not user_gains

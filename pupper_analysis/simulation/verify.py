@@ -71,7 +71,7 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
     The residual is g - J^T f - S^T tau, minus the load that closed loops transfer between joints.
     Here g are MuJoCo's bias forces minus passive forces, and J is the contact Jacobian of the MJCF.
-    The contact forces f, the weld forces and the motor torques tau are those of ``prediction``.
+    The forces f of contacts and welds and the motor torques tau are those of ``prediction``.
 
     Args:
         robot: Robot.
@@ -110,17 +110,16 @@ small velocity of all coordinates). If the bound is reached, `verify_stand` repo
 does not stand still. Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Bound of the difference between simulated and predicted joint positions [rad, m]. With
-feed-forward, a stand is verified only if all differences in the last second before the nudge are
-smaller. A posture without feed-forward is compared by mean positions, and the deadband by dry
-friction is added to the bound. Chosen, not tuned."""
+"""Bound of the difference between simulated and predicted joint positions [rad, m] in a verified
+stand with feed-forward. Without feed-forward, the deadband by dry friction is added. Chosen, not
+tuned.
+"""
 
 FORCE_TOLERANCE = 1e-2
 """Bound [1] of the relative differences of motor torques and of foot forces between simulation and
-prediction. A stand is verified only if all differences are smaller. Differences of torques are
-divided by `torque_scale`. Differences of foot forces along the lift-off direction are divided by
-the predicted force, but at least by `MIN_FORCE_SCALE` times the load. Without feed-forward, dry
-friction increases the bound for torques. Chosen, not tuned."""
+prediction in a verified stand with feed-forward. Differences of torques are divided by
+`torque_scale`, of foot forces by the predicted force (`MIN_FORCE_SCALE`). Chosen, not tuned.
+"""
 
 MIN_FORCE_SCALE = 0.05
 """Lower bound of the force by which the error of a foot force is divided, as a fraction [1] of the
@@ -133,10 +132,9 @@ height above the feet. A stand loses height, for example, if the legs are too sh
 for the penetration of the feet. Chosen, not tuned."""
 
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
-"""Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N]. If the ratio is
-larger, the two files describe different robots. `verify_stand` reports this as the cause of
-deviations; the ratio alone is no failure. The rounding of numbers in files causes 1e-6. Chosen, not
-tuned."""
+"""Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N], above which the two
+files describe different robots. The rounding of numbers in files causes 1e-6. Chosen, not tuned.
+"""
 
 TORQUE_SCALE_LEVER = 1e-3
 """Lever arm [m] in the lower bound of `torque_scale`: (robot weight) * (lever arm). Without a lower
@@ -154,9 +152,8 @@ tuned."""
 
 NUDGED_FRACTION = 7 / 12
 """Default fraction [1] of the simulated time of a stand that follows the nudge. By default the
-simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. In short simulations
-the fraction is smaller, since settling lasts at least `MEASURING_TIME`. The simulations of the
-module ``settling`` last at most 5 s before, and 7 s after a nudge, too. Chosen, not tuned."""
+simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned.
+"""
 
 _FRAME_TIME = 0.1
 """Time between the configurations in the result of `verify_stand` [s]. Short enough for an
@@ -282,13 +279,12 @@ def verify_stand(
 
     1. The robot settles, and stands still only on its feet.
     2. With feed-forward, settled torques, foot forces and joint positions agree with the
-       prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
-       feed-forward, the robot does not collapse (`StandVerification.collapses`).
-    3. The robot comes to rest again after a nudge: a velocity of all coordinates (``NUDGE_SPEED``
-       of ``robot.fall``). No joint moves by ``MAX_JOINT_DISPLACEMENT`` (0.01 rad or m) or more. A
-       foot with almost no load may bounce (`remains_small`).
+    prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
+    feed-forward, the robot does not collapse (`StandVerification.collapses`).
+    3. The robot comes to rest again near the stand after a nudge: a velocity of all coordinates
+    (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`).
     4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless a simulation
-       refutes the mode.
+    refutes the mode.
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
     feed-forward, such a posture is compared with ``settled``, if given.
@@ -320,10 +316,9 @@ def verify_stand(
         Comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
-            stance feet, or the stand belongs to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
+            for example.
+        ModelError: If the servo gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     given, robot = robot, with_stand_contacts(robot, stand)
@@ -399,23 +394,10 @@ def _evaluate_standing(
     *,
     has_light_foot: bool,
 ) -> tuple[list[Diagnostic], bool, bool]:
-    """Find the failures of standing: motion, contacts, growing modes, and response to the nudge.
+    """Return the failures of standing, whether the robot stays, and whether a foot bounces.
 
-    The creep of feet is evaluated only if the motion or the contacts are a failure.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        held: Start, commands, model and prediction of the simulation.
-        run: Simulated states.
-        record: Contacts and torques of the simulation.
-        reference: Posture with which the final state is compared.
-        result: Comparison with the prediction.
-        has_light_foot: Whether the predicted load of a foot is below `LIGHT_FOOT_LOAD`. A motion
-            that does not decay, but remains small, is then a bounce of this foot.
-
-    Returns:
-        Failures; whether the robot stays (`StandVerification.stays`); whether a foot bounces.
+    ``has_light_foot`` is True if a foot has a predicted load below `LIGHT_FOOT_LOAD`, and may
+    bounce.
     """
     failures = _find_standing_failures(robot, reference, run.states, record, result)
     if failures:
@@ -450,10 +432,7 @@ def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
 def _compute_load_shares(
     robot: Robot, stand: Stand, prediction: GravityCompensation, total_load: float
 ) -> dict[str, float]:
-    """Return {foot: fraction [1] of the load}: force along the lift-off direction / ``total_load``.
-
-    The forces are those of ``prediction``; ``total_load`` is in N.
-    """
+    """Return {foot: force along the lift-off direction / ``total_load`` [N]} of the prediction."""
     normals = stand.lift_directions(robot)
     predicted = robot.per_foot(prediction.contact_forces)
     return {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
@@ -467,10 +446,7 @@ def _stands_despite_idle_feet(
 ) -> bool:
     """Return True if all failures are unloaded feet that are errors of the prediction.
 
-    Two cases: the feet carry load again before the simulation is evaluated, as after a step from an
-    inexact initial state; or the files describe different robots, so that the torques computed from
-    the URDF unload a foot in the MJCF. The result is False without feed-forward, and if the robot
-    collapses.
+    For example, the torques of the URDF of another robot unload a foot of the MJCF.
     """
     if not result.feedforward or result.collapses:
         return False
@@ -492,10 +468,7 @@ def _describe_light_feet(
 ) -> list[Diagnostic]:
     """Create a note for each foot with little load that left the ground, and a note about bouncing.
 
-    Args:
-        lifted: {foot: time of the first lift [s]}.
-        shares: {foot: fraction of the total load [1]}.
-        bounce: Response to the nudge if a foot bounces; otherwise None.
+    ``lifted`` contains the times of the first lifts [s], ``shares`` the fractions of the load [1].
     """
     notes = [
         diagnose(
@@ -555,16 +528,10 @@ def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Arr
 
 
 def _nudge_duration(duration: float, nudged: float | None) -> float:
-    """Return the simulated time [s] after the nudge (a small velocity of all coordinates).
-
-    Args:
-        duration: Duration of the whole simulation [s].
-        nudged: Requested time after the nudge [s]; None for `NUDGED_FRACTION` of ``duration``, but
-            at least `MEASURING_TIME` remains before the nudge.
+    """Return the simulated time after the nudge [s]: ``nudged``, or a default if None.
 
     Raises:
-        ConfigurationError: If ``nudged`` is negative, or less than `MEASURING_TIME` is left before
-            the nudge.
+        ConfigurationError: If ``nudged`` is negative or too long.
     """
     max_duration = duration - MEASURING_TIME
     if nudged is None:
@@ -611,15 +578,14 @@ def settle_and_nudge(
 ) -> SettlingRun:
     """Simulate a robot under a constant command, then after a nudge, and evaluate the stability.
 
-    A nudge is a small velocity of all coordinates. There is no nudge if ``nudge_duration`` is 0, or
-    if the simulation diverges before. The modes of the settled state are evaluated as well.
+    A nudge is a small velocity of all coordinates.
 
     Args:
         drive: Servos and MuJoCo model.
         start: Initial state (mjSTATE_FULLPHYSICS), shape (size,).
         ctrl: Actuator commands, shape (model.nu,).
         seconds: Simulated time before the nudge [s].
-        nudge_duration: Simulated time after the nudge [s].
+        nudge_duration: Simulated time after the nudge [s]; 0 for no nudge.
         has_failed: Function that returns True for a state that is no longer the expected stand.
         until_failure: Whether the simulations that test growing modes are omitted if the response
             to the nudge `proves_unrest`.
@@ -665,8 +631,8 @@ def _compare_with_prediction(
     """Create the comparison of a simulation with the predicted static equilibrium of the stand.
 
     ``passed``, ``stays`` and ``feedforward`` of the result are placeholders (True), and failures
-    are empty. The error of a foot's force is relative to the predicted force, or to ``force_scale``
-    [N] if this scale is larger.
+    are empty. ``force_scale`` [N] is the smallest force by which the error of a foot's force is
+    divided.
     """
     timestep = float(drive.model.opt.timestep)
     states, settled, drops = run.states, run.last, record.compute_foot_drops(stand)
@@ -730,19 +696,10 @@ def _compare_forces(
     normals: Mapping[str, Array],
     force_scale: float,
 ) -> tuple[dict[str, Array], float | None]:
-    """Compare the simulated forces of feet and grips with the predicted forces.
+    """Return the predicted forces, shape (3,) [N], and the largest relative error [1] of a force.
 
-    Args:
-        robot: Robot.
-        prediction: Predicted static equilibrium.
-        forces: Simulated force of each foot, weld and grip, shape (3,) [N].
-        normals: Lift-off direction of each foot, shape (3,) [1].
-        force_scale: Smallest force by which an error is divided [N].
-
-    Returns:
-        Predicted force of each foot, weld and grip, shape (3,) [N]. Largest relative error [1] of
-        the forces of feet along the lift-off direction, and of the force vectors of grips; None
-        without feet and grips.
+    Errors of feet are along the lift-off direction ``normals``, and divided by at least
+    ``force_scale`` [N]. The error is None without feet and grips.
     """
     predicted = robot.per_foot(prediction.contact_forces)
     errors = [
@@ -760,12 +717,10 @@ def _compare_forces(
 def _measure_foot_slip(
     robot: Robot, drops: Mapping[str, Array], normals: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Compute the largest tangential displacement [m] of the contact points of each foot.
+    """Return {foot: largest tangential displacement of its contact points [m]}.
 
-    Args:
-        robot: Robot.
-        drops: Displacement of each contact point, shape (3,) [m].
-        normals: Lift-off direction of each foot, shape (3,) [1].
+    ``drops`` are the displacements of the points, shape (3,) [m], ``normals`` the lift-off
+    directions.
     """
     return {
         foot: max(
@@ -781,14 +736,8 @@ def _describe_height_loss(
 ) -> list[Diagnostic]:
     """Create the message that a simulated robot settles too far below its stand; empty if not.
 
-    The limit of the height loss is `MAX_SINKING_RATIO` times ``com_height``. Without feed-forward,
-    sag is expected, and only a collapse is reported. The result is also empty if the robot
-    collapses and ``failures`` already contains a reason.
-
-    Args:
-        result: Simulation, compared with the prediction.
-        com_height: CoM height of the stand above the feet [m].
-        failures: Failures so far.
+    The limit is `MAX_SINKING_RATIO` times ``com_height`` [m]. Without feed-forward sag is expected,
+    so that a collapse is reported instead.
     """
     share = result.height_loss / com_height
     is_lost = share > MAX_SINKING_RATIO if result.feedforward else result.collapses
@@ -809,9 +758,7 @@ def _find_standing_failures(
 ) -> list[Diagnostic]:
     """Create messages about the reasons why a simulated robot does not stand still on its feet.
 
-    The contacts and the final state include the time after the nudge, but the decay of the motion
-    is not evaluated. The result is empty without a reason. ``states`` are the simulated states
-    after each step, shape (n, size).
+    ``states`` are the simulated states after each step, shape (n, size).
     """
     failures = list(record.failures)
     if monitor.has_diverged(states, result.timestep):
@@ -864,12 +811,7 @@ def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
 def _compare_with_equilibrium(
     robot: Robot, result: StandVerification, settled: SteadyState
 ) -> list[Diagnostic]:
-    """Create messages about deviations from an equilibrium that dry friction cannot explain.
-
-    The settled joint positions and torques of ``result`` (a simulation without feed-forward) are
-    compared with ``settled``. The result is empty if both agree; otherwise saturated motors are
-    reported as well.
-    """
+    """Create messages about deviations from an equilibrium that dry friction cannot explain."""
     friction, deadband = friction_and_deadband(robot, result.kp)
     scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
     torques = float(np.abs(result.joint_torques - settled.joint_torques).max()) / scale
@@ -941,8 +883,7 @@ def describe_drive_limits(
 ) -> list[Diagnostic]:
     """Create messages about saturated motors, and about commands beyond the servos' command ranges.
 
-    Such limits may be the cause of a deviation from the prediction. Commands are checked only in a
-    simulation with feed-forward. Passive joints have no motor that could saturate.
+    Such limits may be the cause of a deviation from the prediction.
 
     Args:
         robot: Robot.
@@ -989,8 +930,9 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
 
 
 _MIN_UNPREDICTED_DEPTH = 1e-4
-"""Lower bound of the penetration of a foot [m] with which soft ground is reported as the cause of a
-deviation. This applies to stands that were solved for rigid ground. Chosen, not tuned."""
+"""Penetration of a foot [m] above which soft ground may be the cause of a deviation of a stand that
+was solved for rigid ground. Chosen, not tuned.
+"""
 
 
 def _find_deviations(
@@ -1001,12 +943,9 @@ def _find_deviations(
     *,
     stays: bool,
 ) -> list[Diagnostic]:
-    """Create messages about deviations of a simulation from the prediction, and about known causes.
+    """Create messages about deviations of a simulation from the prediction, and known causes.
 
-    The simulation is with feed-forward.
-
-    ``stays`` is True if the robot stands still. Soft ground is reported as a cause only in this
-    case.
+    ``stays`` is True if the robot stands still.
     """
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors, nan=np.inf)))
