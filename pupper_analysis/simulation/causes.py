@@ -33,8 +33,7 @@ evaluates. Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
 """Upper bound [1] of the standard deviation of the total vertical ground force on the feet, divided
-by
-the robot's weight. Beyond the bound, contacts chatter. Chosen, not tuned.
+by the robot's weight. Beyond the bound, contacts chatter. Chosen, not tuned.
 """
 
 MAX_CREEP_SPEED = 1e-3
@@ -45,8 +44,7 @@ slip of a loaded contact. Chosen, not tuned.
 
 _SOLVER_NOISE_RATIO = 0.2
 """Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge) of motion
-that
-counts as an error of the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's
+that counts as an error of the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's
 default settings, robots at rest move at 0.02 to 0.12 of the nudge without end.
 """
 

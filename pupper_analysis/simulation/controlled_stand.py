@@ -54,14 +54,12 @@ MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
 """Upper bound of the number of time steps into which a control period is divided, so that the delay
-is
-a whole number of steps. Chosen, not tuned.
+is a whole number of steps. Chosen, not tuned.
 """
 
 _DELAY_TOLERANCE = 1e-6
 """Tolerance [1] up to which a difference counts as rounding: relative for delays and control
-periods,
-absolute for the imaginary part of an eigenvalue of the closed loop. Chosen, not tuned.
+periods, absolute for the imaginary part of an eigenvalue of the closed loop. Chosen, not tuned.
 """
 
 _TRANSIENT_RATIO = 0.1
@@ -81,8 +79,7 @@ displacement, and no foot slips."""
 
 _REST_SPEED = 0.01
 """Upper bound of the joint velocities [rad/s, m/s] with which a robot counts as at rest at the end
-of
-a simulation. Chosen: 5 % of `_NUDGE_SPEED`.
+of a simulation. Chosen: 5 % of `_NUDGE_SPEED`.
 """
 
 _COMPARED_SHARE = 0.2
@@ -106,8 +103,7 @@ bound, the robot has left the stand. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
 """Absolute term [rad, m] in the upper bound of the largest joint displacement in the second half of
-a
-simulation (see `_MAX_SHIFT_RATIO`). Measured: v3 creeps by 0.01 mrad in 12 s, without a failure.
+a simulation (see `_MAX_SHIFT_RATIO`). Measured: v3 creeps by 0.01 mrad in 12 s, without a failure.
 """
 
 _MAX_SHIFT = 0.1
@@ -209,8 +205,8 @@ class ControlledStand:
         """Linearise the motion in one control period: x' = F x + L u_late + P u_prompt.
 
         x and x' are the deviations of (qpos, qvel, act) from the stand before and after the period.
-        The earlier command u_late [N m] still acts at the beginning of a period, then the later
-        command u_prompt. Dry friction of joints and tendons is zero.
+        An earlier command u_late [N m] may still act at the beginning of a period, then the later
+        command u_prompt acts. Dry friction of joints and tendons is zero.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).

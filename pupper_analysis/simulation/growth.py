@@ -58,14 +58,13 @@ holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
 """Simulated time [s] after which a growth test without a result ends. Derived: `DOUBLINGS` of a
-mode
-that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other motion.
+mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
+motion.
 """
 
 LEAVING_ANGLE = 1e-2
 """Lower bound of the displacement of a joint from the tested state [rad, m] with which a growing
-mode
-is confirmed although a foot has almost no load. Chosen equal to
+mode is confirmed although a foot has almost no load. Chosen equal to
 ``stability.MAX_JOINT_DISPLACEMENT``. Measured on three robots with feet that carry 1e-5 to 1e-4 of
 the weight: the difference of two simulations grows by five doublings to 0.01 to 0.09 mrad, or by
 six to 2.6 mrad, and then stops.
@@ -73,8 +72,7 @@ six to 2.6 mrad, and then stops.
 
 _CHUNK_DURATION = 2.0
 """Interval of simulated time [s], about, after which a growth test evaluates if the motion has
-grown
-or decayed. Chosen, not tuned.
+grown or decayed. Chosen, not tuned.
 """
 
 _DECAYED_RATIO = 1e-2
@@ -101,8 +99,8 @@ exponential growth, and 2, for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
 """Lower bound [1] of the ratio (final amplitude) / (first maximum of the deviation D) of a
-sustained
-oscillation in a growth test. D is half the difference of the two simulations. Chosen, not tuned.
+sustained oscillation in a growth test. D is half the difference of the two simulations. Chosen, not
+tuned.
 """
 
 _MIN_OSCILLATION_RATIO = 0.5
@@ -158,8 +156,8 @@ def confirm_growth(
         if the state is not at rest.
 
         - ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
-        time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
-        is None for a sustained oscillation.
+          time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
+          is None for a sustained oscillation.
         - ``refuted_modes`` contains the tested modes that the simulation does not confirm.
         - Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
     """
@@ -311,9 +309,9 @@ def _halve_difference(positions: Array, valid: int) -> Array:
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
-    """Return True if the growth of a deviation, with its maxima in time windows, has ended.
+    """Return True if the growth of a deviation has ended, from its maxima in windows, (n,).
 
-    ``maxima`` has the shape (n,), ``doubling`` is the doubling time in windows.
+    ``doubling`` is the doubling time of the growth, in windows.
     """
     begin = int(maxima[: _count_windows_until_grown(maxima)].argmin())
     largest, since = np.maximum.accumulate(maxima[begin:]), math.ceil(2 * doubling)
@@ -448,7 +446,8 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
     """Return the mode that a growth test confirms, with the simulated growth and joints.
 
-    It is the tested mode whose doubling time is nearest to the simulated one, for example.
+    The result is the tested mode with the nearest doubling time, or a mode that oscillates if only
+    a sustained oscillation is confirmed.
     """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

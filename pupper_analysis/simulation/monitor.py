@@ -513,7 +513,7 @@ def record_contacts(
     """Find contact failures in a rollout of a stand, and average torques and forces before a nudge.
 
     Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
-    nudge. Outside of this second, the states are sampled about every `_SAMPLE_TIME`.
+    nudge. The states are sampled about every `_SAMPLE_TIME`.
 
     Args:
         robot: Robot.

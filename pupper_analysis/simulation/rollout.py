@@ -34,8 +34,7 @@ Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
 """Tolerance [m] of the bisection for the distance by which ``place_on_ground`` lowers the base.
-Chosen,
-not tuned.
+Chosen, not tuned.
 """
 
 
@@ -91,8 +90,8 @@ def make_stand_start(
         stand: The stand.
         feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
             ctrl = q*.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:

@@ -162,15 +162,15 @@ def bound_servo_gains(
     Both bounds are common factors on the present gains of all joints.
 
     - Minimum stiffness, without feed-forward: predicted by statics; if the robot does not stand,
-    larger values are also simulated. None for a fixed base, for example.
+      larger values are also simulated. None for a fixed base, for example.
     - Maximum damping: stability limit of an explicit PD controller with a command per time step,
-    with at least about the minimum stiffness.
+      with at least about the minimum stiffness.
 
     Args:
         robot: Robot, with the contacts of the stand.
         stand: Stand on MuJoCo's soft ground.
-        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
-        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+        kp: Present stiffness [N m/rad, N/m], scalar or shape (nu,); default: the model's.
+        kd: Present damping [N m s/rad, N s/m], scalar or shape (nu,); default: the model's.
         stands: Whether the robot is known to stand with the present stiffness without feed-forward.
 
     Raises:
@@ -248,8 +248,7 @@ of the simulations. Chosen, not tuned: with 8 times the stiffness of its ankles 
 
 _MAX_SUSPECTS = 3
 """Upper bound of the number of classes of servos that `find_soft_servos` simulates, which limits
-the
-time. Chosen, not tuned.
+the time. Chosen, not tuned.
 """
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
@@ -274,8 +273,8 @@ def find_soft_servos(
         robot: Robot, with the contacts of the stand.
         stand: Stand on MuJoCo's soft ground.
         run: Simulation of the stand with feed-forward and the present gains.
-        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
-        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+        kp: Present stiffness [N m/rad, N/m], scalar or shape (nu,); default: the model's.
+        kd: Present damping [N m s/rad, N s/m], scalar or shape (nu,); default: the model's.
 
     Returns:
         Servos of a class, or of all simulated classes, with which the robot stands. None, for
@@ -324,7 +323,7 @@ def find_soft_servos(
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Find the largest factor on the damping gains with which a stand is stable; None if none is.
+    """Find the largest factor on the damping gains with which a stand is stable; None if unknown.
 
     ``least`` is the smallest factor on the stiffness with which the stand does not buckle. The
     result is infinite without a bound.

@@ -92,9 +92,8 @@ _SAMPLE_TIME = 0.02
 
 LARGE_NUDGE_SPEED = 0.05
 """Initial speed of the base [m/s] in simulations with a large nudge. Chosen, not tuned. Measured
-for
-the reduced Talos with added servos at a time step of 2 ms: its soles chatter without end after this
-nudge, at 0.1 to 0.7 rad/s. After the smaller nudge of ``nudge_state``, the soles are at rest.
+for the reduced Talos with added servos at a time step of 2 ms: its soles chatter without end after
+this nudge, at 0.1 to 0.7 rad/s. After the smaller nudge of ``nudge_state``, the soles are at rest.
 """
 
 _MAX_BASE_NUDGE_TIME = 6.0
@@ -102,8 +101,7 @@ _MAX_BASE_NUDGE_TIME = 6.0
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
 """Safety factor [1] on the speed at which a displaced foot approached its target in the last
-second,
-to predict the distance at the end of the settling simulation. Chosen, not tuned.
+second, to predict the distance at the end of the settling simulation. Chosen, not tuned.
 """
 
 
@@ -120,19 +118,19 @@ def comes_to_rest(
     The following conditions must hold:
 
     1. In a settling simulation of at most 5 s (the default of `verify_stand`), base and feet come
-    to rest near the stand.
+       to rest near the stand.
     2. After a nudge (a small velocity of all coordinates) the motion decays. The robot then stands
-    only on the feet.
+       only on the feet.
     3. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless the nudged
-    simulations refute the mode.
+       simulations refute the mode.
 
     Args:
         robot: Robot.
         stand: Stand, with at least one stance foot.
         feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
             ctrl = q*.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot,
@@ -192,8 +190,8 @@ def calms_after_base_nudges(
     Args:
         robot: Robot, with a free base.
         stand: Stand, with at least one stance foot.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot,

@@ -65,8 +65,8 @@ def stand_stability(
         stand: Stand.
         feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques); otherwise
             ctrl = q*.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
@@ -102,8 +102,8 @@ def rest_stability(
         robot: Robot.
         stand: Stand whose joint positions are commanded.
         pose: Equilibrium of the servos, from `steady_state`.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:

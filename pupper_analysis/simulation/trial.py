@@ -101,8 +101,7 @@ robot; at 7e-5 rad it does not.
 
 _LIMIT_ATOL = 1e-6
 """Tolerance of joint positions [rad, m], for joints that rest on a limit or have no range. Chosen
-as
-the rounding of configurations in files.
+as the rounding of configurations in files.
 """
 
 _SAMPLE_TIME = 0.05
@@ -119,9 +118,8 @@ simulation may end early. Chosen as a hundredth of `MAX_JOINT_DEVIATION`.
 
 _SPEED_FACTOR = 1.5
 """Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
-remaining
-time of a nudged simulation: an oscillation may be slower while the speed is measured. Chosen, not
-tuned.
+remaining time of a nudged simulation: an oscillation may be slower while the speed is measured.
+Chosen, not tuned.
 """
 
 _PREDICTION_FACTOR = 1.25
@@ -130,15 +128,14 @@ time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
 """Upper bound [1] of the product (growth rate of a mode) * (remaining time) with which the
-remaining
-motion can be bounded. A larger product is growth by a factor of more than 4.8e8. Chosen, not tuned.
+remaining motion can be bounded. A larger product is growth by a factor of more than 4.8e8. Chosen,
+not tuned.
 """
 
 _CLEARANCE_FACTOR = 2.0
 """Factor [1] on the largest remaining motion of a coordinate, in the test if a part other than a
-foot
-could reach the ground. Chosen, not tuned: the motion of the base is counted once, and the motion of
-the joints once.
+foot could reach the ground. Chosen, not tuned: the motion of the base is counted once, and the
+motion of the joints once.
 """
 
 
@@ -216,8 +213,8 @@ def simulate_nudges(
     Args:
         robot: Robot, with the payload and a free base.
         stand: Stand, solved for the simulated ground.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
         until_failure: Whether all simulations end once the earliest failure is known. If True,
             ``failed_nudges`` is a lower bound. A later divergence, with time 0, is then not found.
@@ -292,8 +289,8 @@ def simulate_large_nudges(
     Args:
         robot: Robot, with a free base.
         stand: Stand, solved for the simulated ground.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
 
     Returns:
         Outcome; ``nudges`` is the number of simulated nudges.
@@ -725,7 +722,7 @@ class _NudgedEvaluation:
     ) -> bool:
         """Return True if no failure is expected in the remaining time of this nudged simulation.
 
-        The conditions of a failure are evaluated with an upper bound of the remaining motion.
+        The conditions of a failure are evaluated with the bounded or predicted remaining motion.
 
         Args:
             states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).

@@ -279,12 +279,12 @@ def verify_stand(
 
     1. The robot settles, and stands still only on its feet.
     2. With feed-forward, settled torques, foot forces and joint positions agree with the
-    prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
-    feed-forward, the robot does not collapse (`StandVerification.collapses`).
+       prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
+       feed-forward, the robot does not collapse (`StandVerification.collapses`).
     3. The robot comes to rest again near the stand after a nudge: a velocity of all coordinates
-    (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`).
+       (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`).
     4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless a simulation
-    refutes the mode.
+       refutes the mode.
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
     feed-forward, such a posture is compared with ``settled``, if given.

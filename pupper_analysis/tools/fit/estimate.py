@@ -45,9 +45,8 @@ _MIN_DECREASE_RATIO = 0.1
 
 _MAX_CORRECTIONS = 2
 """Maximum number of second-order corrections of an undamped step that decreases the cost too
-little.
-Corrections are useful since the cost has curved valleys: for example, inertia is quadratic in CoM
-displacements. Chosen, not tuned.
+little. Corrections are useful since the cost has curved valleys: for example, inertia is quadratic
+in CoM displacements. Chosen, not tuned.
 """
 
 _MAX_UNREALISED_DECREASE = 1.0
@@ -329,7 +328,7 @@ class _QuadraticCost:
 
     @property
     def has_minimum(self) -> bool:
-        """Whether this quadratic model has a minimum: a finite, positive definite Hessian."""
+        """Whether this quadratic model has a minimum, with a finite gradient and Hessian."""
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
         try:
@@ -339,10 +338,10 @@ class _QuadraticCost:
         return True
 
     def compute_step(self, damping: float) -> Array:
-        """Return the step, shape (n,), in units of the prior widths, to the damped cost's minimum.
+        """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
 
-        The step respects the lower bounds. Damping [1] times the diagonal of the posterior
-        information is added to the posterior information.
+        The step minimises the damped quadratic cost within the lower bounds. Damping [1] times the
+        diagonal of the posterior information is added to the posterior information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
         damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))

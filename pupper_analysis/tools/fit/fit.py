@@ -54,10 +54,9 @@ def fit(
         ConfigurationError: If an argument is invalid, or does not apply to the measurements. For
             stands also if the base is fixed, or the robot has closed loops, couplings, welds or
             grips.
-        FitError: If the iteration does not converge, or the cost has no minimum.
+        FitError: If no parameters are found; for example, the iteration does not converge.
         MeasurementError: If the measurements do not belong to this robot, or cannot be used.
-        ModelError: For stands, if ``kp`` is passed and a joint has no motor. For logs, if a joint
-            has no motor, or if a motor is no servo and ``kp`` and ``kd`` are not both passed.
+        ModelError: If the servo gains of a joint are unknown, for example.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
     """
     stands = isinstance(measurements, MeasuredStands)

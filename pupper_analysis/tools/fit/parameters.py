@@ -234,9 +234,9 @@ def apply_priors(
 ) -> tuple[Parameter, ...]:
     """Create the parameters of a fit with prior standard deviations (widths).
 
-    The last matching prior determines the width of a parameter; by default the kind. A parameter
-    whose width is not positive is left out: the stated value counts as exact, for example with the
-    prior ``kp=0``.
+    The last matching prior determines the width of a parameter. Without a matching prior, the width
+    is the default of the kind. A parameter whose width is not positive is left out: the stated
+    value counts as exact, for example with the prior ``kp=0``.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible

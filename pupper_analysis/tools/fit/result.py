@@ -208,8 +208,8 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
 
     - Factor on kp: geometric mean of estimated kp / stated kp over the joints.
     - Factor on the carried mass: (1 + load) (sum of estimated masses) / (sum of their stated
-    values). The load is the force on the feet in excess of the weight of the masses, as a fraction
-    of the weight.
+      values). The load is the force on the feet in excess of the weight of the masses, as a
+      fraction of the weight.
 
     Args:
         posterior: Distribution of the parameters.

@@ -166,10 +166,10 @@ def draw_samples(
 
     All parameters of a robot are drawn jointly. Independent draws would give robots that the
     measurements exclude: measurements determine, for example, the total mass, but hardly the
-    distribution of the mass over the links. The distribution is truncated where values are
-    impossible. Masses are normally distributed: log-normal masses would bias the total mass (in a
-    fit of v3 2.957 instead of 2.787 kg). A CoM deviation is divided by the drawn factor on the
-    body's mass, because gravity depends on mass times CoM position.
+    distribution of the mass over the links. Robots with a very small mass or kp are rejected.
+    Masses are normally distributed: log-normal masses would bias the total mass (in a fit of v3
+    2.957 instead of 2.787 kg). A CoM deviation is divided by the drawn factor on the body's mass,
+    because gravity depends on mass times CoM position.
 
     Args:
         posterior: Distribution of the parameters.
@@ -210,8 +210,7 @@ def draw_samples(
 
 _MAX_DRAW_ROUNDS = 100
 """Upper bound of the rounds in which random robots are drawn until the requested number is
-accepted.
-Chosen, not tuned.
+accepted. Chosen, not tuned.
 """
 
 _MIN_FACTOR = 0.1

@@ -46,17 +46,15 @@ tuned.
 
 _MAX_SWAPPED_CORRELATION = -0.1
 """Upper bound of two correlations if commands and positions are swapped: of the servo error
-(command -
-position) with the changes of the position between samples, and with the changes of the command. A
-servo supplies the energy that friction dissipates, so a correlation is usually positive in correct
-columns. Measured in simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are
-swapped.
+(command - position) with the changes of the position between samples, and with the changes of the
+command. A servo supplies the energy that friction dissipates, so a correlation is usually positive
+in correct columns. Measured in simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the
+columns are swapped.
 """
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that the check for swapped columns allows for. The offset changes the
-energy
-balance of a motion if start and end positions differ. About three standard deviations of the
+energy balance of a motion if start and end positions differ. About three standard deviations of the
 default prior of offsets (2 deg).
 """
 
@@ -67,8 +65,7 @@ wrong. A delay of a quarter period gives 0, and servos are not slower. Chosen, n
 
 _MIN_OWN_CORRELATION = 0.5
 """Correlation of the positions and commands of a joint below which the column of positions may
-belong
-to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
+belong to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
 """
 
 _MIN_OTHER_CORRELATION = 0.9
@@ -79,8 +76,8 @@ may belong to the other joint. The correlation with the own commands must also b
 
 _MAX_INTERVAL_DEVIATION = 0.3
 """Upper bound of the standard deviation of the sampling intervals, without gaps, divided by the
-median
-interval. Above the bound, the intervals are uneven. Measured with a late scheduler: 0.01 to 0.1.
+median interval. Above the bound, the intervals are uneven. Measured with a late scheduler: 0.01 to
+0.1.
 """
 
 _MAX_INTERVAL = 0.1
@@ -110,9 +107,9 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
 
 
 def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Yield remarks on a log (errors, warnings, notes) that contains the joints ``joints``.
+    """Yield remarks on a log: errors, warnings and notes.
 
-    The columns are in actuator order.
+    ``joints`` are the joints that the file contains; the columns of ``log`` are in actuator order.
     """
     indices = [robot.joint_names.index(name) for name in joints]
     position, command = log.position[:, indices], log.command[:, indices]
@@ -316,8 +313,7 @@ rad.
 
 _MULTIPLE_TOLERANCE = 0.05
 """Tolerance with which (difference of two readings) / (encoder step) counts as a whole number:
-covers
-rounding in the file. Chosen, not tuned.
+covers rounding in the file. Chosen, not tuned.
 """
 
 _MAX_TESTED_STEPS = 50

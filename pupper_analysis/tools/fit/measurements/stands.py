@@ -41,8 +41,7 @@ STAND_COLUMNS = (
 
 _MAX_REPEAT_RANGE = 5e-3
 """Largest range [rad, m] of a joint position in repeated readings of a stand; with a larger range,
-the
-robot moved. The value exceeds the step of a 12-bit encoder, 1.5e-3 rad.
+the robot moved. The value exceeds the step of a 12-bit encoder, 1.5e-3 rad.
 """
 
 

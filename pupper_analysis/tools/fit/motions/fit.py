@@ -92,7 +92,7 @@ def fit_motion(
         ConfigurationError: If a prior, a gain or the fraction of ``hold_out`` is invalid.
         FitError: If no minimum is found; for example, the iteration does not converge.
         MeasurementError: If a log cannot be used or does not belong to this robot, for example
-            because servo gains are unknown.
+            because no joint moves.
         ModelError: If the servo gains of a joint are unknown, for example.
         UnknownNameError: If a log contains a joint that the robot lacks.
     """
@@ -191,7 +191,8 @@ def _report_motions(
 ) -> MotionFit:
     """Create the result of a fit from the distribution of the parameters (`posterior`).
 
-    Position errors are predicted with small time steps, with stated and with estimated parameters.
+    Positions are predicted with small time steps, with the stated and with the estimated
+    parameters.
     """
     robot = motion.simulator.robot
     errors: dict[tuple[str, str], list[Array]] = {}
@@ -320,9 +321,8 @@ def _report_notes(
 
 _MIN_REPLAY_CORRELATION = 0.95
 """Correlation of the commands of two runs above which both count as the same motion. A held-out
-motion
-that repeats a fitted motion does not test the fit. Measured: at least 0.99 in repeated logs, and
-hardly 0.5 in other motions of the same joints.
+motion that repeats a fitted motion does not test the fit. Measured: at least 0.99 in repeated logs,
+and hardly 0.5 in other motions of the same joints.
 """
 
 

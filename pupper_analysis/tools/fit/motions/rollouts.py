@@ -298,8 +298,8 @@ class Simulator:
         To second order, a first-order lag of positions with time constant T is equivalent to a
         damping of -kp T and an armature of kp T^2. The derivative by T is the sum of -kp D + 2 kp T
         A over the joints, with the derivatives D by the damping and A by the armature of a joint.
-        This formula has no finite-difference errors. Nothing changes if these parameters are not
-        estimated for all logged joints.
+        This formula has no finite-difference errors. Nothing changes if a joint with parameters
+        lacks damping or armature as a parameter.
 
         Args:
             vector: Parameters, shape (n,).

@@ -76,9 +76,8 @@ tuned.
 
 _LIVE_TRAVEL_RATIO = 0.6
 """Lower bound of (measured travel / commanded travel) of a joint whose servo certainly works:
-gravity
-and other servos do not move a joint that far. If the servo fails later, the rows recorded since
-that time are withdrawn. Chosen, not tuned.
+gravity and other servos do not move a joint that far. If the servo fails later, the rows recorded
+since that time are withdrawn. Chosen, not tuned.
 """
 
 _REST_RANGE = 1e-3
@@ -88,8 +87,7 @@ _REST_RANGE = 1e-3
 
 _REST_WINDOW = 1.0
 """Duration [s] of the measurements whose range decides whether the robot is at rest, and whose mean
-is
-the measured joint position. Chosen, not tuned.
+is the measured joint position. Chosen, not tuned.
 """
 
 LEAD_RATIOS = (1.3, 0.7)
@@ -553,8 +551,7 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 _COMMAND_ATOL = 2e-6
 """Absolute tolerance [rad, m] of the difference between recorded and planned commands. Files
-contain
-six decimals. Chosen, not tuned.
+contain six decimals. Chosen, not tuned.
 """
 
 

@@ -46,8 +46,7 @@ rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
 """Lower bound of (normal force on a foot / weight of the robot) of a foot that carries load.
-Chosen,
-not tuned.
+Chosen, not tuned.
 """
 
 

@@ -81,9 +81,8 @@ simulated robots with dead bands (``docs/explanation/fit.md``).
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
-dead
-band times kp, at a servo error of 0. A large error determines the sign of the friction. Derived
-from joints of Go1 and MEVIUS, whose friction has any value up to the limit.
+dead band times kp, at a servo error of 0. A large error determines the sign of the friction.
+Derived from joints of Go1 and MEVIUS, whose friction has any value up to the limit.
 """
 
 
@@ -304,9 +303,9 @@ class StandRows:
 
         Returns:
             1. Sums (`LinearisedResiduals`) over the projected residuals, linearised by the
-            parameters.
+               parameters.
             2. Gauss-Newton step of the eliminated unknowns, shape (3 + 3 p,), for p contact points:
-            rotations about the base x and y axes [rad], base height [m], forces [N].
+               rotations about the base x and y axes [rad], base height [m], forces [N].
         """
         projected, log_noise, step = self._project_out_unknowns(
             np.column_stack([self.residual, self.by_x])
@@ -386,8 +385,9 @@ class StandRows:
 
             S tau - g + passive + sum J_p^T w_p - load = 0
 
-        with the torques tau of servos and one-sided friction, gravity forces g, passive joint
-        forces, contact wrenches w_p, and the vertical load on the base that the scale did not show.
+        with the torques tau of servos and one-sided friction (S maps them to generalised forces),
+        gravity forces g, passive joint forces, Jacobians J_p and wrenches w_p of the contacts, and
+        the vertical load on the base that the scale did not show.
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)

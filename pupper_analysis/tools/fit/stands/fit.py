@@ -277,8 +277,7 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 _SURPRISE_PROBABILITY = 0.0027
 """Probability of a chi2 at least as large as the observed value, if the priors are right, below
-which
-a deviation is reported. The value belongs to three standard deviations. Chosen, not tuned.
+which a deviation is reported. The value belongs to three standard deviations. Chosen, not tuned.
 """
 
 _MIN_VARIANCE_REDUCTION = 0.02
@@ -304,9 +303,8 @@ implausible expected friction was scaled up. The estimate is the sum of friction
 
 _MAX_PARAMETER_STDS = 4.5
 """Deviation, for example of a parameter from the stated value, above which the measurements
-contradict
-the model, in standard deviations. Derived: with a probability below 1e-3, any of a hundred normally
-distributed numbers exceeds 4.5 standard deviations.
+contradict the model, in standard deviations. Derived: with a probability below 1e-3, any of a
+hundred normally distributed numbers exceeds 4.5 standard deviations.
 """
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
@@ -445,22 +443,19 @@ of a noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned.
 
 _DEFAULT_FRICTION_RATIO = 5e-3
 """Default dry friction of a joint, divided by weight times height. Files that state plausible
-values
-have 0.24 % (Pupper v3) to 0.66 % (Go1, B1).
+values have 0.24 % (Pupper v3) to 0.66 % (Go1, B1).
 """
 
 _MIN_FRICTION_RATIO = 2e-3
 """Lower bound of plausible dry friction: mean over the joints, divided by weight times height.
-Smaller
-frictions are scaled up. Chosen above the ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and
-Pegasus that contain the 0.2 N m of Go1.
+Smaller frictions are scaled up. Chosen above the ratios of 0.03 to 0.09 % in files of Spot,
+HyQReal2 and Pegasus that contain the 0.2 N m of Go1.
 """
 
 _MAX_PULL_RATIO = 0.02
 """Largest pull of a foot on the ground, as a fraction of the weight, for a foot that the
-measurements
-list as carrying load. With a larger computed pull, the foot was probably in the air. Chosen, not
-tuned.
+measurements list as carrying load. With a larger computed pull, the foot was probably in the air.
+Chosen, not tuned.
 """
 
 
@@ -488,7 +483,8 @@ def fit_stands(
         robot: Robot with a free base and feet.
         stands: Measurements.
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
-        weight: Mass of the whole robot on a scale [kg], with a standard deviation of 0.2 %.
+        weight: Mass of the whole robot on a scale [kg], with a standard deviation of 0.2 %. A
+            weight that contradicts the stands may be left out, with a failure.
         kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
         encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
             default.
@@ -501,7 +497,7 @@ def fit_stands(
         ConfigurationError: If an argument is invalid, the base is fixed, or the robot has closed
             loops, couplings, welds or grips.
         ModelError: If ``kp`` is passed, and a joint has no motor.
-        FitError: If no minimum is found; for example, the iteration does not converge.
+        FitError: If no parameters are found; for example, the iteration does not converge.
     """
     prior_list = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):
@@ -961,8 +957,7 @@ Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
 """Distance of a joint from a position limit at which no mechanical stop is expected to carry load,
-in
-standard deviations of the encoder offset. Chosen, not tuned.
+in standard deviations of the encoder offset. Chosen, not tuned.
 """
 
 
@@ -1256,9 +1251,9 @@ def estimate_noise(
 ) -> StandNoise:
     """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
-    The noise levels maximise the evidence (probability of the measurements, with the parameters
-    integrated out) times a log-normal prior about the expected levels. The search is a Nelder-Mead
-    simplex. The encoder noise is not estimated.
+    The noise levels approximately maximise, above lower bounds, the evidence (probability of the
+    measurements, with the parameters integrated out) times a log-normal prior about the expected
+    levels. The search is a Nelder-Mead simplex. The encoder noise is not estimated.
 
     Args:
         equations: Equations of the stands, with the expected noise.

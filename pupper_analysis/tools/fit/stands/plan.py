@@ -322,10 +322,10 @@ def choose_stands(
     is_rare: Sequence[bool] = (),
     max_rare: int = 0,
 ) -> tuple[int, ...]:
-    """Choose stands that maximise the determinant of the total information (D-optimal design).
+    """Choose stands whose total information has a large determinant (D-optimal design).
 
     A greedy selection is improved by single exchanges (V. V. Fedorov, Theory of Optimal
-    Experiments, 1972). The result is a local optimum.
+    Experiments, 1972).
 
     Args:
         informations: Information of each measurement, shape (n, n); at least ``count`` matrices.
@@ -475,9 +475,8 @@ encoder offset of 3 deg displaces the knees of v3 by about this distance.
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal
-stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
-tuned.
+nominal stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body.
+Chosen, not tuned.
 """
 
 _COM_MARGIN_RATIO = 0.05
@@ -591,7 +590,7 @@ class RandomStands:
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
         """Return the stand of a task and the steady state with feed-forward torques.
 
-        None if the servos hold no such stand; the reason is counted.
+        None, and the reason is counted, if the stand is not suited.
         """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:

@@ -24,9 +24,8 @@ from pupper_analysis.tools.fit.result import Fit
 
 _MAX_WEIGHED_WIRINGS = 12
 """Upper bound of the number of wirings that are ranked by the evidence of all stands, after a
-ranking
-by a few contradictory stands. A robot with four legs of three joints has 84 wirings with one error.
-Chosen, not tuned.
+ranking by a few contradictory stands. A robot with four legs of three joints has 84 wirings with
+one error. Chosen, not tuned.
 """
 
 _MAX_FITTED_WIRINGS = 3
@@ -38,8 +37,7 @@ offset is large as well.
 
 _MAX_EXTENDED_WIRINGS = 1
 """Upper bound of the number of wirings with one error to which a second error is added, if no
-wiring
-with one error explains the stands. Chosen, not tuned.
+wiring with one error explains the stands. Chosen, not tuned.
 """
 
 
