@@ -172,18 +172,12 @@ def compute_creep_speeds(
 ) -> dict[str, float]:
     """Compute the creep speed of each loaded contact point: |f_t| / c [m/s].
 
-    Creep is the slow slip that MuJoCo's regularised friction permits. f_t is the predicted
-    tangential force [N]. c is the viscosity [N s/m] of the friction (`GroundLaw`) at the depth of
+    Creep is the slow slip that MuJoCo's regularised friction permits. f_t is the tangential force
+    [N] in ``prediction``. c is the viscosity [N s/m] of the friction (`GroundLaw`) at the depth of
     the point in the stand. MuJoCo's no-slip solver, which prevents creep, is not considered.
 
-    Args:
-        robot: Robot.
-        stand: Stand, with depths on soft ground.
-        prediction: Statics of the stand, with the contact forces.
-
     Returns:
-        {contact point: creep speed [m/s]} for the points of ``prediction.contact_forces``; infinite
-        if the viscosity is zero.
+        {contact point: creep speed [m/s]}; infinite if the viscosity is zero.
     """
     speeds: dict[str, float] = {}
     for foot, force in prediction.contact_forces.items():
@@ -195,17 +189,10 @@ def compute_creep_speeds(
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Report the contact point with the largest creep speed, if the speed exceeds a bound.
+    """Report the contact point with the largest creep speed, if above `MAX_CREEP_SPEED`.
 
-    Creep is the slow slip of a loaded contact. The bound is `MAX_CREEP_SPEED`.
-
-    Args:
-        robot: Robot.
-        stand: Stand, with depths on soft ground.
-        prediction: Statics of the stand, with the contact forces.
-
-    Returns:
-        List with a message; empty if no point creeps faster than the bound.
+    Creep is the slow slip of a loaded contact (`compute_creep_speeds`). The list contains at most
+    one message.
     """
     speeds = compute_creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")

@@ -363,12 +363,7 @@ def _make_displacement(
 
 
 def find_dof_unit(model: mujoco.MjModel, dof: int) -> str:
-    """Return the unit of a displacement of a degree of freedom: m or rad.
-
-    Args:
-        model: MuJoCo model.
-        dof: Index of the degree of freedom in qvel.
-    """
+    """Return the unit, m or rad, of the degree of freedom with the index ``dof`` in qvel."""
     joint = int(model.dof_jntid[dof])
     is_translation = dof - int(model.jnt_dofadr[joint]) < _NUM_TRANSLATIONS.get(
         int(model.jnt_type[joint]), 0

@@ -66,11 +66,9 @@ class LinearStep:
     def reproduces(self, states: Array) -> bool:
         """Return True if this linear model predicts simulated positions from the first two states.
 
-        The tolerances are `_INTERVAL_RTOL` and `_INTERVAL_ATOL`. The result is False if the states
-        are too few.
-
-        Args:
-            states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size), n > 2.
+        ``states`` after successive steps (mjSTATE_FULLPHYSICS) have the shape (n, size). The
+        tolerances are `_INTERVAL_RTOL` and `_INTERVAL_ATOL`. The result is False if the states are
+        too few.
         """
         count, nv = (len(states) - 2) // self._stride, self._model.nv
         if count < 1:
@@ -96,15 +94,10 @@ class LinearStep:
         return displacements
 
     def subtract(self, before: Array, state: Array) -> Array:
-        """Compute the change from a state to another state, in the tangent space.
+        """Compute the change from a state to another state, in the tangent space, (2 nv + na,).
 
-        Args:
-            before: First state (mjSTATE_FULLPHYSICS), shape (size,).
-            state: Second state (mjSTATE_FULLPHYSICS), shape (size,).
-
-        Returns:
-            Change of positions [m, rad], velocities [m/s, rad/s] and activations, shape (2 nv +
-            na,).
+        The states are mjSTATE_FULLPHYSICS. The change is that of positions [m, rad], velocities
+        [m/s, rad/s] and activations.
         """
         model = self._model
         ends = 1 + model.nq, 1 + model.nq + model.nv + model.na

@@ -135,12 +135,9 @@ class StandReference:
         )
 
     def tilt(self, state: Array) -> float:
-        """Compute the tilt [rad] of a free base in a simulated state from the expected orientation.
+        """Compute the tilt [rad] of a free base from the expected orientation, regardless of yaw.
 
-        Yaw has no effect.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        ``state`` is an mjSTATE_FULLPHYSICS.
         """
         return base_tilt(self.robot, self.rotation, state)
 
@@ -174,11 +171,8 @@ class StandReference:
         """Return True if the base is tilted by more than ``FALLEN_TILT``, or the CoM is too low.
 
         The CoM is represented by the point of the base that coincides with the CoM in the expected
-        stand. The point is too low if its height loss exceeds (1 - `FALLEN_HEIGHT_RATIO`) *
-        ``com_height``. The result is False for a robot with a fixed base.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        stand (`FALLEN_HEIGHT_RATIO`). A fixed base cannot fall. ``state`` is an
+        mjSTATE_FULLPHYSICS.
         """
         if self.robot.is_base_fixed:
             return False
@@ -191,11 +185,8 @@ class StandReference:
         """Return True if a robot has fallen, sunk, been thrown up or travelled from its stand.
 
         `fall.has_collapsed` defines the limits of tilt, height and horizontal travel. With a fixed
-        base, the result is True if a joint deviates from the stand by ``MIN_POSTURE_DEVIATION`` or
-        more.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        base, a joint that has left the posture counts (``MIN_POSTURE_DEVIATION``). ``state`` is an
+        mjSTATE_FULLPHYSICS.
         """
         if self.robot.is_base_fixed:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
@@ -209,10 +200,7 @@ class StandReference:
     def is_lifted(self, state: Array) -> bool:
         """Return True if a robot is upright and far above the expected stand (`fall.is_lifted`).
 
-        The result is False for a robot with a fixed base.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        The result is False for a fixed base. ``state`` is an mjSTATE_FULLPHYSICS.
         """
         if self.robot.is_base_fixed:
             return False
@@ -277,10 +265,7 @@ class ContactSampler:
     def find_ground_bodies(self, state: Array) -> set[str]:
         """Return the names of bodies that touch the ground with geoms that belong to no foot.
 
-        Faster than `sample`, since no forces are computed.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        No forces are computed. ``state`` is an mjSTATE_FULLPHYSICS.
         """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         mujoco.mj_kinematics(self._model, self.data)
@@ -290,26 +275,15 @@ class ContactSampler:
     def find_surface(self, body: str) -> Diagnostic | None:
         """Create the part of a message that names the step, plane or bar which a body touches.
 
-        The contacts are those at the state that `sample` or `find_ground_bodies` evaluated last.
-
-        Args:
-            body: Name of the body.
-
-        Returns:
-            The message part; None if the body touches the floor, or touches no such surface.
+        The contacts are those of the state that was evaluated last. None without such a surface.
         """
         return find_touched_surface(self._model, self.data, body)
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Compute the world position of the centre of each contact point's sphere.
+    """Compute {contact point: centre of its sphere in the world frame, shape (3,) [m]}.
 
-    Args:
-        robot: Robot.
-        data: MuJoCo data of the robot's model, with kinematics.
-
-    Returns:
-        {contact point: centre, shape (3,) [m], in the world frame}.
+    ``data`` must contain the kinematics.
     """
     bodies = [body for body, _ in robot.contact_places.values()]
     offsets = np.array([place for _, place in robot.contact_places.values()]).reshape(-1, 3, 1)
@@ -318,14 +292,9 @@ def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def base_heights(robot: Robot, states: Array) -> Array:
-    """Return the height of the base frame in each state of a rollout: world z [m].
+    """Return the world height [m] of the base frame in ``states``; zeros for a fixed base.
 
-    Args:
-        robot: Robot.
-        states: States (mjSTATE_FULLPHYSICS), shape (..., size).
-
-    Returns:
-        Heights, shape (...); zeros for a fixed base.
+    The states (mjSTATE_FULLPHYSICS) have the shape (..., size), the heights (...).
     """
     if not robot.floating:
         return np.zeros(states.shape[:-1])
@@ -378,23 +347,13 @@ def has_diverged(states: Array, timestep: float) -> bool:
 
 
 def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
-    """Create the message that a simulation diverged, with integrator and time step.
-
-    Args:
-        integrator: MuJoCo integrator.
-        timestep: Time step [s].
-    """
+    """Create the message that a simulation with time step ``timestep`` [s] diverged."""
     step = Quantity(timestep, "s")
     return diagnose("simulation-diverged", integrator=integrator, timestep=step)
 
 
 def describe_fall(tilt_angle: float, height: float) -> Diagnostic:
-    """Create the message that the robot fell over.
-
-    Args:
-        tilt_angle: Tilt of the base [rad].
-        height: Height of the base [m].
-    """
+    """Create the message that the robot fell over: tilt [rad] and height [m] of the base."""
     tilt, remaining_height = Quantity(tilt_angle, "rad"), Quantity(height, "m")
     return diagnose("fell-over", tilt=tilt, height=remaining_height, time=None)
 
@@ -484,15 +443,10 @@ class ContactRecord:
     idle_late: frozenset[str] = frozenset()
 
     def compute_foot_drops(self, stand: Stand) -> dict[str, Array]:
-        """Compute how far contact points moved from their targets: target minus mean position.
+        """Compute the target minus the mean position of each contact point, shape (3,) [m].
 
-        The mean is taken over the last second before the nudge.
-
-        Args:
-            stand: Stand, with the target positions.
-
-        Returns:
-            {contact point of a stance foot: difference, shape (3,) [m], in the world frame}.
+        The positions are in the world frame, and averaged over the last second before the nudge.
+        Keys are the contact points of the stance feet.
         """
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
@@ -602,11 +556,9 @@ class _SettledMeans:
         self.positions = {foot: np.zeros(3) for foot in robot.contact_points}
 
     def add(self, data: mujoco.MjData, foot_forces: Mapping[str, Array]) -> None:
-        """Add the forces and positions of a simulated state to the sums.
+        """Add the joint torques, forces and positions of a simulated state to the sums.
 
-        Args:
-            data: MuJoCo data of the state, with evaluated contacts.
-            foot_forces: {foot: ground force, shape (3,) [N], in world axes}.
+        ``foot_forces`` is {foot: ground force, shape (3,) [N], in world axes}.
         """
         self.count += 1
         joints = self._robot.mj_convention.qvel_index[-self._robot.nu :]
@@ -645,15 +597,10 @@ def _list_contact_failures(
 def find_pushing_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Return the pairs of bodies with a contact whose normal force exceeds a minimum.
+    """Return the pairs of bodies with a contact whose normal force exceeds ``min_force`` [N].
 
-    Args:
-        model: MuJoCo model.
-        data: Data with evaluated contacts.
-        min_force: Minimum normal force of a contact [N].
-
-    Returns:
-        Pairs of body names, each in alphabetical order; the floor belongs to the body "world".
+    The names of a pair are in alphabetical order; the floor belongs to the body "world". ``data``
+    must contain the contacts.
     """
     pairs, force = set(), np.zeros(6)
     for number, bodies in enumerate(contact.list_contact_bodies(model, data).tolist()):
@@ -668,12 +615,7 @@ def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, 
     """Return the ids of bodies on the ground with less than `LIGHT_FOOT_LOAD` of the total load.
 
     The load of a body is the sum of its normal forces [N] in contacts with the world or with bodies
-    fixed to the world. The total is the sum over all bodies. Bodies without such a contact are not
-    included.
-
-    Args:
-        model: MuJoCo model.
-        data: Data with evaluated contacts.
+    fixed to the world. ``data`` must contain the contacts.
     """
     loads: dict[int, float] = {}
     force = np.zeros(6)

@@ -127,21 +127,13 @@ def weld_generalized_forces(
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
-    """Compute the state of a stand lowered into soft ground until contacts carry the weight.
+    """Compute the state (mjSTATE_FULLPHYSICS) of a stand, lowered until contacts carry the weight.
 
     Feet that just touch soft ground carry nothing. The base is lowered along the ground normal,
     with constant joint positions, until the forces along this direction balance. The simulation
     then starts near equilibrium, not with a fall of some millimetres. A stand that is held
-    otherwise, for example by a fixed base, is not lowered.
-
-    Args:
-        robot: The robot.
-        drive: Servos and MuJoCo model of the robot.
-        stand: The stand.
-        torques: Motor torques and forces that balance the stand, shape (nu,) [N m, N].
-
-    Returns:
-        The state (mjSTATE_FULLPHYSICS), with zero velocities.
+    otherwise, for example by a fixed base, is not lowered. Velocities are zero. ``torques`` of the
+    motors, shape (nu,) [N m, N], balance the stand.
     """
     model = drive.model
     data = mujoco.MjData(model)

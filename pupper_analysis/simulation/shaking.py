@@ -54,13 +54,10 @@ class ShakingRecord:
 
     @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
     def add(self, states: Array) -> None:
-        """Record the largest speed in each interval of further simulated states.
+        """Record the largest speed in each interval of further states, shape (n, size).
 
-        Each call begins a new interval. States after the last complete `RECORD_INTERVAL` are
-        ignored.
-
-        Args:
-            states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size).
+        The states (mjSTATE_FULLPHYSICS) follow after successive steps. Each call begins a new
+        interval; an incomplete interval at the end is ignored.
         """
         for begin in range(0, len(states) - self._interval + 1, self._interval):
             rows = states[begin : begin + self._interval, self._velocities]
@@ -102,11 +99,8 @@ class ShakingRecord:
     def is_sustained_over(self, seconds: int) -> bool:
         """Return True if the robot shakes, and has not become slower over successive windows.
 
-        The last `SHAKING_SECONDS` windows are compared (`_MIN_SHAKING_RATIO`). The result is False
-        if the record is too short.
-
-        Args:
-            seconds: Length of each window [s].
+        The last `SHAKING_SECONDS` windows, each of ``seconds`` [s], are compared
+        (`_MIN_SHAKING_RATIO`). The result is False if the record is too short.
         """
         count = SHAKING_SECONDS * seconds * INTERVALS_PER_SECOND
         if not self.is_shaking or len(self._speeds) < count:

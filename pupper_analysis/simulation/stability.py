@@ -356,24 +356,14 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
 
 
 def nudge_state(model: mujoco.MjModel, state: Array) -> Array:
-    """Return a copy of a state with a nudge: a perturbation of all velocities [m/s, rad/s].
-
-    Args:
-        model: MuJoCo model.
-        state: State (mjSTATE_FULLPHYSICS).
-    """
+    """Return a copy of a state (mjSTATE_FULLPHYSICS) with all velocities [m/s, rad/s] perturbed."""
     nudged, first = state.copy(), 1 + model.nq
     nudged[first : first + model.nv] += nudge_velocity(model)
     return nudged
 
 
 def count_nudged_steps(model: mujoco.MjModel, duration: float) -> int:
-    """Return the number of steps of a nudged simulation, at least 3 (`measure_response`).
-
-    Args:
-        model: MuJoCo model.
-        duration: Simulated time [s].
-    """
+    """Return the number of steps of a nudged simulation of ``duration`` [s], at least 3."""
     return max(3, round(duration / float(model.opt.timestep)))
 
 
@@ -487,25 +477,16 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
 def measure_speed_deviation(velocities: Array) -> float:
     """Compute how fast a robot shakes: the largest speed, without slow motion such as creep.
 
-    Args:
-        velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
-
-    Returns:
-        Largest deviation from a line, over time and all velocities [m/s and rad/s mixed].
+    ``velocities`` at equal time intervals have the shape (n, nv) [m/s, rad/s]. The result is the
+    largest deviation from a linear trend in time [m/s and rad/s mixed].
     """
     return float(measure_speed_deviations(velocities).max(initial=0.0))
 
 
 def measure_speed_deviations(velocities: Array) -> Array:
-    """Compute the largest deviation of each velocity from its linear trend in time.
+    """Compute the largest deviation of each velocity from its linear trend in time, shape (nv,).
 
-    The trend is a straight line, fitted to the values of the velocity by least squares.
-
-    Args:
-        velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
-
-    Returns:
-        Largest deviation of each velocity, shape (nv,) [m/s, rad/s].
+    ``velocities`` at equal time intervals have the shape (n, nv) [m/s, rad/s].
     """
     time = np.linspace(-1.0, 1.0, len(velocities))
     slopes = (time @ velocities) / (time @ time)

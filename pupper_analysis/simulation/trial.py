@@ -392,12 +392,8 @@ def is_near_limit(
 def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayLike | None) -> bool:
     """Return True if the static torque of a servo is near an effort limit, above or below it.
 
-    The tolerance is kp times `_MIN_SATURATION_DEVIATION`.
-
-    Args:
-        robot: Robot.
-        statics: Statics of the stand.
-        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); None: value of the model.
+    The tolerance is `_MIN_SATURATION_DEVIATION` times the servo stiffness ``kp`` [N m/rad, N/m],
+    scalar or shape (nu,); that of the model if None.
     """
     stiffness = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
     distances = np.abs(robot.effort_ranges - statics.joint_torques[:, None]).min(axis=1)
@@ -423,10 +419,6 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
     """Return the height [m] of a stand's CoM above the mean of its contact points.
 
     For a robot with welds or grips, the result is `Robot.stand_height`.
-
-    Args:
-        robot: Robot.
-        stand: Stand with feet, unless the robot has welds or grips.
     """
     if robot.fixed_parts:
         return robot.stand_height
@@ -435,16 +427,10 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
 
 
 def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
-    """Create the initial velocities of the twelve nudged simulations of `simulate_nudges`.
+    """Create the initial velocities [m/s, rad/s] of the nudges of `simulate_nudges`, (12, nv).
 
-    Args:
-        robot: Robot.
-        stand: Stand.
-
-    Returns:
-        Velocities, shape (12, nv) [m/s, rad/s], in the order of qvel. Rows: eight horizontal
-        nudges, up, down, and rotations about the base's z axis in both senses. Joint velocities are
-        zero.
+    Rows: eight horizontal nudges, up, down, and rotations about the base's z axis in both senses.
+    The order of the columns is that of qvel; joint velocities are zero.
     """
     speeds = np.zeros((_HORIZONTAL_NUDGES + 4, robot.nv))
     angles = 2 * np.pi * np.arange(_HORIZONTAL_NUDGES) / _HORIZONTAL_NUDGES
@@ -502,12 +488,8 @@ class _FailureConditions:
     def bound_motion(self, speed: float, remaining: float) -> float:
         """Compute an upper bound of the motion of a coordinate [m, rad] in the remaining time.
 
-        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with v = ``speed``, r = ``growth_rate``
-        [1/s] and T = ``remaining``; infinite if r T is too large.
-
-        Args:
-            speed: Largest speed of a coordinate [m/s, rad/s].
-            remaining: Remaining time of the simulation [s].
+        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with v = ``speed`` [m/s, rad/s], r =
+        ``growth_rate`` [1/s] and T = ``remaining`` [s]; infinite if r T is too large.
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:
@@ -517,13 +499,9 @@ class _FailureConditions:
         )
 
     def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
-        """Predict the motion in the remaining time with the linearised simulation step.
+        """Predict the motion in the remaining time [s] with the linearised simulation step.
 
-        The linear model of an interval is shared by all runs.
-
-        Args:
-            states: Simulated states after successive steps of the last interval, shape (n, size).
-            remaining: Remaining time [s].
+        ``states`` are those after successive steps, shape (n, size).
 
         Returns:
             Displacements from the last of ``states`` at m later times, multiplied by
@@ -550,23 +528,16 @@ class _FailureConditions:
         return _PREDICTION_FACTOR * displacements, velocity + changes
 
     def displacement(self, state: Array) -> Array:
-        """Compute the displacement (nv,) [m, rad] of a state from the initial state of the stand.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
-        """
+        """Compute the displacement (nv,) [m, rad] of a state from the stand's initial state."""
         model, displacement = self.held.drive.model, np.empty(self.held.drive.model.nv)
         ends = slice(1, 1 + model.nq)
         mujoco.mj_differentiatePos(model, displacement, 1.0, self.held.start[ends], state[ends])
         return displacement
 
     def sample(self, state: Array) -> tuple[set[str], set[str], Array]:
-        """Find the feet and bodies on the ground, and the motor torques, at a simulated state.
+        """Find the feet and other bodies on the ground, and the motor torques, at a state.
 
         No contact forces are computed, which saves most of the time.
-
-        Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS).
 
         Returns:
             Names of the feet on the ground; names of swing feet and other bodies on the ground;
@@ -583,23 +554,12 @@ class _FailureConditions:
         return feet, bodies | (feet - self.carrying), torques
 
     def joint_positions(self, states: Array) -> Array:
-        """Extract the joint positions from simulated states.
-
-        Args:
-            states: States (mjSTATE_FULLPHYSICS), shape (..., size).
-
-        Returns:
-            Joint positions, shape (..., nu) [rad, m], in actuator order.
-        """
+        """Extract joint positions, shape (..., nu) [rad, m], from states, shape (..., size)."""
         positions: Array = states[..., 1 + self.robot.mj_convention.qpos_index[7:]]
         return positions
 
     def locate_feet(self) -> Array:
-        """Return the centres of the stand's contact points at the last state passed to ``sample``.
-
-        Returns:
-            Centres, shape (number of contact points, 3) [m], in the world frame.
-        """
+        """Return the centres of the contact points at the last sampled state, (points, 3) [m]."""
         centres = monitor.foot_centres(self.robot, self.data)
         return np.array([centres[foot] for foot in self.stand.stance_feet]).reshape(-1, 3)
 
@@ -634,10 +594,8 @@ class _NudgedEvaluation:
     def advance(self, states: Array, stride: int, remaining: float) -> None:
         """Evaluate the states of the next interval; update ``failure`` and ``is_decided``.
 
-        Args:
-            states: States after each step of the interval (mjSTATE_FULLPHYSICS), shape (n, size).
-            stride: Number of steps between two evaluated states; the first state is evaluated.
-            remaining: Simulated time that remains after the interval [s]; 0 for the last interval.
+        ``states`` after each step have the shape (n, size); every ``stride``-th is evaluated.
+        ``remaining`` is the simulated time after the interval [s].
         """
         conditions = self._conditions
         successive, before = np.concatenate([self.state[None], states]), self._slips
@@ -720,15 +678,11 @@ class _NudgedEvaluation:
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
     ) -> bool:
-        """Return True if no failure is expected in the remaining time of this nudged simulation.
+        """Return True if no failure is expected in the remaining time [s] of this simulation.
 
         The conditions of a failure are evaluated with the bounded or predicted remaining motion.
-
-        Args:
-            states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
-            interval: Duration of the interval [s].
-            slips: {contact point: slip at the end of the previous interval [m]}.
-            remaining: Remaining time [s].
+        ``interval`` is the duration [s] of the last interval, with ``states`` of shape (n, size);
+        ``slips`` are those of the contact points at the interval's start [m].
         """
         conditions, drive = self._conditions, self._conditions.held.drive
         model, robot, stand = drive.model, conditions.robot, conditions.stand

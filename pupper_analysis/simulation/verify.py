@@ -71,12 +71,8 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
     The residual is g - J^T f - S^T tau, minus the load that closed loops transfer between joints.
     Here g are MuJoCo's bias forces minus passive forces, and J is the contact Jacobian of the MJCF.
-    The forces f of contacts and welds and the motor torques tau are those of ``prediction``.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        prediction: Statics of the stand, computed from the URDF.
+    The forces f of contacts and welds and the motor torques tau are those of ``prediction``,
+    computed from the URDF.
 
     Returns:
         Largest magnitude of the residual [N, N m]; nearly 0 if both files describe the same robot.
@@ -494,14 +490,8 @@ measured. Chosen, not tuned."""
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
     """Measure the creep of a stand: the slow mean motion of base, feet and joints in a simulation.
 
-    A mean speed is a displacement divided by the duration. The displacement is measured over the
-    last `CREEP_TIME` of the simulation, or over the whole simulation if shorter.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        model: MuJoCo model that was simulated.
-        states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
+    A mean speed is a displacement over the last `CREEP_TIME`, divided by the duration. ``states``
+    are the states after each step (mjSTATE_FULLPHYSICS), shape (n, size).
     """
     steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
     first, last = states[-1 - steps], states[-1]
@@ -778,15 +768,10 @@ def _find_standing_failures(
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Return the reference torque for relative errors of joint torques.
+    """Return the reference torque [N m, N] for relative errors of joint torques.
 
-    Args:
-        robot: Robot.
-        torques: Predicted joint torques, shape (nu,) [N m, N].
-
-    Returns:
-        Largest magnitude of ``torques``, but at least the weight times `TORQUE_SCALE_LEVER` [N m].
-        If the model has no gravity, the weight is that on Earth.
+    The result is the largest magnitude of ``torques``, shape (nu,), or the weight (on Earth,
+    without gravity) times `TORQUE_SCALE_LEVER`, if larger.
     """
     return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
@@ -794,11 +779,8 @@ def torque_scale(robot: Robot, torques: Array) -> float:
 def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
     """Return each joint's dry friction, and the position deadband that this friction causes.
 
-    The deadband is friction / kp: the position deviation at which dry friction balances the servo.
-
-    Args:
-        robot: Robot.
-        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
+    The deadband is friction / kp: the position deviation at which dry friction balances a servo
+    with the stiffness ``kp``, shape (nu,) [N m/rad, N/m].
 
     Returns:
         Dry friction, shape (nu,) [N m, N]; deadband, shape (nu,) [rad, m], 0 for a joint with kp =
@@ -831,11 +813,9 @@ def _compare_with_equilibrium(
 
 
 def find_worst_unit(robot: Robot, deviations: Array) -> str:
-    """Return the unit (rad or m) of the joint with the largest deviation; NaN counts as largest.
+    """Return the unit, rad or m, of the joint with the largest of ``deviations``, shape (nu,).
 
-    Args:
-        robot: Robot.
-        deviations: Deviation of each joint, shape (nu,) [rad, m].
+    NaN counts as the largest value.
     """
     worst = int(np.argmax(np.nan_to_num(deviations, nan=np.inf)))
     return joint_unit(robot, robot.joint_names[worst])

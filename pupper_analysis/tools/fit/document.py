@@ -32,12 +32,8 @@ def describe_fit(
 ) -> doc.Document:
     """Create the report of a fit: estimates by kind, plots, verdict, failures and notes.
 
-    Args:
-        fit: Fit.
-        title: Title.
-        answer: Key figures of the fit.
-        details: Further statements about the measurements and the agreement of the model.
-        extra_blocks: Plots of the residuals.
+    ``answer`` contains key figures of the fit, ``details`` further statements, and ``extra_blocks``
+    plots of the residuals.
     """
     robot_estimates = [
         estimate for estimate in fit.estimates if estimate.kind not in SURROUNDINGS_KINDS

@@ -165,9 +165,7 @@ class Prior:
     def compute_std(self, stated: float) -> float:
         """Compute the prior standard deviation of a parameter, in the unit of the kind.
 
-        Args:
-            stated: Stated value of the parameter, in the unit of the kind. The absolute value is
-                the reference of a relative width (``share``).
+        A relative width (``share``) is a fraction of the absolute value of ``stated``.
         """
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
@@ -336,12 +334,7 @@ class ParameterTable:
         return positions, [index for index in indices if index is not None]
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
-        """Return a copy in which the prior widths of a kind of parameter are scaled.
-
-        Args:
-            kind: Key of ``PARAMETER_KINDS``.
-            factor: Factor on the prior standard deviations.
-        """
+        """Return a copy in which the prior widths of the parameters of a kind are scaled."""
         scaled = copy(self)
         scaled.parameters = tuple(
             replace(parameter, width=factor * parameter.width)
@@ -408,14 +401,10 @@ AXES = ("x", "y", "z")
 
 
 def find_moved_link(model: pin.Model, number: int) -> str:
-    """Return the URDF link that a Pinocchio joint moves.
+    """Return the URDF link that the Pinocchio joint with the index ``number`` moves.
 
     If fixed joints connect several links, a link whose frame coincides with the joint frame is
     preferred.
-
-    Args:
-        model: Pinocchio model.
-        number: Index of the joint.
     """
     frames = [
         frame

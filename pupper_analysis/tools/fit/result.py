@@ -51,12 +51,7 @@ prior's interval. Chosen, not tuned.
 def classify_determination(variance_ratio: float) -> Determined:
     """Classify whether the data, the prior or both determine an estimate.
 
-    - Ratio below 0.1: the data.
-    - Ratio from 0.1 to less than 0.9: both.
-    - Ratio of at least 0.9: the prior.
-
-    Args:
-        variance_ratio: Posterior variance / prior variance of the parameter.
+    ``variance_ratio`` is posterior variance / prior variance.
     """
     if variance_ratio < _MAX_DATA_RATIO:
         return Determined.DATA
@@ -161,11 +156,7 @@ def describe_parameter(
 ) -> Estimate:
     """Create the estimate of a parameter, with a 95 % interval.
 
-    Args:
-        parameter: Parameter.
-        mean: Most probable value, in the parameter's unit.
-        std: Standard deviation, in the parameter's unit.
-        determined: Whether data, prior or both determine the value.
+    ``mean`` and standard deviation ``std`` are in the parameter's unit.
     """
     stated = {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
     low, high = mean - HALF_WIDTH_95 * std, mean + HALF_WIDTH_95 * std

@@ -90,10 +90,6 @@ faster; a step at 2 Hz would have five samples. Chosen, not tuned.
 def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
     """Check whether a log suits a robot and a fit; return warnings and notes.
 
-    Args:
-        robot: Robot.
-        log: Log.
-
     Raises:
         MeasurementError: If a fit cannot use the log, for example because of degrees instead of
             radians, swapped columns of commands and positions, or no moving joint.
@@ -273,16 +269,10 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 
 
 def find_column_step(column: Array) -> float:
-    """Estimate the step (resolution) of a joint's encoder from measured positions.
+    """Estimate the step (resolution) of a joint's encoder from positions, shape (n,) [rad, m].
 
     The step is about the largest number of which all small differences between sorted positions are
-    multiples.
-
-    Args:
-        column: Positions of a joint, shape (n,) [rad, m].
-
-    Returns:
-        Step [rad, m]; 0 if no step is found, for example with fewer than `_MIN_STEPS` differences.
+    multiples; 0 if there is none, or if the differences are too few.
     """
     steps = np.diff(np.sort(column))
     steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_TESTED_STEPS]

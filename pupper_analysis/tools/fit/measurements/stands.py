@@ -348,9 +348,6 @@ def estimate_encoder_step(stands: MeasuredStands) -> float:
 
     The result is the median over the joints with a known step (`find_column_step`); 0 if at most
     half of the joints have a step.
-
-    Args:
-        stands: Measured stands.
     """
     steps = [quantum for column in stands.position.T if (quantum := find_column_step(column))]
     return float(np.median(steps)) if 2 * len(steps) > len(stands.joints) else 0.0

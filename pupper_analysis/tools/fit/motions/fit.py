@@ -707,10 +707,8 @@ class SeriesNoise:
     def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
         """Fit autoregressive noise to some residual series by the Yule-Walker equations.
 
-        White noise is returned if the samples are too few, for example.
-
-        Args:
-            series: Residuals of a joint in each run, shape (n,) [rad, m]; NaN if missing.
+        Each series, that of a run, has the shape (n,) [rad, m]; NaN if missing. White noise is
+        returned if the samples are too few, for example.
         """
         filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
         count = int(sum(np.isfinite(series_part).sum() for series_part in series))
@@ -736,13 +734,9 @@ class SeriesNoise:
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Return a factor B^T of the covariance B^T B of m weighted sums of n noise samples.
+        """Return B^T, shape (m, n), of the covariance B^T B of m weighted sums of n noise samples.
 
-        Args:
-            weights: Weights of the samples in each sum, shape (n, m).
-
-        Returns:
-            B^T, shape (m, n), such that B^T B, shape (m, m), is the covariance of the sums.
+        ``weights`` has the shape (n, m).
         """
         filter_coefficients = [1.0, *-self.coefficients]
         return np.asarray(lfilter([self.innovation], filter_coefficients, weights[::-1], axis=0)).T

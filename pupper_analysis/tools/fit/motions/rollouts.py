@@ -229,12 +229,8 @@ class Simulator:
     def predict_positions(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
         """Predict the encoder positions of a run for several parameter vectors, by simulation.
 
-        Args:
-            run: Run with n samples.
-            vectors: k parameter vectors (physical parameters, in the order of the table).
-
-        Returns:
-            Joint position plus encoder offset, shape (k, n, nu) [rad, m].
+        The result, joint positions plus encoder offsets, has the shape (k, n, nu) [rad, m] for k
+        vectors and n samples.
         """
         starts = range(0, len(vectors), _MAX_BATCH_SIZE)
         return np.concatenate(
@@ -479,9 +475,6 @@ class MovingBodies:
         Since the base is fixed, branches of the tree at the base are independent without equality
         constraints and tendons.
 
-        Args:
-            table: Parameters of the fit.
-
         Returns:
             For each group: indices of the joints, and indices of the parameters of the group's
                 joints and links.
@@ -631,11 +624,7 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Compute the Jacobian of `to_parameters`, shape (n, n).
-
-        Args:
-            moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).
-        """
+        """Compute the Jacobian of `to_parameters` at coordinates (n,), shape (n, n)."""
         derivative, mass_ratio = np.eye(len(moments)), self._compute_mass_ratio(moments)
         deviation = moments[self._coms] - self._stated_com
         derivative[self._coms, self._coms] = mass_ratio
@@ -648,12 +637,8 @@ class MomentCoordinates:
     def transform_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
         """Convert a distribution of first-moment coordinates to a distribution of the parameters.
 
-        First-moment coordinates contain mass times CoM instead of the CoM, scaled to a length. The
+        ``covariance`` is that of the coordinates, shape (n, n), in units of the prior widths. The
         conversion is linearised about the mean. ``Posterior.moved`` is not converted.
-
-        Args:
-            posterior: Distribution of the coordinates.
-            covariance: Covariance of the coordinates, shape (n, n), in units of the prior widths.
         """
         width = np.array([parameter.width for parameter in posterior.parameters])
         transform = self.differentiate_parameters(posterior.mean) * width / width[:, None]

@@ -281,12 +281,8 @@ class _RecordingSession:
     def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
         """Measure the dry friction of each joint as an angle, from the two readings of each stand.
 
-        Args:
-            num_stands: Number of recorded stands, from the first, over which the median is taken.
-
-        Returns:
-            {joint: median of |half the difference of both readings| [rad, m]}. Empty if no stand
-            was read twice.
+        The result is {joint: median of |half the difference of both readings| [rad, m]} over the
+        first ``num_stands`` recorded stands; empty if no stand was read twice.
         """
         differences = self._half_differences[:num_stands]
         if not differences:

@@ -129,11 +129,8 @@ class StandReading:
 def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading]:
     """Yield the measurements of each stand, in the order of the rows of ``stands``.
 
-    All contact points of a foot carry load, unless the foot is in ``stands.swing``.
-
-    Args:
-        robot: Robot.
-        stands: Measurements, joints in actuator order.
+    The joints must be in actuator order. All contact points of a foot carry load, unless the foot
+    is in ``stands.swing``.
     """
     for row in range(len(stands)):
         yield StandReading(
@@ -842,13 +839,10 @@ class StandEquations:
         return total
 
     def set_noise_point(self, x: Array) -> None:
-        """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
+        """Set the stiffness, mass and dead band that scale the noise, from parameters x, (n,).
 
         These values are constant during a minimisation, which would otherwise prefer parameters
         with large noise.
-
-        Args:
-            x: Parameters, shape (n,).
         """
         names = self.robot.joint_names
         self._noise_kp = self.table.get_values(x, "kp", names, self._kp)
@@ -985,16 +979,10 @@ class StandEquations:
         return compute_level_base(robot, reading.position, points), forces
 
     def compute_informations(self, x: Array) -> list[Array]:
-        """Compute the Fisher information about the parameters that each stand provides.
+        """Compute the Fisher information about the parameters ``x``, (n,), of each stand.
 
-        The stored base poses and contact forces of the stands are updated.
-
-        Args:
-            x: Parameters, shape (n,).
-
-        Returns:
-            Information matrix of each stand, shape (n, n); dimensionless, in units of the prior
-            widths.
+        The matrices, shape (n, n), are in units of the prior widths. The stored base poses and
+        contact forces of the stands are updated.
         """
         values, width = self._make_values(x), self.table.width
         informations = [
@@ -1003,11 +991,7 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Sum the stored normal forces of each carrying foot in a stand: {foot: force [N]}.
-
-        Args:
-            stand: Index of the stand.
-        """
+        """Sum the stored normal forces of each carrying foot in a stand: {foot: force [N]}."""
         forces = dict(zip(self._readings[stand].points, self._unknowns[stand][1], strict=True))
         return {
             foot: float(sum(forces[point][2] for point in points if point in forces))
@@ -1048,11 +1032,8 @@ class StandEquations:
     def compute_rms_residuals(self, x: Array) -> list[float]:
         """Return the root mean square of the whitened residuals of each stand; 1 is expected.
 
-        Base tilt, base height and contact forces of each stand are updated, and eliminated from the
-        residuals.
-
-        Args:
-            x: Parameters, shape (n,).
+        ``x`` are the parameters, shape (n,). Base tilt, base height and contact forces of each
+        stand are updated, and eliminated from the residuals.
         """
         values = self._make_values(x)
         linearised = [self.linearise_stand(stand, values) for stand in range(len(self._readings))]
@@ -1061,11 +1042,8 @@ class StandEquations:
     def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
         """Estimate the error of each joint's measured position in each stand.
 
-        The error is the measured position minus the position that agrees best with all other
-        measurements.
-
-        Args:
-            posterior: Distribution of the parameters.
+        The error is the measured position minus the position that the other measurements predict,
+        given the distribution of the parameters.
 
         Returns:
             Errors and standard deviations of the errors, shape (stands, nu) [rad, m] each.

@@ -670,8 +670,7 @@ class _StandProblem:
     ) -> tuple[StandEquations, tuple[Diagnostic, ...]]:
         """Create the residual equations of the stands, and notes on missing or unused commands.
 
-        Args:
-            posterior: Distribution of the encoder offsets; the prior by default.
+        ``posterior`` is the distribution of the encoder offsets; the prior by default.
         """
         robot, table, kp = self.robot, self.table, self.stiffness
         used_stands, notes = _drop_uninformative_commands(
@@ -874,13 +873,8 @@ def list_parameters(
 ) -> Iterator[tuple[str, str, str, float]]:
     """Yield the parameters that stands can estimate: kind, subject, component and stated value.
 
-    Stated values are in SI units. The subject is that of a `Parameter`, for example the name of a
-    link, joint or foot.
-
-    Args:
-        robot: Robot.
-        stands: Stands.
-        kp: Stated stiffness, shape (nu,) [N m/rad, N/m].
+    Stated values are in SI units, ``kp`` has the shape (nu,) [N m/rad, N/m]. The subject is that of
+    a `Parameter`, for example the name of a link, joint or foot.
     """
     yield from list_inertials(robot)
     for joint, name in enumerate(robot.joint_names):
@@ -1144,8 +1138,8 @@ class LogCoordinates:
     def compute_largest_exponent(self, coordinates: Array) -> float:
         """Return the largest log(x / x0) of the masses and kp for coordinates, shape (n,).
 
-        x is the value of the parameter and x0 the stated value. The result is minus infinity
-        without masses and kp.
+        x is the value of the parameter and x0 the stated value. Minus infinity without masses and
+        kp.
         """
         ratios = coordinates[self._factors] / self._stated[self._factors]
         return float(np.max(ratios - 1, initial=-np.inf))
@@ -1164,13 +1158,9 @@ class LogCoordinates:
     def transform_linearised(
         self, linearised: LinearisedResiduals, coordinates: Array
     ) -> LinearisedResiduals:
-        """Convert linearised residuals from the parameters x to the coordinates y of the fit.
+        """Convert residuals, linearised by the parameters x, to the coordinates y of the fit.
 
-        `from_parameters` converts x to y.
-
-        Args:
-            linearised: Residuals, linearised with respect to the parameters x.
-            coordinates: Coordinates y at which the residuals are linearised, shape (n,).
+        ``coordinates`` is the point y of the linearisation, shape (n,).
         """
         rates = self.compute_rates(coordinates)
         information = rates[:, None] * linearised.information * rates
@@ -1231,13 +1221,8 @@ def scale_common_widths(
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
     The common part of the foot moments (``moment``) and the one-sided part of the dry friction
-    (``settling``) scale with the ratio of estimated to expected random noise; ``settling`` at least
-    by 1, because low random noise does not imply low one-sided friction.
-
-    Args:
-        table: Parameters.
-        noise: Estimated noise levels.
-        expected: Expected noise levels.
+    (``settling``) scale with the ratio of estimated (``noise``) to expected random noise;
+    ``settling`` at least by 1, because low random noise does not imply low one-sided friction.
     """
     moments = table.with_scaled_widths("moment", noise.moment / expected.moment)
     return moments.with_scaled_widths("settling", max(1.0, noise.friction / expected.friction))

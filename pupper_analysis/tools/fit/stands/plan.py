@@ -525,13 +525,9 @@ class RandomStands:
         self._refusal_counts: Counter[str] = Counter()
 
     def draw_stands(self, count: int) -> list[tuple[Stand, SteadyState]]:
-        """Draw random stands that the servos hold.
+        """Draw up to ``count`` random stands that the servos hold, with the steady states.
 
-        Args:
-            count: Number of stands. Fewer are returned if too many random tasks have no stand.
-
-        Returns:
-            Pairs of a stand and the steady state of this stand on the compliant servos.
+        Fewer stands are returned if too many random tasks have no stand.
         """
         stands: list[tuple[Stand, SteadyState]] = []
         for num_tries in range(_TRIES_PER_STAND * count):
@@ -653,11 +649,7 @@ def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Compute the standard deviation [m] of the robot's CoM position before any measurement.
 
     The result is the larger of the standard deviations of x and y in the base frame, at the nominal
-    joint positions. Links without a prior in ``priors`` have the default prior.
-
-    Args:
-        robot: Robot.
-        priors: Priors; kinds other than "mass" and "com" are ignored.
+    joint positions. Bodies without a prior of mass or CoM in ``priors`` have the default prior.
 
     Raises:
         ConfigurationError: If a prior of a mass or CoM position matches no link.
