@@ -161,10 +161,10 @@ def bound_servo_gains(
 
     Both bounds are common factors on the present gains of all joints.
 
-    - Minimum stiffness, without feed-forward: predicted by statics; if the robot does not stand,
-      larger values are also simulated. None for a fixed base, for example.
-    - Maximum damping: stability limit of an explicit PD controller with a command per time step,
-      with at least about the minimum stiffness.
+    - Minimum stiffness, without feed-forward: predicted (`minimum_stiffness`); if the robot does
+      not stand, larger values are also simulated. None for a fixed base, for example.
+    - Maximum damping: stability limit of an explicit PD controller with a command per time step.
+      Stiffness below about the minimum is raised before.
 
     Args:
         robot: Robot, with the contacts of the stand.

@@ -55,7 +55,7 @@ def stand_stability(
 ) -> Stability:
     """Judge if a stand is stable against small motions, from the eigenvalues of a MuJoCo step.
 
-    The evaluated state is that of the settled stand with feed-forward, and without feed-forward the
+    The evaluated state is normally that of the settled stand; without feed-forward, that of the
     equilibrium of the servos (`steady_state`, feet pinned). If the state is at rest, and a mode is
     predicted to grow within ``HOLD_DURATION``, nudged simulations test this prediction
     (`confirm_growth`). The result does not cover larger pushes.
@@ -96,7 +96,7 @@ def rest_stability(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Stability:
-    """Judge the stability of the equilibrium that servos reach without feed-forward.
+    """Judge the stability of the equilibrium ``pose`` that servos reach without feed-forward.
 
     Args:
         robot: Robot.
@@ -105,9 +105,6 @@ def rest_stability(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
-
-    Returns:
-        Modes that grow at the equilibrium, with doubling times, and the stability margin.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot,

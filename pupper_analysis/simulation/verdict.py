@@ -326,10 +326,7 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 
 
 def classify_ending(run: Outcome) -> Ending:
-    """Classify how a simulation ended: the robot holds, stands differently, rises or fails.
-
-    The classes are described by the attributes of `Outcome`, for example ``stays``.
-    """
+    """Classify how a simulation ended: the robot holds, stands differently, rises or fails."""
     if run.passed:
         return Ending.HOLDS
     if run.stays:

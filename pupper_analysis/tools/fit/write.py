@@ -278,7 +278,7 @@ def write_fit(
 ) -> FitFiles:
     """Write a fit to a folder, so that other commands can use the corrected robot.
 
-    Either all files are written or none:
+    The files are:
 
     - Corrected URDF and MJCF, with the meshes and included files that they need, in the same
       relative folders. Only the bytes of changed attributes differ from the originals.

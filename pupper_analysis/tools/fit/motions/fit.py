@@ -357,7 +357,7 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 def _get_middle_half(rows: Array) -> Array:
     """Return the middle half of ``rows``, shape (n, ...), the samples of a log.
 
-    Another log of the same motion contains this half even after a time shift by a quarter of the
+    Another log of the same motion contains this half also after a time shift by a quarter of the
     length.
     """
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]

@@ -454,9 +454,8 @@ class StandRows:
     def _fill_gravity(self, by_x: Array, by_mass: Array, by_com: Array, by_slope: Array) -> None:
         """Add the derivatives of the balance by bodies, known masses, slope and load to ``by_x``.
 
-        The other arrays are derivatives of the gravity forces by b masses and k known masses, shape
-        (nv, b + k), by the CoMs, shape (nv, b + k, 3), and by the slope along x and y, shape (nv,
-        2).
+        The other arrays are derivatives of the gravity forces: by masses (nv, b + k), by CoMs (nv,
+        b + k, 3) and by the slope along x and y (nv, 2), for b bodies and k known masses.
         """
         values, nv = self._values, self._robot.nv
         links = [link for link, *_ in values.bodies]

@@ -1012,10 +1012,9 @@ motor counts as saturated. Chosen, not tuned.
 def _make_scale_residual(
     robot: Robot, table: ParameterTable, weight: float | None
 ) -> Callable[[Array], LinearisedResiduals]:
-    """Return a function that linearises (total mass - ``weight`` [kg]) / standard deviation.
+    """Return a function of parameters (n,) that linearises (mass - ``weight`` [kg]) / std.
 
-    The argument of the function is a parameter vector, shape (n,). Without a weight, the function
-    returns no residual.
+    The mass is that of the whole robot. Without a weight, the function returns no residual.
     """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.

@@ -116,7 +116,7 @@ def plan_stands(
 
     The design is D-optimal: ``choose_stands`` maximises the determinant of the information. The
     candidates are random stands that are balanced, and that the servos hold within 60 % of the
-    known torque limits (`RandomStands`). Some candidates have a foot in the air, carry the known
+    known torque limits (`RandomStands`). Candidates may have a foot in the air, carry the known
     mass, or have a heading of 180 deg.
 
     Args:
