@@ -206,7 +206,7 @@ def simulate_nudges(
     The model is simulated with the dry friction of joints and contacts. A stand that only dry
     friction holds is not detected here; ``growth.confirm_growth`` does this, with a larger nudge.
 
-    A simulation ends early at a failure, or if the remaining motion is small and causes no failure.
+    A simulation ends early at a failure, or if no failure is expected in the remaining time.
     A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is
     back on the ground at the end.
 
@@ -356,7 +356,8 @@ def is_near_limit(
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
     forces by about one percent. The CoM margin, the utilisation of motors and friction, the loads
     of feet, the saturation of servos and the joint positions are compared with bounds, for example
-    `_MIN_MARGIN_RATIO`. The result is False for a base that no nudge moves.
+    `_MIN_MARGIN_RATIO`. The result is False without a CoM margin, and for a base that no nudge
+    moves.
 
     Args:
         robot: Robot, with the payload.

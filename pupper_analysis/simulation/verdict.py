@@ -295,8 +295,8 @@ def predict_verdict(
 ) -> Verdict:
     """Create the verdict on a balanced stance that was not simulated; ``passed`` is False.
 
-    The code is ``OVERLOADED`` if a motor exceeds the effort limit, else ``UNSTABLE`` if
-    ``stability`` contains a mode that grows within 12 s, else ``IN_BALANCE``.
+    The code is ``OVERLOADED`` if a motor exceeds the effort limit, else ``UNSTABLE`` if a mode
+    grows (`Stability.is_stable_for`), else ``IN_BALANCE``.
 
     Args:
         statics: Statics of the stance.
