@@ -127,15 +127,13 @@ class FootLoads(Mapping[str, FootLoad]):
 
 
 _MIN_LOAD_RATIO = 1e-3
-"""Lower bound of the normal force that enters the viscosity of a contact, relative to the largest
-force component. The viscosity (`GroundLaw.viscosity`) is tangential force / creep velocity. A
-smaller normal force is replaced by this bound, since the viscosity of an unloaded contact could be
-zero. Chosen, not tuned."""
+"""Lower bound of the normal force that enters the viscosity of a contact (`GroundLaw.viscosity`),
+relative to the largest force component. The viscosity of an unloaded contact could be zero. Chosen,
+not tuned."""
 
 
 _MAX_VISCOSITY_ITERATIONS = 50
-"""Upper bound of the iterations of ``_iterate_viscosities``. After this number, the forces of the
-last iteration are returned. Chosen, not tuned."""
+"""Upper bound of the iterations of ``_iterate_viscosities``. Chosen, not tuned."""
 
 
 class ForceDistribution(StrEnum):
@@ -244,19 +242,15 @@ def gravity_compensation(
     """Compute motor torques and contact forces in static equilibrium.
 
     Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points. f
-    are contact forces in world axes [N]. tau are motor torques [N m, N]. g(q), shape (nv,), is
-    the generalised force of gravity minus the passive forces of the MJCF
-    (`Configuration.static_load`). Passive forces are those of springs, gravity compensation and
-    wind. The six base rows determine the total wrench of f; ``distribution`` selects a force vector
-    f in the friction cones. Without contacts, welds and grips, an external wrench holds the base,
-    and tau is the joint part of g.
+    are contact forces in world axes [N]. tau are motor torques [N m, N]. g(q), shape (nv,), is the
+    generalised force of gravity minus the passive forces of the MJCF, such as springs
+    (`Configuration.static_load`). The six base rows determine the total wrench of f;
+    ``distribution`` selects a force vector f in the friction cones. Without contacts, welds and
+    grips, an external wrench holds the base, and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
-    (`Description.passive_joints`) have no torque either, if contact forces without such torques are
-    feasible. Otherwise the result contains torques of passive joints.
-
-    Balance holds to rounding, whatever the tolerance of the solver (see `statics.cone_program`).
+    (`Description.passive_joints`) have a torque only if balance requires this torque.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -275,10 +269,8 @@ def gravity_compensation(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has a wrong type, a friction coefficient, a normal, a
-            depth or ``distribution`` is invalid, or a contact point is named twice. Also if the
-            friction of the ground is unknown, a robot with a fixed base has contacts, or a closed
-            loop is open or singular.
+        ConfigurationError: If a friction coefficient, a normal, a depth or ``distribution`` is
+            invalid, for example. Also if a closed loop is open.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
@@ -308,11 +300,8 @@ def balance_load(
             point at rest.
         distribution: Criterion that selects the contact forces among the feasible forces.
         tipping: Reason that the error states if ``point`` is outside the support region.
-        held: If True, the friction cones, unilateral limits and grip limits do not apply, as if the
-            feet were glued to the ground. Exception: for the minimum tangential distribution of a
-            robot with welds or grips, contact forces without tangential parts are computed first.
-            These forces respect unilateral limits and grip limits. If no such forces exist, a robot
-            with grips may have other forces. A robot without grips then has no feasible forces.
+        held: If True, friction cones, unilateral limits and grip limits do not apply, as if the
+            feet were glued to the ground. With welds or grips, some of these limits still apply.
 
     Raises:
         ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
@@ -355,16 +344,7 @@ def _distribute_with_passive_joints(
 ) -> Array | None:
     """Compute contact forces with which passive joints (without motor) need no torque, if feasible.
 
-    Otherwise the forces may require torques of passive joints.
-
-    Args:
-        robot: Robot; `Description.passive_joints` are its passive joints.
-        problem: Equations of balance.
-        distribute: Function that returns the forces for given equations of balance, or None if no
-            forces are feasible.
-
-    Returns:
-        Forces, as from ``distribute``. None if no forces satisfy ``problem``.
+    None if no forces balance the load. ``distribute`` returns the forces for given equations.
     """
     if robot.passive_joints:
         passive = [robot.joint_names.index(name) for name in robot.passive_joints]
@@ -418,15 +398,14 @@ def distribute_loads(
 
 _EQUAL_FORCES_RTOL = 1e-6
 """Bound of the largest difference between given contact forces and the minimum-norm forces of the
-balance equations, relative to the largest component of the given forces. At this bound, a further
-constraint such as a friction cone determines the forces, and `differentiate_torques` returns None.
-Chosen, not tuned."""
+balance equations, relative to the largest component of the given forces. Beyond this bound, a
+further constraint such as a friction cone determines the forces. Chosen, not tuned."""
 
 
 def differentiate_torques(
     config: Configuration, carrying: Contacts, forces: Array, motions: Array
 ) -> Array | None:
-    """Compute how the joint torques of a stand change with motions of the robot (derivatives).
+    """Compute the derivatives of the joint torques of a stand by motions of the robot.
 
     The torques are those of contact forces with minimum tangential forces.
 
@@ -448,9 +427,8 @@ def differentiate_torques(
 
     Returns:
         Derivatives of the motor torques, shape (nu, k) [N m or N, per unit of the motion]. None if
-        the matrix of the balance equations is singular. Also None if ``forces`` are not the
-        minimum-norm forces of these equations. Examples are an active friction cone, an active
-        unilateral limit, prescribed normal forces, and unequal viscosities on a slope.
+        ``forces`` are not the unique minimum-norm forces of the balance equations, for example at
+        an active friction cone.
     """
     free, metric = carrying.free, carrying.metric
     transposed = carrying.transposed_jacobian(config)
@@ -480,7 +458,7 @@ def differentiate_torques(
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Check that loop and coupling constraints are satisfied, up to twice their static deflection.
+    """Check that loop and coupling constraints are satisfied, except for static deflection.
 
     Args:
         config: State of the robot.
@@ -488,8 +466,7 @@ def check_loops(config: Configuration, left: Array) -> None:
             [N, N m]: static load minus the generalised contact forces.
 
     Raises:
-        ConfigurationError: If a constraint violation exceeds the bound of `Closure.check`, 1e-6 m
-            or rad plus twice the largest static deflection, or the configuration is singular.
+        ConfigurationError: If a constraint violation is too large, for example (`Closure.check`).
     """
     closure, robot = config.robot.closure, config.robot
     if closure is not None:
@@ -516,17 +493,9 @@ def _solve_minimum_tangential(
     carrying: Contacts,
     friction: Array | None,
 ) -> Array | None:
-    """Compute the contact forces of `ForceDistribution.MIN_TANGENTIAL`; None if infeasible.
+    """Compute the contact forces of `ForceDistribution.MIN_TANGENTIAL`, in the order of `Balance`.
 
-    Args:
-        robot: Robot.
-        problem: Equations of balance.
-        carrying: Contacts that carry load.
-        friction: Friction coefficients, shape (n,). None removes cones, unilateral limits and grip
-            limits, except from the forces of `Balance.solve_normal_only` with welds or grips.
-
-    Returns:
-        Contact forces, weld wrenches and grip forces [N, N m], in the order of `Balance`.
+    None if infeasible. With ``friction`` None, friction cones do not apply.
     """
     if carrying.fixed_parts:
         normal_only = problem.solve_normal_only()
@@ -544,18 +513,8 @@ def _iterate_viscosities(
 ) -> Array | None:
     """Compute contact forces with minimum tangential forces, weighted by the contacts' viscosities.
 
-    The viscosity of a contact (tangential force / creep velocity) depends on the normal force, so
-    each iteration uses the normal forces of the previous iteration. The iteration ends if no force
-    component changes by `BALANCE_TOLERANCE` times the largest component of ``forces`` or more, or
-    after `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
-    returned. On level ground ``forces`` is returned: a weight needs no tangential forces there.
-    None if an iteration finds no feasible forces.
-
-    Args:
-        robot: Robot.
-        problem: Equations of balance.
-        forces: Forces with equal viscosities, in the order of `Balance` [N, N m].
-        carrying: Contacts that carry load.
+    The viscosity (tangential force / creep velocity) depends on the normal force. None if
+    infeasible.
     """
     if carrying.is_level:
         return forces
@@ -586,7 +545,7 @@ def compute_utilisation(robot: Robot, torques: Array) -> Array:
 
     Returns:
         Shape (..., nu). NaN for an unknown (infinite) limit. For a limit of zero: infinite if the
-        torque exceeds ``MIN_TORQUE_PER_MASS`` times the robot's mass, else zero.
+        motor is loaded, else zero.
     """
     limits, magnitudes = robot.effort_limits, np.abs(torques)
     # `errstate` takes longer than the division, and is needed only for zero and unknown limits.
@@ -616,12 +575,8 @@ def peak_utilisation(shares: Array) -> float:
 def find_hardest_motor(statics: Equilibrium) -> int:
     """Return the index of the motor that is loaded most, relative to its effort limit.
 
-    The index refers to ``joint_names``. The first case that applies determines the result:
-
-    1. Loaded motors have a limit of zero: the motor with the largest torque among these motors.
-    2. No limit is known, or a motor with an unknown limit has a larger torque than the motor of
-       case 3: the motor with the largest torque among the motors with unknown limits.
-    3. Otherwise: the motor with the largest utilisation, |torque| / limit.
+    The index refers to ``joint_names``. A loaded motor with a limit of zero counts as loaded most.
+    Motors with an unknown limit are compared by torque.
     """
     shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
     is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)
@@ -648,19 +603,7 @@ def _make_statics_result(
 ) -> GravityCompensation:
     """Create the result of a static equilibrium from the load and the solved contact forces.
 
-    The friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the force on
-    the base. Without contacts, welds and grips, the base part of ``load`` is the external base
-    wrench.
-
-    Args:
-        config: State of the robot.
-        remainder: Shape (nv,) [N, N m]; ``load`` minus the generalised force of ``forces``. The
-            joint part contains the motor torques. The base part is the residual of the balance, or
-            the external base wrench.
-        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
-        carrying: Contacts that carry load.
-        forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
-        point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.
+    ``remainder`` (nv,) [N, N m] is ``load`` minus the generalised force of ``forces``.
     """
     robot, free = config.robot, carrying.free
     torques = remainder[free:].copy()
@@ -725,11 +668,9 @@ def _make_statics_result(
 
 
 _UNLIMITED_FRICTION = 1e4
-"""Friction coefficient with which a contact practically cannot slide; also the factor on grip
-limits with which a grip practically cannot fail. If balance is possible with this value but not
-with the real value, the error states friction or the grips as the cause, unless a prescribed
-contact force is out of reach. The search for the smallest sufficient value (`_find_threshold`) ends
-at this value. Chosen, not tuned."""
+"""Friction coefficient with which a contact practically cannot slide, and factor on grip limits
+with which a grip practically cannot fail. The search for the smallest sufficient value
+(`_find_threshold`) ends at this value. Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -740,9 +681,6 @@ def explain_infeasibility(
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
     """Create the error that states why no contact forces can balance the robot.
-
-    The causes are tested in this order: a prescribed contact force out of reach, grips too weak,
-    friction too low, the centre of mass outside the support region, feet that would have to pull.
 
     Args:
         config: State of the robot.
@@ -789,11 +727,9 @@ def explain_infeasibility(
 
 
 def _find_threshold(holds: Callable[[float], bool]) -> float:
-    """Find the smallest number from 0 to `_UNLIMITED_FRICTION` for which a condition holds.
+    """Find the smallest number up to `_UNLIMITED_FRICTION` for which a monotone condition holds.
 
-    The relative tolerance is 1e-6. The condition must be monotone, and hold at the upper end.
-    Numbers below 1e-6 are not resolved. Intervals above zero are bisected at the geometric mean of
-    their ends.
+    The relative tolerance is 1e-6; numbers below 1e-6 are not resolved.
     """
     low, high = 0.0, _UNLIMITED_FRICTION
     while high - low > 1e-6 * high and high >= 1e-6:
@@ -808,11 +744,7 @@ def _round_up(minimum: float) -> float:
 
 
 def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Create the error that grips are too weak, if larger grip limits make balance possible.
-
-    All limits are multiplied by a common factor; the message states sufficient limits. None if
-    larger limits do not help, or without grips.
-    """
+    """Create the error that grips are too weak; None if larger grip limits do not help."""
 
     def holds(factor: float) -> bool:
         """Return True if contact forces balance the robot with ``factor`` times the grip limits."""
@@ -831,12 +763,9 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
 
 
 def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Create the error that a prescribed contact force is infeasible, with the feasible range.
+    """Create the error that a prescribed contact force is infeasible, with the feasible range [N].
 
-    The feasible range of a foot's normal force is computed without any prescribed force. None if no
-    force is prescribed, if the load cannot be balanced even without the prescribed forces, or if
-    each prescribed force is within its range. If the cone program for an end of a range fails, this
-    end is ignored.
+    None if no prescribed force is found to be out of range.
     """
     if carrying.stated is None:
         return None
@@ -873,9 +802,8 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
 
 
 _REPORTED_FORCE_MARGIN = 1e-3
-"""Relative reduction of the largest feasible force in an error message. The message must state a
-force that is accepted if a user enters it. The exact limit would be refused, because the computed
-support region is a polygon inside the true region (`support_corners`). Chosen, not tuned."""
+"""Relative reduction of the largest feasible force in an error message, so that the printed force
+is accepted if a user enters it. Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
 """Ratio of payload mass to robot mass above which a payload counts as unlimited, and the search of
@@ -883,18 +811,15 @@ UNLIMITED_MASS_RATIO = 1e4
 not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
-"""Torque per mass [N m/kg] up to which a motor or passive joint counts as not loaded, since the
-lever arm is a rounding error. The mass is that of the payload for payload limits, for example in
-`find_mass_limit`, and that of the robot for loads without payload: `compute_utilisation` then
-returns 0 for a motor with an effort limit of zero. Chosen, not tuned."""
+"""Torque per mass of robot or payload [N m/kg] up to which a motor or passive joint counts as not
+loaded, since the lever arm is a rounding error. Chosen, not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
     """Compute the payload mass m at which the first motor reaches its effort limit.
 
-    The torques are torques + m rates, and the limits +-``limits``. Only the limit with the sign of
-    ``rates`` is evaluated. A motor whose torque does not depend on the mass is ignored, even beyond
-    its limit.
+    The torques are torques + m rates, and the limits +-``limits``. For each motor, the limit with
+    the sign of the rate is evaluated; motors whose torque does not depend on the mass are ignored.
 
     Args:
         torques: Shape (nu,) [N m or N]; motor torques or forces without payload.

@@ -139,8 +139,7 @@ class ContactKinematics:
     def place_rates(self) -> Array:
         """Compute the Jacobian by qvel of the contacts' slips and penetrations (``places``).
 
-        Shape (n, 3, nv) [m/m, m/rad]. Rows of a contact: slip along the two ground tangents, and
-        penetration.
+        Shape (n, 3, nv) [m/m, m/rad].
         """
         deeper = self._depth_rates
         # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.
@@ -155,10 +154,7 @@ class ContactKinematics:
 
     @cached_property
     def _depth_rates(self) -> Array:
-        """Jacobian by qvel of the penetrations of n contact points, shape (n, nv) [m/rad, m/m].
-
-        A penetration increases if the sphere centre moves against the ground normal.
-        """
+        """Jacobian by qvel of the penetrations of touching contacts, shape (n, nv) [m/rad, m/m]."""
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
@@ -175,16 +171,12 @@ class ContactKinematics:
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the Jacobian (nv, nv) of the unbalanced generalised force by displacements.
-
-        This force is the static load minus the contact forces (and weld wrenches, if given), which
-        are constant. Displacements are in the order of qvel.
+        """Compute the Jacobian (nv, nv) by qvel of the static load minus constant contact forces.
 
         Args:
-            forces: Contact forces, shape (n, 3) [N], in the contact frame; constant in the
-                derivative.
+            forces: Contact forces, shape (n, 3) [N], in the contact frame.
             held: Jacobians of w welds, shape (w, 6, nv), and their wrenches, shape (w, 6) [N, N m],
-                which are constant in the derivative. None: no welds.
+                which are subtracted as constant loads, too. None: no welds.
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
@@ -242,10 +234,7 @@ class EquilibriumScales:
 
     @staticmethod
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
-        """Return the weight [N] and height [m] that scale the equations of a robot in a stand.
-
-        The height is defined by ``length``. If gravity is zero, the weight on Earth is used.
-        """
+        """Return the scales of the equilibrium equations for a robot in a stand."""
         weight = robot.usual_weight
         if robot.is_base_fixed or robot.fixed_parts:
             length = robot.stand_height or float(robot.mj_model.stat.extent)
@@ -261,10 +250,10 @@ class EquilibriumScales:
 
     @property
     def slip_stiffness(self) -> float:
-        """Stiffness [N/m] of a numerical spring on the horizontal displacement of each contact.
+        """Stiffness [N/m] of a numerical spring on the slip of contacts with ``feet="sliding"``.
 
-        The spring is used only with ``feet="sliding"``: without friction, any horizontal position
-        is an equilibrium, and the spring makes the solution unique.
+        Without friction, any horizontal position is an equilibrium; the spring makes the solution
+        unique.
         """
         return _SLIP_STIFFNESS_RATIO * self.weight / self.length
 
@@ -290,11 +279,7 @@ class EquilibriumScales:
         return float(np.abs(residual / units).max())
 
     def is_too_far(self, step: Array) -> bool:
-        """Return True if a Newton step, shape (nv,) [m, rad], is too long to be accepted.
-
-        The bounds are `_MAX_STEP_ANGLE` and `_MAX_STEP_LENGTH`. Also True if the step is not
-        finite.
-        """
+        """Return True if a Newton step, shape (nv,) [m, rad], is too long or not finite."""
         moved, turned = np.abs(step[: self.moves]), np.abs(step[self.moves :]).max()
         return not (
             turned < _MAX_STEP_ANGLE and moved.max(initial=0.0) < _MAX_STEP_LENGTH * self.length
@@ -310,11 +295,9 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Upper bound of the predicted scaled residual [1] after a Newton step, with which the step reuses
-the Jacobian of the previous step. The prediction is e[k]^2 / e[k-1], with the scaled residual e[k]
-(`EquilibriumScales.max_residual`) after k steps. Above this bound, a new Jacobian is computed. With
-``exact=False``, `SagEquilibrium.solve` uses a quarter of `RESIDUAL_TOLERANCE` instead. Chosen as
-the size of rounding errors."""
+"""Predicted scaled residual e[k]^2 / e[k-1] [1] after a Newton step, up to which the step reuses
+the previous Jacobian; e[k] is the scaled residual (`EquilibriumScales.max_residual`) after k steps.
+Chosen as the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration plus MuJoCo's contact margin, in units of `EquilibriumScales.length`, above which a
@@ -322,9 +305,8 @@ point that is assumed to have no contact becomes a contact. For Pupper v3 the fo
 penetration is 1e-6 N. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
-"""Factors [1] on the tangential compliance of contact points (`contact_compliance`). If Newton's
-method fails for a robot with soles, the equilibrium is solved with each factor in turn, from the
-previous solution as initial guess. Chosen, not tuned."""
+"""Factors [1] on the tangential compliance of contact points (`contact_compliance`) in successive
+solves of a robot with soles, for convergence of Newton's method. Chosen, not tuned."""
 
 _MAX_ITERATIONS = 16
 """Upper bound of the number of Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured
@@ -332,9 +314,9 @@ solutions took 12 or fewer."""
 
 _ALTERNATION_RTOL = 1e-6
 """Relative difference up to which residuals of Newton's method count as equal, to detect an
-alternation. If the last two residuals equal those two iterations before, the solve fails. Measured
-on variants of Pupper without a solution: contacts change between slip and stick in each iteration,
-and the residuals repeat to 1e-6 after 6 to 12 iterations, then to rounding."""
+alternation between two residuals. Measured on variants of Pupper without a solution: contacts
+change between slip and stick in each iteration, and the residuals repeat to 1e-6 after 6 to 12
+iterations, then to rounding."""
 
 _ZERO_SLIP = np.zeros(2)
 """Slip [m] of a contact that has not crept."""
@@ -471,9 +453,6 @@ class SagEquilibrium:
     def contacts_at(self, qpos: Array) -> ContactKinematics:
         """Compute slips, penetrations and Jacobians of the touching contacts at a configuration.
 
-        A slip is a displacement along the ground since the first contact. The last result is
-        cached.
-
         Args:
             qpos: Configuration, shape (nq,).
         """
@@ -495,10 +474,8 @@ class SagEquilibrium:
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
-        A slip is the displacement along the ground since the first contact, corrected so that it is
-        zero for a contact that sticks. The corrections apply if ``feet`` is "pinned" and creep or
-        compliance exists: the slip before the current creep step is subtracted, slips of soles are
-        projected (`project_soles`), and compliance times tangential force is added.
+        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
+        slips are corrected for creep, soles and compliance.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -517,7 +494,7 @@ class SagEquilibrium:
     def project_soles(self, slips: Array) -> Array:
         """Replace the slips of a sole's contact points by the nearest rigid motion of the sole.
 
-        A sole is a foot with several contact points; slips of other feet are unchanged.
+        A sole is a foot with several contact points.
 
         Args:
             slips: Slips of the n touching contacts, shape (n, 2, ...) [m], or derivatives.
@@ -532,9 +509,11 @@ class SagEquilibrium:
         """Compute the residual of the equilibrium equations, shape (nv + 3 n,).
 
         The first nv elements are the balance of generalised forces [N, N m]; then two slip
-        equations and one depth equation [m] per touching contact. The unit of a slip equation is N
-        if the contact slips or ``feet`` is "sliding", else m. ``forces`` are the forces on the n
-        touching contacts, shape (n, 3) [N], in the contact frames.
+        equations [m or N] and one depth equation [m] per touching contact.
+
+        Args:
+            qpos: Configuration, shape (nq,).
+            forces: Forces on the n touching contacts, shape (n, 3) [N], in the contact frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.static_load() - touch.generalized_force(forces)
@@ -560,7 +539,7 @@ class SagEquilibrium:
         return np.array([self._sole_compliance[point] > 0 for point in self.anchors], dtype=bool)
 
     def _normal_forces(self, depths: Array) -> Array:
-        """Return normal force [N] and stiffness [N/m] of each touching contact, shape (n, 2).
+        """Return normal force [N] and stiffness [N/m] of the touching contacts, shape (n, 2).
 
         ``depths`` are the penetrations, shape (n,) [m].
         """
@@ -575,21 +554,15 @@ class SagEquilibrium:
         ).reshape(-1, 2)
 
     def _force_scales(self) -> Array:
-        """Return the normal stiffness (n,) [N/m] of each touching contact at first contact.
-
-        Forces [N] divided by this stiffness are penetrations [m].
-        """
+        """Return the normal stiffness (n,) [N/m] of each touching contact at first contact."""
         return np.array(
             [self.laws[point].normal_stiffness(-self.laws[point].margin) for point in self.anchors]
         )
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Compute the Jacobian of the residual of the equilibrium equations.
+        """Compute the Jacobian of the residual by qvel and by contact forces, (nv + 3 n, nv + 3 n).
 
-        Shape (nv + 3 n, nv + 3 n).
-
-        Columns: derivatives by a step along each component of qvel, then by each component of the
-        contact forces.
+        With welds, the balance in this derivative contains the weld wrenches as constants.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -639,11 +612,7 @@ class SagEquilibrium:
         return whole
 
     def _slip_compliances(self) -> Array:
-        """Return slip per tangential force of the n touching contacts, shape (n,) [m/N].
-
-        The result is the sum of two compliances: one represents creep in the current step
-        (``yielding``), the other keeps the slip equations independent (`contact_compliance`).
-        """
+        """Return slip per tangential force of the n touching contacts, shape (n,) [m/N]."""
         return np.array(
             [
                 self.yielding.get(foot, 0.0) + self._compliance_factor * self._compliance[foot]
@@ -656,13 +625,11 @@ class SagEquilibrium:
     ) -> list[tuple[int, float, Array]]:
         """Find the touching contacts that slip, by the criterion |f_t - rho s| > mu f_n.
 
-        The augmented tangential force f_t - rho s contains the slip s [m] and the
-        ``friction_penalty`` rho [N/m]. The result is empty if feet are assumed to slide without
-        friction (``feet="sliding"``).
+        f_t - rho s is the augmented tangential force, with the slip s [m] and the
+        ``friction_penalty`` rho [N/m]. Empty with ``feet="sliding"``.
 
         Args:
-            forces: Forces on the n touching contacts in their contact frames (two tangents, then
-                the normal), shape (n, 3) [N].
+            forces: Forces on the n touching contacts in their contact frames, shape (n, 3) [N].
             places: Slips along the two tangents and penetration, shape (n, 3) [m], from `slips`.
 
         Returns:
@@ -691,9 +658,8 @@ class SagEquilibrium:
 
         Args:
             guess: Initial guess.
-            exact: Selects when a step reuses the previous Jacobian. If True: if the predicted
-                residual is of the size of rounding errors. If False: if it is at most a quarter of
-                `RESIDUAL_TOLERANCE`, which is faster.
+            exact: If False, steps reuse the previous Jacobian more often, which is faster. The
+                residual may then be larger, but within `RESIDUAL_TOLERANCE`.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -704,12 +670,10 @@ class SagEquilibrium:
         return found
 
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
-        """Solve with a large compliance of the contact points first, then with smaller compliances.
+        """Solve with a large tangential compliance of contact points, then with smaller ones.
 
-        The result is None if one of these solves fails.
-
-        If all points of a sole slip, their slip directions depend on each other, and Newton's
-        method may alternate between two solutions. With compliance the directions change gradually.
+        Without compliance, Newton's method may alternate between two slip directions of a sole.
+        None if a solve fails.
         """
         try:
             for self._compliance_factor in _SOLE_COMPLIANCE_FACTORS:
@@ -722,19 +686,14 @@ class SagEquilibrium:
         return guess
 
     def stack_forces(self, solution: Solution) -> Array:
-        """Return the contact forces of a solution as an array, shape (n, 3) [N], in contact frames.
-
-        Rows are in the order of the touching contacts, ``anchors``.
-        """
+        """Return the contact forces of a solution, shape (n, 3) [N], in contact frames."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
-        """Iterate Newton's method until the scaled residual is below `RESIDUAL_TOLERANCE`.
+        """Iterate Newton's method to a scaled residual below `RESIDUAL_TOLERANCE`; None on failure.
 
         The previous Jacobian is reused if the predicted residual e[k]^2 / e[k-1] is at most
-        ``left``; e[k] is the scaled residual after k steps. The result is None after
-        `_MAX_ITERATIONS`, or if the residuals alternate, a Jacobian is singular, or a step is too
-        long or not finite.
+        ``left``.
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
@@ -759,9 +718,7 @@ class SagEquilibrium:
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
         """Insert weld constraints into the equilibrium equations, in place of the unknown wrenches.
 
-        Balance equations along motions that the welds permit remain; weld constraints replace the
-        others. A grip counts as a weld of a point. If ``equations`` is a derivative, the inserted
-        rows are the Jacobian of the constraints. Without welds and grips, the result is unchanged.
+        A grip counts as a weld of a point.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -778,11 +735,10 @@ class SagEquilibrium:
         return equations
 
     def weld_rows(self, qpos: Array) -> Array:
-        """Return the Jacobian (6 w + 3 g, nv) by qvel of welded bodies and gripped points.
+        """Return the Jacobian (6 w + 3 g, nv) by qvel of w welded bodies and g gripped points.
 
-        The first 6 w rows give the linear and angular velocities of the w welded bodies. The other
-        rows give the linear velocities of the g gripped points. All velocities are in the world
-        frame. If only the base is welded, the rows select the six components of the base in qvel.
+        Rows are linear and angular velocities in world axes; components of qvel if only the base is
+        welded.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -794,12 +750,8 @@ class SagEquilibrium:
     def find_violations(self, solution: Solution) -> dict[str, float]:
         """Find the contact points whose assumed state (touching or not) contradicts a solution.
 
-        The ground must not pull a contact point in ``anchors``. A contact point that is not in
-        ``anchors`` must not penetrate the ground. Welded and gripping feet are not tested.
-
         Returns:
-            {contact point: pulling force [N], or penetration beyond the tolerance [m]}, as from
-            `violation_of`.
+            {contact point: pulling force [N], or penetration beyond the tolerance [m]}.
         """
         feet = self.robot.bearing_points
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
@@ -807,13 +759,8 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return how far a solution contradicts a point's assumed state (touching or not).
 
-        A positive result is a contradiction.
-
-        If the point is assumed in contact, the violation is the force [N] with which the ground
-        would pull the point. For a point of a sole in contact, the violation is zero, because the
-        equation between depth and force permits no pull. If the point is assumed without contact,
-        the violation [m] is the penetration plus the contact margin, minus
-        `CONTACT_DEPTH_TOLERANCE` times `EquilibriumScales.length`.
+        A positive result is a contradiction: the pull of the ground [N] on a touching point, or the
+        penetration of another point plus the contact margin, minus the tolerance [m].
         """
         if foot in self.anchors:
             # The depth equation of a sole point has no pull.
@@ -822,7 +769,7 @@ class SagEquilibrium:
         return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
 
     def switch_contact(self, foot: str, solution: Solution) -> Solution:
-        """Change the assumed state of a contact point: release a contact, or add a new contact.
+        """Release a touching contact point, or add a free point to the touching contacts.
 
         Returns:
             Initial guess of the next solve.
@@ -844,9 +791,7 @@ class SagEquilibrium:
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Start a backward Euler step of creep, the slow slip of loaded contacts in MuJoCo.
 
-        Stores the current slips. Also stores for each contact the creep per tangential force,
-        seconds / c [m/N]. c is the ``viscosity`` at the start of the step and is constant during
-        the step.
+        The ``viscosity`` of each contact is constant during the step.
 
         Args:
             solution: Equilibrium at the start of the step.
@@ -862,7 +807,7 @@ class SagEquilibrium:
     def viscosity(self, foot: str, depth: float) -> float:
         """Return the tangential force per slip velocity of a contact in MuJoCo's friction [N s/m].
 
-        Infinite if the contact carries no load, or if MuJoCo's no-slip solver prevents creep.
+        Infinite if the contact does not creep.
 
         Args:
             foot: Contact point.
@@ -905,26 +850,26 @@ class Welds:
         self._independent = independent_rows(self.jacobian(config))
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian by qvel of w welded bodies and g gripped points, in world axes.
+        """Return the Jacobian (6 w + 3 g, nv) by qvel of w welded bodies and g gripped points.
 
-        Shape (6 w + 3 g, nv): linear and angular velocity of a body, linear velocity of a point.
+        Rows are linear and angular velocities of bodies, then linear velocities of points, in world
+        axes.
         """
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
-        """Compute the wrenches of w welds and grips that balance a generalised force, world axes.
+        """Compute the wrenches of w welds and grips that exert a generalised force.
 
-        The moment of a grip is zero. If exact balance is not possible, the squared error is
-        minimised. If welds are redundant, the wrenches with the smallest norm (N and N m mixed) are
-        returned.
+        Least-squares solution with the smallest norm (N and N m mixed), if the wrenches are not
+        determined.
 
         Args:
             config: Configuration of the robot.
             balance: Generalised force that the wrenches must exert, shape (nv,) [N, N m].
 
         Returns:
-            Jacobian of each weld or grip, shape (w, 6, nv), and wrenches, shape (w, 6) [N, N m].
-            The last three rows of the Jacobian of a grip are zero.
+            Jacobian of each weld or grip, shape (w, 6, nv), and wrenches, shape (w, 6) [N, N m],
+            both in world axes. The rotational rows and the moment of a grip are zero.
         """
         columns = self._contacts.weld_columns(config).values()
         solution = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
@@ -938,7 +883,7 @@ class Welds:
     def insert(self, config: Configuration, equations: Array, scale: float) -> Array:
         """Return a copy of equilibrium equations (or their derivative) that contains the welds.
 
-        The first ``nv`` equations, the balance of generalised forces, are replaced by the weld
+        The first nv equations, the balance of generalised forces, are replaced by the weld
         constraints and by the balance along the motions that the welds permit.
 
         Args:
@@ -956,10 +901,7 @@ class Welds:
         return changed
 
     def _pose_errors(self, config: Configuration) -> Array:
-        """Return the deviations (6 w + 3 g,) of w welds and g grips from their poses in the stand.
-
-        A weld has a translation [m] and a rotation vector [rad], a grip only a translation.
-        """
+        """Return the deviations (6 w + 3 g,) [m, rad] of welds and grips from the stand's poses."""
         errors = np.ravel(
             [
                 (
@@ -990,7 +932,7 @@ _TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Return {contact point: any point of the plane below, shape (3,) [m], in the world frame}.
+    """Return {contact point: a point of its ground plane, shape (3,) [m], in the world frame}.
 
     The returned point is in general not vertically below the contact point.
     """
@@ -1010,16 +952,16 @@ def contact_compliance(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return small tangential compliances [m/N] that keep slip equations independent.
 
-    If two points have a constant distance, their slip equations are linearly dependent without
-    compliance. The result is two mappings {contact point: compliance [m/N]}. In the first mapping,
-    only the points of soles (feet with several points) are compliant. All other points have 0. The
-    second mapping is used in the slip equations. If `can_move_com` is True, it equals the first
-    mapping. Otherwise all points are compliant, since two feet on legs that swing in planes also
-    have a constant distance.
+    Without compliance, the slip equations of two points with a constant distance are linearly
+    dependent.
 
     Args:
         robot: Robot.
         units: Weight and height of the robot.
+
+    Returns:
+        {contact point: compliance [m/N]}, positive for the points of soles (feet with several
+        points); {contact point: compliance [m/N]} for the slip equations.
     """
     compliance = _TANGENTIAL_COMPLIANCE_RATIO * units.length / units.weight
     flat: dict[str, float] = {}
@@ -1033,9 +975,8 @@ def rigid_slips(
 ) -> Array | None:
     """Compute the matrix that projects slips of contact points onto rigid motions of the soles.
 
-    The points of a flat foot (sole) slip with the translation and rotation of the foot along the
-    ground. A tilt of the foot adds micrometres of slip between its points, which would cause large
-    tangential forces. The projection removes this part, as creep in MuJoCo does after a short time.
+    A tilt of a flat foot (sole) adds micrometres of slip between its points, which would cause
+    large tangential forces. The projection removes this part.
 
     Args:
         anchors: {touching contact point: pose at the first contact}.
