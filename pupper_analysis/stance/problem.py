@@ -34,9 +34,9 @@ from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.support_polygon import Corner, margin_of_position, support_corners
 
 _MIN_SUPPORT_WIDTH = 1e-3
-"""Width of the support region [m], below which the contacts count as collinear. The task is then
-rejected, because the stand would tip. The width is the smaller singular value of the corners minus
-their mean. Chosen, not tuned."""
+"""Width of the support region [m], below which the contacts count as collinear, and the task is
+rejected. The width is the smaller singular value of the corners minus their mean. Chosen, not
+tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
@@ -46,26 +46,23 @@ the points."""
 
 
 _NUM_RANDOM_POSES = 3
-"""Number of random joint positions at which `can_move_com` tests the mobility of the CoM; a single
-configuration may be singular. Robots with soles are tested at their nominal and home positions
-instead. Chosen, not tuned."""
+"""Number of random joint positions at which `can_move_com` tests the mobility of the CoM, since a
+single configuration may be singular. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
 """Horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and m mixed),
 above which a robot with planted feet can move the CoM in a direction. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""Ratio [1] above which a robot with planted feet can move the CoM in a horizontal direction. The
-ratio is the CoM displacement per unit displacement, relative to the direction with the largest
-value. `_MIN_COM_RATE` must be exceeded, too. Soles that are a microradian off level cause smaller
-ratios. Chosen, not tuned."""
+"""Ratio [1] of the CoM displacements per unit displacement in two horizontal directions, above
+which a robot with planted feet can move the CoM in both directions. Soles that are a microradian
+off level cause smaller ratios. Chosen, not tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
     """Return True if some joints can move while the base and all feet keep their poses.
 
-    Only coordinates are counted: nv must exceed the number of fixed coordinates. These are 6 of the
-    base, plus the number in `_FIXED_COORDINATES` for the contact points of each foot.
+    Coordinates are counted, from nv and `_FIXED_COORDINATES`; the Jacobian is not evaluated.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv
@@ -74,16 +71,15 @@ def has_redundant_joints(robot: Robot) -> bool:
 def can_move_com(robot: Robot) -> bool:
     """Return True if the legs can move the CoM in both horizontal directions, with planted feet.
 
-    The base keeps height and orientation. Legs with hip roll, hip pitch and knee suffice, for
-    example. Legs that move in one plane cannot move the CoM sideways. Joints that move no foot
-    (neck, arms) do not count, since they cannot centre the CoM: a turned head shifts the CoM by 0.5
-    mm. Also True for a robot without contact points.
+    The base keeps height and orientation. Joints that move no foot (neck, arms) do not count, since
+    they cannot centre the CoM: a turned head shifts the CoM by 0.5 mm. Also True for a robot
+    without contact points.
     """
     return robot.compute_once(_compute_com_mobility)
 
 
 def _compute_com_mobility(robot: Robot) -> bool:
-    """Return True if the legs can move the CoM horizontally (`can_move_com`, uncached)."""
+    """Return the result of `can_move_com`, uncached."""
     if not robot.contact_points:
         return True
     if len(robot.feet) < len(robot.contact_points):
@@ -97,10 +93,9 @@ def _compute_com_mobility(robot: Robot) -> bool:
 
 
 def _count_com_directions(robot: Robot, joints: Array) -> int:
-    """Return the number (0 to 2) of independent horizontal directions in which the CoM can move.
+    """Return the number (0 to 2) of horizontal directions in which the legs can move the CoM.
 
-    Feet, base height, base orientation and the joints that move no foot are fixed, at the joint
-    positions ``joints`` (nu,).
+    Feet, base height and base orientation are fixed. ``joints`` are the joint positions (nu,).
     """
     config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
@@ -197,11 +192,10 @@ class StandTargets:
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the contact points without penetration, to locate the ground below the feet.
+        """Targets of the contact points, from which the ground below the feet is computed.
 
-        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. Without
-        separate planes of feet, these are the ``foot_targets``. If a foot has a separate plane, the
-        penetration of all stance feet is removed from the targets (`remove_penetration`).
+        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If a foot
+        has a separate plane, the targets are those without penetration (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
@@ -226,17 +220,13 @@ def compute_targets(
         task: Stand task. Default: the nominal stand, ``StandTask()``.
         depths: {contact point that carries load: penetration of the ground [m]}; 0 for points that
             are not included.
-        like: Targets of the same robot with the same depths. Their foot targets and joint limits
-            are reused if the task requires equal values, which saves time. Default: the targets
-            of the nominal stand, if ``depths`` is empty and the robot's joint limits have not
-            changed.
+        like: Targets of the same robot with the same depths. Parts are reused if the task has equal
+            requirements, which saves time. Default: targets of the nominal stand, if possible.
         checked: If True, reject tasks that no stand can satisfy, for example with a CoM outside the
             support region.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, gravity does not point
-            downward, the task is rejected, or its ``ik_seed`` does not have one position per joint,
-            for example.
+        ConfigurationError: If the base is fixed, or the task is rejected, for example.
         UnknownNameError: If the task contains an unknown foot or joint.
     """
     com, nominal, limits = robot.compute_once(_make_defaults)
@@ -291,21 +281,9 @@ def _build_targets(
     *,
     checked: bool = True,
 ) -> StandTargets:
-    """Convert a task to targets for a robot, and reuse equal parts of existing targets.
+    """Convert a task to targets for a robot, and reuse parts of existing targets ``like``.
 
-    Args:
-        robot: Robot.
-        task: Task.
-        com: CoM requirement if the task specifies none: "centre" or "inside".
-        depths: {contact point that carries load: penetration of the ground [m]}; 0 for other
-            points.
-        like: Targets whose contacts and foot targets are reused if its task has equal feet, and
-            whose joint limits are reused if its task has equal limits.
-        checked: True to reject tasks that no stand can satisfy.
-
-    Raises:
-        ConfigurationError: If the task is rejected, the base is fixed, or the robot has no feet.
-        UnknownNameError: If the task contains an unknown foot or joint.
+    ``com`` is the CoM requirement if the task specifies none: "centre" or "inside".
     """
     if task.contacts:
         task = _add_planes(robot, task)
@@ -373,12 +351,11 @@ def feet_centre(
     contact_by_foot: Mapping[str, Array],
     foot_targets: Mapping[str, Array],
 ) -> Array:
-    """Compute the reference point of a stand: mean (3,) [m] of the stance contacts, world frame.
+    """Compute the reference point (3,) [m] of a stand: mean of the stance contacts, world frame.
 
-    Welded and gripping feet count as contacts. Exceptions: hands, and feet on steep planes, are
-    left out; feet with separate planes are left out of the height. If no contact would remain, none
-    is left out. If all feet are lifted, the result is the horizontal mean of all targets, at z = 0.
-    For an arm (a robot with a weld or grip, and without feet other than hands), the result is the
+    Welded and gripping feet count as contacts. Hands, and feet on steep planes, are left out if
+    other contacts remain. If all feet are lifted, the point is the horizontal mean of all targets,
+    at z = 0. For an arm (a robot with a weld or grip, and without feet other than hands), it is the
     point at z = 0 below the base in the home pose.
 
     Args:
@@ -409,16 +386,9 @@ def feet_centre(
 
 
 def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
-    """Return the lower and upper joint limits of a task, shape (nu,) each [rad, m].
+    """Return the lower and upper joint limits (nu,) [rad, m] of a task, narrowed by its margin.
 
-    The limits of the robot are narrowed by the task's joint margin. If a joint is in the task's
-    posture, both limits are its position in the posture.
-
-    Raises:
-        ConfigurationError: If a joint of the posture carries a foot, a position is not valid, or
-            the posture does not determine and close the loops of its joints. With ``checked``, also
-            if the margin leaves no range, or a position is out of the range.
-        UnknownNameError: If a pattern of the posture matches no joint.
+    If a joint is in the task's posture, both limits are its position in the posture.
     """
     lower = robot.lower_limits + task.joint_margin
     upper = robot.upper_limits - task.joint_margin
@@ -442,13 +412,7 @@ proposes from the edge of the support region. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
-    """Raise a ConfigurationError if a CoM target has less margin than the task requires.
-
-    Args:
-        task: Task with the required margin [m].
-        place: Horizontal target (x, y) [m].
-        corners: Points whose convex hull must contain the target, (x, y) each [m].
-    """
+    """Raise an error if a CoM target (x, y) [m] has less margin than the task requires."""
     inside = margin_of_position((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
@@ -469,10 +433,7 @@ def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...])
 
 
 def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Complete a task with the default height, the default CoM (``com``), and units of the posture.
-
-    The CoM of a task with an ``offset`` of the base is "centre" by default.
-    """
+    """Complete a task with default height, default CoM (``com``), and units of the posture."""
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture)).replace_unchecked(
             ground=task.ground
@@ -504,10 +465,7 @@ def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
 def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
     """Raise a ConfigurationError if the support region is too narrow (`_MIN_SUPPORT_WIDTH`).
 
-    Args:
-        robot: Robot.
-        corners: Corners of the region, shape (n, 2) [m].
-        stance_feet: Contact points that carry load, for the message.
+    ``corners`` (n, 2) [m] are the corners of the region.
     """
     # A robot on grips alone has no corners if the grips cannot carry the weight.
     seen = corners - corners.mean(axis=0) if len(corners) > 1 else np.zeros((2, 2))
@@ -522,14 +480,7 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
 
 
 def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Select the contact points that carry load in a task, after checks of robot and names.
-
-    Raises:
-        ConfigurationError: If the base is fixed, gravity does not point downward, the robot has no
-            feet, welds or grips, or the robot lacks the contacts of the task. For a robot without
-            weld or grip, also if fewer than three contact points carry load.
-        UnknownNameError: If the task contains an unknown foot.
-    """
+    """Select the contact points that carry load in a task, after checks of robot and names."""
     robot.check_floating()
     if not (robot.contact_points or robot.fixed_parts):
         notes = (note for note in robot.notes if note.code == "base-free-without-feet")
@@ -567,11 +518,9 @@ since the contact points of spheres with unequal radii depend on the normal of t
 not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot. The
-mean position of the feet excludes a foot on a plane with a smaller component, which is more than 60
-deg from level ground, unless no foot would remain. Also used for messages: the explanation of an
-unreachable stance may state that the foot of a steeper plane is at the height of the ground.
-Chosen, not tuned."""
+"""Lower bound of the vertical component [1] of the unit normal of a plane that supports a foot: 60
+deg from level ground. Feet on steeper planes are left out of the mean position of the feet, if
+possible. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
 """Extent [m] of a sole's contact points perpendicular to a fitted line, below which the points
@@ -629,9 +578,7 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Compute {contact point: target of its sphere centre, (3,) [m]} on rigid ground for a task.
 
     Targets are in the world frame. A sole is flat on the plane or slope, rotated from the default
-    orientation by the shortest rotation. A welded hand is at the requested position. A swing foot
-    is translated by the swing height. The direction is the normal of the foot's separate plane, or
-    else upward.
+    orientation by the shortest rotation. A swing foot is above the ground by the swing height.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     foot_targets: dict[str, Array] = {}
@@ -660,9 +607,8 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
     """Compute {contact point: target of its sphere centre, (3,) [m]} on a foot's separate plane.
 
-    The contact (for a sole, the mean of the contacts) is the point of the plane that is nearest to
-    the requested position. A swing foot is translated from there by the swing height, along the
-    normal of the plane.
+    The contact is at the point of the plane nearest to the requested position, plus the swing
+    height.
     """
     points = robot.feet[foot]
     on = task.ground.planes[foot].project(_requested_position(robot, task, foot, place))
@@ -678,14 +624,9 @@ def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> d
 
 
 def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
-    """Return the requested position, (3,) [m], of a contact on a separate plane, or a welded hand.
+    """Return the requested position (3,) [m] of a contact on a separate plane, or of a welded hand.
 
-    Args:
-        robot: Robot.
-        task: Task.
-        foot: Foot or hand.
-        place: Horizontal position of the foot, shape (2,) [m]. For a hand, or a contact that states
-            a ``place``, only the difference from the nominal position counts.
+    ``place`` is the horizontal position of the foot in the task, shape (2,) [m].
     """
     if task.contacts[foot].place is not None or foot in robot.hands:
         near = np.array(task.contacts[foot].place or default_contact_position(robot, foot).tolist())
@@ -732,8 +673,7 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
     """Rotate and translate the sphere centres (n, 3) [m] of a sole, so that the sole is on a plane.
 
-    The plane passes through the origin and has the unit normal ``normal``, shape (3,). The mean
-    distance of the contact points from the plane is zero.
+    The plane passes through the origin and has the unit normal ``normal``, shape (3,).
     """
     out = UP
     for _ in range(_NUM_FIT_ITERATIONS):
@@ -801,14 +741,10 @@ def remove_penetration(
     depths: Mapping[str, float],
     normals: Mapping[str, Array],
 ) -> Mapping[str, Array]:
-    """Convert targets of feet in soft ground to targets on rigid ground, to place steps and planes.
+    """Convert targets of feet in soft ground to targets on rigid ground, to place separate planes.
 
-    A foot in soft ground is below the surface by the penetration. The target of each contact point
-    in ``normals`` is moved out of the ground by the penetration, along the normal.
-
-    If no foot has a separate plane, the targets are returned unchanged. The place of a step (raised
-    surface) below a foot then follows from the horizontal position. Along the normal of a slope,
-    this position changes by (penetration) * sin(slope), which is neglected.
+    If no foot has a separate plane, the targets are returned unchanged: on a slope, the horizontal
+    displacement by the penetration is neglected.
 
     Args:
         ground: Ground.

@@ -42,13 +42,11 @@ round (see `_BRANCH_ROUNDS`). Derived from four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
 """Upper bound of the number of rounds of a stand search. A round determines the IK branches of the
-limbs near the best configuration, and tries combinations of these branches. A further round starts
-if no stand has its feet in place and the last round has at least halved the smallest foot error.
-Chosen, not tuned."""
+limbs near the best configuration, and tries combinations of these branches. Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] of the best stand so far, below which a search also tries initial guesses with a
-displaced base. With such an error, the obstacle may be a clearance. Chosen, not tuned."""
+displaced base, since a clearance may be the obstacle. Chosen, not tuned."""
 
 _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
@@ -59,9 +57,8 @@ equal (see `_MIN_AGREEING_GUESSES`). Chosen, not tuned."""
 
 _MIN_AGREEING_GUESSES = 8
 """Number of initial guesses of the nonlinear program that lead to nearly the smallest foot error
-(`_MISS_TOLERANCE`), with which the search ends. Exception: with a sole on a leg of fewer than six
-joints, all guesses are tried. Measured on 400 stands, most at the limit of reach: all but one were
-found before two guesses agreed, the last one after four."""
+(`_MISS_TOLERANCE`), with which the search usually ends. Measured on 400 stands, most at the limit
+of reach: all but one were found before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
 """Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
@@ -69,9 +66,7 @@ leg has no exact IK branches. Measured on 48 stands of six bipeds: the guesses f
 stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the clearance constraints. `minimise_foot_errors` omits these constraints. If the
-required pose puts the base into the ground, the nonlinear program of a search also omits
-clearances, so that the search ends with a clearance error."""
+"""Names of the clearance constraints, which searches for the smallest foot error omit."""
 
 
 def search_stand(
@@ -81,23 +76,17 @@ def search_stand(
     default_guesses_only: bool = False,
     com_at_centre_only: bool = False,
 ) -> Stand:
-    """Search for a stand from all initial guesses; return the stand, or else the best failure.
-
-    The nonlinear program is used only if the CoM is free, or if the robot has redundant joints and
-    a stand with the feet in place violates another requirement. The program starts at the best
-    stand so far, then at other configurations.
+    """Search for a stand from several initial guesses; return the stand, or else the best failure.
 
     Args:
         context: Search context of the robot.
         targets: Targets and limits of the stand (`StandTargets`).
         default_guesses_only: If True, use only IK from `default_initial_guesses`.
-        com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is above the
-            centre of the feet. Exception: the CoM may move to lay soles flat on legs with fewer
-            than six joints.
+        com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is usually above
+            the centre of the feet.
 
     Returns:
-        A solved stand. Otherwise the best failure: feet in place with another violation, or the
-        smallest foot error.
+        A solved stand, or the best failure (`Stand.solved` is False).
     """
     there = _StandSearch(context, targets)
     found = there.try_initial_guesses(default_initial_guesses(context.robot, targets))
@@ -130,9 +119,6 @@ def search_from_joints(
 ) -> Stand | None:
     """Search for a stand that meets the targets by IK from an initial guess of the joint positions.
 
-    The base is placed so that the CoM, or the base if the targets fix the base, starts at its
-    target.
-
     Args:
         context: Search context of the robot.
         targets: Targets and limits of the stand (`StandTargets`).
@@ -155,10 +141,8 @@ def solve_constraints(
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand, or None; and smallest foot error [m]. The foot error is minimised only if the
-        program does not bring the feet to their targets and the CoM is free; otherwise it is 0. An
-        error above ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only
-        local.
+        Solved stand, or None; and smallest foot error [m], 0 if it was not minimised. A foot error
+        above ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only local.
     """
     there, programme = _StandSearch(context, targets), StanceProgram(context.shapes, targets)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -210,14 +194,13 @@ class _StandSearch:
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
-        """Whether no stand exists, because the required base pose puts the base into the ground."""
+        """Whether the required base pose puts the base into the ground, so that no stand exists."""
         return is_base_in_ground(self.shapes, self.targets)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
-        """Solve IK from one initial guess after another, and return the first solved stand.
+        """Solve IK from one initial guess after another, and return the first stand.
 
-        Exception: if the required base pose puts the base into the ground, no stand can be solved.
-        The result is then the first stand with the feet at the targets.
+        If the required base pose puts the base into the ground, the stand is not solved.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
@@ -234,13 +217,10 @@ class _StandSearch:
         return None
 
     def try_branches(self) -> Stand | None:
-        """Solve IK from combinations of the legs' IK branches, and return the first solved stand.
-
-        Branches whose feet are estimated to be out of reach are omitted.
+        """Solve IK from combinations of the legs' IK branches, as in `try_initial_guesses`.
 
         Returns:
-            First result of `try_initial_guesses` for these combinations; None if no combination
-            leads to a stand.
+            Stand; None if no combination leads to a stand.
         """
         robot, targets = self.robot, self.targets
         for _ in range(_BRANCH_ROUNDS):
@@ -262,15 +242,10 @@ class _StandSearch:
         return None
 
     def try_program(self) -> Stand:
-        """Solve the nonlinear program from one initial configuration after another, for a stand.
-
-        The program is skipped if it cannot help, for example if the task prescribes the horizontal
-        position of the CoM or base, and no joints are redundant.
+        """Search by the nonlinear program from several initial configurations, if it can help.
 
         Returns:
-            First solved stand. If no stand is solved, the best stand of the search, which may
-            violate the targets. If the targets put the base into the ground, a stand with the feet
-            at the targets is sufficient.
+            Solved stand, or else the best stand of the search, which may violate the targets.
         """
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):
@@ -299,22 +274,13 @@ class _StandSearch:
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
-        """Return True if enough guesses ended near the smallest foot error so far.
-
-        At least `_MIN_AGREEING_GUESSES` foot errors must exceed the smallest by at most the
-        fraction `_MISS_TOLERANCE`.
-        """
+        """Return True if `_MIN_AGREEING_GUESSES` guesses ended near the smallest foot error."""
         least = min(self.misses, default=0.0)
         bound = (1 + _MISS_TOLERANCE) * least
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
 
     def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
-        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``.
-
-        If the CoM is not free, the other stands with the feet in place follow. If the CoM is free,
-        three kinds follow: the default guesses; random postures, if a sole is on a leg with fewer
-        than six joints; and guesses with a displaced base, if the feet are nearly in place.
-        """
+        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``."""
         robot, targets = self.robot, self.targets
         yield best.qpos
         if not targets.com_is_free:
@@ -336,10 +302,9 @@ class _StandSearch:
             )
 
     def solve_from_minimum(self, programme: StanceProgram, qpos: Array) -> Stand | None:
-        """Minimise the foot error from a configuration (nq,), then solve as in `solve_program`.
+        """Minimise the foot error from a configuration (nq,), then solve a stand from there.
 
-        None if the CoM is not free, if the search has already found a stand with the feet in place,
-        or if no such stand is found near the minimum.
+        None if no stand with the feet in place is found, or if the minimisation is not necessary.
         """
         if not self.targets.com_is_free or self.reached:
             return None
@@ -358,9 +323,8 @@ class _StandSearch:
     def add(self, point: SolverResult) -> Stand | None:
         """Register an IK result in this search; return its stand if it is solved, else None.
 
-        A stand is added to ``reached`` if its foot error is below twice `TASK_TOLERANCE`, even if
-        it is not solved. A stand with slightly tilted soles on legs of fewer than six joints is
-        added, too.
+        A stand is also added to ``reached`` if its feet are only nearly in place, or its soles are
+        slightly tilted.
         """
         self.points.append(point)
         self.iterations += point.iterations
@@ -379,17 +343,14 @@ class _StandSearch:
         """Solve a nonlinear program from a configuration (nq,), and refine the result by IK.
 
         Returns:
-            Stand, which may violate clearances or the CoM margin. None if the result violates the
-            program by more than `NEAR_MISS`, or if IK does not move the feet to their targets.
+            Stand with the feet in place, which may violate clearances or the CoM margin; None on
+            failure.
         """
         found = programme.solve(qpos)
         return None if found.violation > NEAR_MISS else self._refine(found.qpos)
 
     def _refine(self, qpos: Array) -> Stand | None:
-        """Remove the foot errors of a configuration (nq,) by IK; return the stand, None on failure.
-
-        Soles on legs with fewer than six joints may stay tilted.
-        """
+        """Remove the foot errors of a configuration (nq,) by IK; return the stand or None."""
         targets = self.targets
         if targets.com_is_free:
             targets = replace(targets, place=Configuration(self.robot, qpos).center_of_mass()[:2])
@@ -402,21 +363,13 @@ class _StandSearch:
         return stand
 
     def best_stand(self) -> Stand:
-        """Return the best stand of the search, which may violate the targets.
-
-        A solved stand comes first, then the stand with all feet in place and the smallest
-        violation. Without these, the result of the nonlinear program (or else of IK) with the
-        smallest foot error is returned.
-        """
+        """Return the best stand of the search so far, which may violate the targets."""
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
         return self.closest or self._evaluate(self._nearest())
 
     def _evaluate(self, point: SolverResult, targets: StandTargets | None = None) -> Stand:
-        """Create the `Stand` of an IK result, with its errors for given targets.
-
-        The default targets are those of this search.
-        """
+        """Create the `Stand` of an IK result, with errors for ``targets`` (default: own)."""
         return evaluate_stand(self.shapes, targets or self.targets, point.qpos, self.iterations)
 
 
@@ -437,13 +390,16 @@ def default_initial_guesses(robot: Robot, targets: StandTargets) -> Iterator[Arr
 def minimise_foot_errors(
     context: SearchContext, targets: StandTargets, qpos: Array, iterations: int = 0
 ) -> Stand:
-    """Minimise the distances of the feet from their targets, and return the `Stand`.
+    """Minimise the sum of the squared distances of the feet from their targets; return the `Stand`.
 
-    The sum of the squared distances is minimised; the minimum may be local. The nonlinear program
-    starts at the configuration ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton
-    steps assume that the errors vanish, and end before this minimum. ``iterations`` is the number
-    of quadratic programs that the search has solved before. The returned stand contains this
-    number.
+    The minimum may be local. Clearances are ignored. PlaCo's Gauss-Newton steps assume that the
+    errors vanish, and end before this minimum.
+
+    Args:
+        context: Search context of the robot.
+        targets: Targets and limits of the stand (`StandTargets`).
+        qpos: Initial configuration, shape (nq,).
+        iterations: Number of quadratic programs solved before, stored in the returned stand.
     """
     feet = StanceProgram(context.shapes, targets, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, targets, feet.minimise_foot_distances(qpos), iterations)
@@ -453,8 +409,7 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
     """Reduce the tilt of soles on legs with fewer than six joints, by moving the CoM.
 
     IK may tilt the soles of such legs to bring the CoM to ``targets.place``. In a simulation,
-    servos would press tilted soles flat, with torques that the static balance does not contain. The
-    CoM is moved only if the task permits any position inside the support region (``com_is_free``).
+    servos would press tilted soles flat, with torques that the static balance does not contain.
 
     Args:
         context: Search context of the robot.
@@ -462,8 +417,8 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
         stand: Stand with tilted soles.
 
     Returns:
-        A stand with smaller foot errors, since the tilt causes foot errors. The unchanged stand if
-        the task fixes the CoM, or if no solved stand with smaller foot errors is found.
+        A stand with smaller foot errors, since the tilt causes foot errors; the unchanged stand if
+        the tilt cannot be reduced.
     """
     robot = context.robot
     if not targets.com_is_free:
@@ -486,8 +441,7 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
 
 MAX_SOLE_ERROR = 5e-5
 """Upper bound of the foot error [m] with which a sole on a leg of fewer than six joints is accepted
-as in place. Messages about paths attribute a displacement of up to twice this value to such a leg.
-Chosen below the usual penetration of feet into MuJoCo's ground."""
+as in place. Chosen below the usual penetration of feet into MuJoCo's ground."""
 
 _NUM_POSE_JOINTS = 6
 """Smallest number of joints with which a leg can place its sole in any pose: six, the degrees of
@@ -497,8 +451,7 @@ freedom of a pose."""
 def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
-    The joints of such a leg cannot reach every pose of the sole. With four joints, for example,
-    roll and yaw may follow from position and pitch. IK may therefore leave the sole tilted.
+    Such a leg cannot reach every pose of the sole, and IK may leave the sole tilted.
     """
     return bool(count_joints_of_short_legs(robot))
 
@@ -514,12 +467,10 @@ def count_joints_of_short_legs(robot: Robot) -> dict[str, int]:
 
 
 def describe_mechanism_limit(robot: Robot, targets: StandTargets) -> Diagnostic | None:
-    """Create a message if the robot's mechanism may be the reason why no stand was found.
+    """Explain by the robot's mechanism why no stand was found; None if it is no probable reason.
 
-    Returns:
-        Message with the reason. Either closed loops open under the load, or the task moves or lifts
-        a flat foot (``foot_offsets``, ``swing``) on a leg with fewer than six joints. None if
-        neither applies.
+    Reasons are closed loops that open under the load, and flat feet to be moved on legs with fewer
+    than six joints.
     """
     task = targets.task
     if targets.loop_opening is not None and targets.loop_opening.any():
@@ -549,16 +500,15 @@ def _count_leg_joints(robot: Robot, point: str) -> int:
 def relax_foot_orientation(
     robot: Robot, targets: StandTargets, point: SolverResult
 ) -> StandTargets:
-    """Replace foot targets by the positions that IK reached, if a sole cannot lie exactly flat.
-
-    A leg with fewer than six joints may be unable to lay a sole exactly on the ground. The targets
-    are unchanged if IK converged, the position error of the feet is at least `MAX_SOLE_ERROR`, or
-    no flat foot is on a leg with fewer than six joints.
+    """Replace foot targets by the positions that IK reached, if a leg cannot lay its sole flat.
 
     Args:
         robot: Robot.
         targets: Targets with the foot targets to replace.
         point: Result of the IK solver, with the reached configuration.
+
+    Returns:
+        Targets; unchanged if IK converged, or the feet are not nearly in place, for example.
     """
     if point.converged or point.foot_error >= MAX_SOLE_ERROR or not has_underactuated_feet(robot):
         return targets
@@ -571,8 +521,7 @@ def relax_foot_orientation(
 NEAR_MISS = 1e-3
 """Largest foot error [m], or constraint violation of the nonlinear program [m, rad], with which IK
 refines a configuration, since a small displacement of the CoM may bring the feet to their targets.
-Also a reserve [m] in the bounds of `branch_initial_guesses` and `bound_com_shift`. Chosen, not
-tuned."""
+Chosen, not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a
@@ -591,9 +540,8 @@ _GUESSES_PER_BASE_POSITION = 4
 smallest constraint violation are kept. Chosen, not tuned."""
 
 _MAX_REACH_ERROR = 5e-3
-"""Upper bound of the foot error [m] of IK branches that are initial guesses. The search displaces
-the base and follows each branch; branches with a larger error there are discarded. Chosen, not
-tuned."""
+"""Upper bound of the foot error [m] of IK branches at a displaced base that are used in initial
+guesses. Chosen, not tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
 """Safety factor [1] on the base displacement that `bound_com_shift` estimates for a change of IK
@@ -602,10 +550,9 @@ tuned."""
 
 
 def random_postures(targets: StandTargets, count: int) -> Iterator[Array]:
-    """Yield random joint positions, shape (nu,) [rad, m], within joint limits and +-pi.
+    """Yield random joint positions, shape (nu,) [rad, m], usually within joint limits and +-pi.
 
-    The seed of the generator is fixed, so that searches with equal limits use equal positions. If
-    the limits of a joint do not overlap with +-pi, its position is max(lower limit, -pi).
+    The seed of the generator is fixed.
     """
     low, high = np.maximum(targets.lower, -np.pi), np.minimum(targets.upper, np.pi)
     random = np.random.default_rng(0)
@@ -625,7 +572,7 @@ def branch_initial_guesses(
 
     Args:
         robot: Robot.
-        targets: Targets with joint limits and the initial guess ``ik_seed`` of the task.
+        targets: Targets with the initial guess ``ik_seed`` of the task.
         found: {limb: IK branches of the limb}.
         reach: Upper bound of the base displacement [m] from the base pose for which the branches
             were computed. A displacement of the base by d changes a foot error by at most d.
@@ -645,10 +592,9 @@ def bound_com_shift(
 ) -> float:
     """Estimate the largest base displacement [m] that a change of the IK branches may require.
 
-    A change of the branch moves the CoM relative to the base. The base must move by the opposite
-    displacement, so that the CoM stays in place. The estimate is
-    ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``. c_b is the horizontal CoM
-    [m] if the limb is in branch b, and c_0 if it is in its first branch.
+    If branches change at a fixed CoM, the base must move. The estimate is ``_SHIFT_SAFETY_FACTOR *
+    sum_limbs max_b |c_b - c_0| + NEAR_MISS``. c_b is the horizontal CoM [m] if the limb is in
+    branch b, and c_0 if it is in its first branch.
 
     Args:
         robot: Robot.
@@ -669,8 +615,7 @@ def bound_com_shift(
 def support_radius(targets: StandTargets) -> float:
     """Return the largest horizontal distance [m] from the centre of the feet to a support corner.
 
-    If the support region has no corners (for example, all feet are welded), the largest horizontal
-    distance of a foot target from the feet centre; 0 without foot targets.
+    Without support corners, foot targets are used instead.
     """
     corners = targets.corners or [target[:2] for target in targets.foot_targets.values()]
     distances = [np.linalg.norm(corner - targets.centre[:2]) for corner in np.array(corners)]
@@ -699,13 +644,10 @@ def make_initial_configuration(
 def displaced_initial_guesses(
     shapes: ClearanceShapes, targets: StandTargets, qpos: Array
 ) -> Iterator[Array]:
-    """Yield initial configurations (nq,) with a displaced base, in the best IK branches.
+    """Yield initial configurations (nq,) with a displaced base, from several IK branches.
 
     The cost of a configuration is the sum of the violations of all constraints except the foot
-    positions [m and rad mixed]. For each base position, up to `_MAX_TRIED_COMBINATIONS`
-    combinations of branches with all feet near their targets are evaluated, and the
-    `_GUESSES_PER_BASE_POSITION` configurations with the smallest cost are kept. The kept
-    configurations of all base positions are yielded in ascending order of cost.
+    positions [m and rad mixed]. Configurations are yielded in ascending order of cost.
 
     Args:
         shapes: Robot with collision shapes.

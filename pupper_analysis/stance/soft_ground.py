@@ -54,11 +54,9 @@ which the fixed-point iteration fails. Example: a sole that is loaded at its edg
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Upper bound of the ratio of two successive changes up to which the fixed-point iteration takes
-full steps. A change is the change of the feet's penetration depths or, if larger, of loop openings.
-From a larger ratio on, steps are scaled by a relaxation
-factor, until this factor is 1 again. Chosen, not tuned: with this ratio, the iteration without
-relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
+"""Ratio of two successive changes of the fixed-point iteration, above which steps are scaled by a
+relaxation factor. Chosen, not tuned: with this ratio, the iteration without relaxation needs 20
+rounds from 1 mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
 """Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's
@@ -75,28 +73,24 @@ def solve_stand_on_soft_ground(
     to the joint positions of `solve_stand`, it sinks. With unequal loads it also tilts. This
     function extends the legs by the penetration of the feet, so that base and CoM are at the
     positions of the task. The contact forces are those with minimum tangential components. Depths
-    and forces depend on each other. The fixed-point iteration mostly converges in 1 to 3 rounds. If
-    the change of the depths is more than half of the previous change, this step and later steps are
-    relaxed. Relaxation is necessary for example for springs at the ankles: without it, the load
-    alternates between opposite edges of the soles.
+    and forces depend on each other, and are computed by a fixed-point iteration.
 
     Args:
         robot: Robot with a floating base and a ground.
-        task: Stand task, or a stand that satisfies a task on rigid ground. Such a stand is not
-            solved again. Default: the nominal stand, ``StandTask()``.
+        task: Stand task, or a stand that satisfies a task on rigid ground. Default: the nominal
+            stand, ``StandTask()``.
         explain: Whether the error about an unreachable stance contains the smallest foot error and
             the requirements to relax; takes about a second.
 
     Returns:
         The stand; ``depths`` are the penetrations [m] by MuJoCo's contact model under the computed
-        forces, to 1e-9 m.
+        forces.
 
     Raises:
         ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
             the margins are too large; or if the stand belongs to another robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: If the stance is unreachable on rigid ground, or with the feet in
             the soft ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -159,17 +153,12 @@ def solve_stand_on_soft_ground(
 def _update_relaxation(relaxation: float, before: Array, residual: Array) -> float:
     """Compute the factor on the next step of the fixed-point iteration, by Aitken's method.
 
-    With the residuals r (required changes of the depths), the factor w of the last step and the new
-    factor w': w' = -w r_before (r - r_before) / |r - r_before|^2, within `_RELAXATION_RANGE`. The
-    factor is unchanged if the residuals are equal.
+    With the residuals r (n,) [m] (required changes of the depths), the factor w of the last step
+    and the new factor w': w' = -w r_before (r - r_before) / |r - r_before|^2, within
+    `_RELAXATION_RANGE`.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).
-
-    Args:
-        relaxation: Factor w on the last step.
-        before: Residual of the previous iteration, shape (n,) [m].
-        residual: Residual of this iteration, shape (n,) [m].
     """
     difference = residual - before
     squared = float(difference @ difference)
@@ -182,11 +171,10 @@ def _update_relaxation(relaxation: float, before: Array, residual: Array) -> flo
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
     """Solve a stand task as simulations use it: on soft ground if possible, else on rigid ground.
 
-    The result is the stand of `solve_stand_on_soft_ground`. In two cases, the result is the stand
-    on rigid ground, with ``depths`` of 0: the stance on soft ground is out of reach, or the
-    penetration depths of a robot with closed loops or joint couplings do not converge. A posture of
-    a robot with a fixed base (`held_stand`) has no ground: its closed loops and joint couplings are
-    deflected as under the static load in MuJoCo.
+    The result is usually the stand of `solve_stand_on_soft_ground`. If the stance on soft ground is
+    out of reach, for example, the result is the stand on rigid ground, with ``depths`` of 0. A
+    posture of a robot with a fixed base (`held_stand`) has no ground: its closed loops and joint
+    couplings are deflected as under the static load in MuJoCo.
 
     Args:
         robot: Robot with a floating base and a ground; for a posture, a robot with a fixed base.
@@ -197,10 +185,9 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
             the margins are too large; or if the stand belongs to another robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
-            contain the requirements to relax (``explain=False``).
+            contain the requirements to relax.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths of a robot without closed loops and joint
             couplings do not converge.
@@ -222,8 +209,6 @@ def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
     """Deflect loops and couplings of a posture, as MuJoCo's soft constraints do under static load.
 
     ``qpos`` and the result are joint positions, shape (nu,) [rad, m].
-
-    Unchanged without dependent joints, or if the deflected joint positions are not found.
     """
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
@@ -239,9 +224,8 @@ def solve_loaded_stand(
 ) -> tuple[Robot, Stand]:
     """Add a payload to a robot, and solve a stand of the loaded robot.
 
-    `payload_limit`, its simulations and ``stand --payload`` use this stand. The task applies to the
-    loaded robot. In the default task, the CoM of the loaded robot is above the centre of the feet,
-    so that the base is shifted.
+    In the default task, the CoM of the loaded robot is above the centre of the feet, so that the
+    base is shifted.
 
     Args:
         robot: Robot.
@@ -252,17 +236,15 @@ def solve_loaded_stand(
             ``Tool`` is also accepted.
 
     Returns:
-        The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground if possible,
-        with the penetration depths of MuJoCo; else on rigid ground.
+        The loaded robot, and its stand from `solve_stand_as_simulated`.
 
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
         UnknownNameError: If the robot lacks the frame of the payload, or a foot, joint or contact
             of the task.
-        ModelError: If the loaded model cannot be built, or the mass or inertia of a body is
-            invalid.
+        ModelError: If the loaded model cannot be built, for example.
         StanceUnreachableError: If the stance is unreachable with that load. The error does not
-            contain the requirements to relax (``explain=False``).
+            contain the requirements to relax.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NotSettlingError: If the penetration depths of a robot without closed loops and joint
             couplings do not converge.
@@ -297,12 +279,10 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
 
 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Compute the penetrations of rigid soles from those of independent contact points.
+    """Compute {contact point: penetration [m]} of rigid soles from depths of independent points.
 
-    ``depths`` are {contact point: penetration [m]} as if each contact point moved independently.
-    The result {contact point: penetration [m]} contains the points of soles only. The contact
-    points of a rigid sole stay in one plane, with the same resultant force and moment of the
-    contact forces. If a corner lifts, its penetration is negative.
+    Resultant force and moment of a sole are unchanged. The penetration of a lifted corner is
+    negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):
@@ -329,7 +309,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         table: Row per contact point: 1 and the position in the sole's plane, normalised, shape (n,
             k). Penetrations of a rigid sole are linear combinations of the columns.
         laws: Force-penetration law of each contact point.
-        given: Penetrations that a rigid sole cannot have, shape (n,) [m].
+        given: Penetrations of independent contact points, shape (n,) [m].
     """
 
     def compute_forces(depths: Array) -> Array:
@@ -347,23 +327,12 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     def residual(coefficients: Array) -> Array:
         """Return the error of force and moments on the sole, shape (k,) [N].
 
-        The error is contact forces minus required forces, projected on ``basis``.
-
-        The columns of ``basis`` are the penetrations that a rigid sole permits. The result is zero
-        if resultant force and moments on the sole are as required.
-
-        Args:
-            coefficients: Factors of the columns, shape (k,) [m]; ``basis @ coefficients`` are the
-                penetrations.
+        ``coefficients`` (k,) [m] are the factors of the columns of ``basis``.
         """
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 
     def derivative(coefficients: Array) -> Array:
-        """Return the Jacobian of ``residual`` by its argument, shape (k, k) [N/m].
-
-        Args:
-            coefficients: Factors of the columns of ``basis``, shape (k,) [m].
-        """
+        """Return the Jacobian of ``residual`` by ``coefficients``, shape (k, k) [N/m]."""
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))

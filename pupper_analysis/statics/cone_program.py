@@ -25,16 +25,14 @@ from pupper_analysis.base import lapack
 from pupper_analysis.base.array_types import Array
 
 BALANCE_TOLERANCE = 1e-9
-"""Largest residual norm of the base's force and moment balance that counts as zero, relative to the
-norm of the base load (N and N m mixed). Other modules use the same value as tolerance of upward
-ground normals, and as relative tolerance of contact forces. Chosen, not tuned."""
+"""Largest residual norm of the balance equations that counts as zero, relative to the norm of the
+base load (N and N m mixed). Chosen, not tuned."""
 
 
 MAX_TOTAL_NORMAL_FORCE = 10.0
-"""Upper bound of the sum of all normal forces, in units of the robot's weight. The bound applies in
-the cone programs for the support region and for the range of a prescribed contact force. Without
-the bound, forces between steep walls would balance any CoM position. Chosen: legs do not press
-harder."""
+"""Upper bound of the sum of all normal forces, in units of the robot's weight, for example in the
+cone programs for the support region. Without the bound, forces between steep walls would balance
+any CoM position. Chosen: legs do not press harder."""
 
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
@@ -54,20 +52,19 @@ forces."""
 
 
 _PEAK_SLACK = 1e-7
-"""Relative slack of the peak utilisation in `Balance.min_max_torque`. The first cone program finds
-the smallest peak. The second program may exceed this peak by the slack, so that rounding does not
-make the second program infeasible. Chosen, not tuned."""
+"""Relative slack of the peak utilisation in the second cone program of `Balance.min_max_torque`, so
+that rounding does not make this program infeasible. Chosen, not tuned."""
 
 
 _BOUND_TOLERANCE = 1e-6
-"""Largest violation of an inequality of `Balance.maximize`, relative to the largest absolute value
-of the upper bounds. A solution with a larger violation is rejected. Chosen, not tuned."""
+"""Largest violation of an inequality of `Balance.maximize` with which a solution is accepted,
+relative to the largest absolute value of the upper bounds. Chosen, not tuned."""
 
 
 _MIN_RECIPROCAL_CONDITION = 1e-8
 """Smallest reciprocal condition number with which the linear equations for the contact forces count
-as independent. With a smaller number, the slower singular value decomposition is used. Measured for
-four feet on level ground: 1e-4 with the weights of `TangentialMetric`, 5e-2 without."""
+as independent. Measured for four feet on level ground: 1e-4 with the weights of `TangentialMetric`,
+5e-2 without."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 """Normal of level ground in the world frame."""
@@ -142,13 +139,13 @@ class Balance:
         """Compute equilibrium forces without tangential contact forces, with welds or grips.
 
         Welds or grips carry the rest of the load. Without tangential force, MuJoCo's regularised
-        friction does not creep. If a part is welded, the norm of the motor torques is minimised. If
-        the robot has grips only, the norm of all forces is minimised, since minimum torque would
-        put the load on the edge of a sole.
+        friction does not creep. With welds, the norm of the joint torques is minimised. With grips
+        only, the norm of all forces is minimised, since minimum torque would put the load on the
+        edge of a sole.
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
-            such forces satisfy balance, non-negative normal forces, and grip limits.
+            such forces are found.
         """
         count, size = len(self.normals), self.base_rows.shape[1]
         # Columns: n normal directions, then the unchanged columns of welds and grips.
@@ -192,14 +189,13 @@ class Balance:
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Compute the equilibrium forces with the smallest peak motor utilisation |tau| / limit.
 
-        If several solutions have this peak, the solution with the smallest norm of all utilisations
-        is selected. If ``friction`` is None, only this norm is minimised, not the peak. Motors
+        Among the solutions with this peak, the norm of all utilisations is minimised. Motors
         without a finite, positive limit are ignored. If no motor has such a limit, torques replace
         utilisations.
 
         Args:
             friction: Shape (n,); friction coefficients. None removes cones, unilateral limits and
-                grip limits.
+                grip limits; the norm is then minimised instead of the peak.
             limits: Shape (nu,) [N m or N]; effort limits.
 
         Returns:
@@ -223,9 +219,8 @@ class Balance:
             upper: Shape (m,); upper bounds.
 
         Returns:
-            Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction, grip
-            limits and the inequality, if the maximum is unbounded, or if the solver's result
-            violates its tolerances.
+            Forces f, shape (size,) [N, N m]. None if no such forces are found, or if the maximum is
+            unbounded.
         """
         particular, free = self._particular_and_null_space
         if not self._is_balanced(particular):
@@ -260,8 +255,7 @@ class Balance:
                 grip limits: feet may pull and slip.
             cost: Matrix, shape (m, size), or a `TangentialMetric`, which provides the product
                 ``cost @ f``.
-            target: Shape (m,); value of ``cost @ f`` without error, for example the load of the
-                joints.
+            target: Shape (m,).
             peak: If True, minimise the largest absolute element of ``cost @ f - target`` first,
                 then the norm. Has no effect if ``friction`` is None.
 
@@ -283,8 +277,7 @@ class Balance:
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
         """Compute the forces f with the smallest |cost @ f - target|, subject to balance alone.
 
-        Balance is ``base_rows @ f = base_load``. Friction cones and grip limits are ignored. None
-        if no forces balance the load.
+        Friction cones and grip limits are ignored. None if no forces balance the load.
         """
         if isinstance(cost, np.ndarray):
             forces = self._solve_by_gglse(cost, target)
@@ -297,12 +290,9 @@ class Balance:
         return particular + free @ coordinates
 
     def _solve_by_gglse(self, cost: Array, target: Array) -> Array | None:
-        """Compute the forces f with the smallest |cost @ f - target|, subject to balance alone.
+        """Compute the result of `_solve_linear` by LAPACK's ``gglse``, faster than by an SVD.
 
-        LAPACK's ``gglse`` solves equality-constrained least squares by a generalised QR
-        factorisation, which is faster than a singular value decomposition. Returns None if the
-        equations of balance are (nearly) linearly dependent, or if there are at least as many
-        equations as unknowns. Also None if the minimum is (nearly) not unique.
+        None if the equations are (nearly) singular; balance of the result is not checked.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
@@ -342,10 +332,7 @@ class Balance:
         return np.hstack([rows.reshape(count, 3 * count), np.zeros((count, others))])
 
     def _contact_part(self, forces: Array) -> Array:
-        """Select the contact forces (n, 3) [N] from the forces of contacts, welds and grips.
-
-        ``forces`` has the shape (size,) and the order contacts, welds, grips.
-        """
+        """Select the contact forces (n, 3) [N] from forces (size,) of contacts, welds and grips."""
         return forces[: self.normals.size].reshape(-1, 3)
 
     def _is_balanced(self, forces: Array) -> bool:
@@ -354,11 +341,9 @@ class Balance:
         return error <= BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest violation of a friction cone or grip limit [N].
+        """Return the largest violation of a friction cone or grip limit [N]; negative inside all.
 
-        The violation is ``|f_t| - mu f_n`` for a contact (without friction also ``-f_n``, since the
-        cone does not bound f_n), and ``|f| - limit`` for a grip. Negative if all forces are
-        strictly inside, -inf without contacts and grips, NaN if a force is NaN.
+        NaN if a force is NaN.
         """
         excess = []
         for force, normal, coefficient in zip(
@@ -378,12 +363,8 @@ class Balance:
     def _cone_rows(self, friction: Array) -> Array:
         """Create the matrix (4 n + 4 g, size) of the second-order cones of n contacts and g grips.
 
-        A contact and a grip have four rows each. For a contact, the product of these rows with the
-        forces (size,) is (mu f_n, t_x, t_y, t_z). mu is the friction coefficient, reduced by
-        `_CONE_MARGIN`, f_n is the normal force, and t is the tangential force in the world frame.
-        If the friction coefficient itself exceeds `_LARGE_FRICTION`, all four numbers are divided
-        by this coefficient. For a grip, the product is 0 and the three components of the grip
-        force.
+        The product with forces (size,) is (mu f_n, t_x, t_y, t_z) for a contact, up to a positive
+        factor, and 0 and the three components for a grip. mu is reduced by `_CONE_MARGIN`.
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
@@ -403,14 +384,10 @@ class Balance:
     def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Compute null-space coordinates with the smallest peak ``max |cost @ z - target|``.
+        """Compute null-space coordinates z (k,) with the smallest peak ``max |cost @ z - target|``.
 
-        If several z have this peak, the sum of squares is minimised.
-
-        z (k,) are null-space coordinates: the forces (size,), ``particular + free @ z``, must be
-        inside the friction cones. The second program, which minimises the sum of squares, may
-        exceed the peak by `_PEAK_SLACK` (relative). If the second program fails, z of the first is
-        returned. None if the first program fails, for example if it is infeasible.
+        Among the z with this peak, the norm is minimised. The forces ``particular + free @ z`` must
+        be inside the friction cones. None if no such z is found.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
@@ -445,7 +422,7 @@ class Balance:
         """Compute the null-space coordinates z (k,) with the smallest |cost @ z - target|^2.
 
         The forces (size,) are ``particular + free @ z``, and must be inside the friction cones.
-        ``bounds`` is (A, b) of a further constraint A z <= b. None as in `_solve_cone_program`.
+        ``bounds`` is (A, b) of a further constraint A z <= b. None if no such z is found.
         """
         quadratic = cost.T @ cost
         # In singular leg configurations some forces need no torque: select the smallest of them.
@@ -466,10 +443,8 @@ class Balance:
         """Compute the z (k,) that minimises z^T quadratic z / 2 + linear z within friction cones.
 
         The forces ``particular + free @ z`` must be inside the cones. ``bounds`` contains A and b
-        of a further constraint A z <= b. None if Clarabel finds the problem infeasible or
-        unbounded. Also None if the solution violates a friction cone or grip limit by more than
-        1e-9 of the force in the base load (1e-9 N if this force is zero). A violation of ``bounds``
-        is not checked.
+        of a further constraint A z <= b, whose violation is not checked. None if no such z is
+        found.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)
@@ -570,8 +545,7 @@ class TangentialMetric:
         W, which would square the condition number of W.
 
         Returns:
-            Shape (size,). None if there are more rows than unknowns, or the rows are linearly
-            dependent or nearly dependent (``_MIN_RECIPROCAL_CONDITION``).
+            Shape (size,). None if the rows are linearly dependent or nearly dependent.
         """
         count, size = rows.shape
         if size < count:

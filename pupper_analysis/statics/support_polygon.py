@@ -32,8 +32,7 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
     Returns:
         Distance [m]: positive inside, negative outside. Minus infinity if x or y of ``com`` is not
-        finite, for example the zero-moment point of feet that would have to pull. Otherwise NaN
-        without contact points.
+        finite. Otherwise NaN without contact points.
     """
     x, y, *_ = com.tolist()
     return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
@@ -42,10 +41,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
     """Return the distance [m] from a horizontal position to the edge of the support polygon.
 
-    Positive inside, negative outside.
-
-    Minus infinity if a coordinate of the position is not finite. Otherwise NaN without contact
-    points.
+    Positive inside, negative outside; minus infinity if the position is not finite; NaN without
+    contact points.
 
     Args:
         place: Horizontal position (x, y) [m], for example of the CoM.
@@ -73,8 +70,7 @@ def _corner(point: Array) -> Corner:
 def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
     """Compute the distance [m] from an inner point to the edge of the convex hull of ``points``.
 
-    Avoids shapely objects in the usual case. None if the point is not strictly inside, or the hull
-    has no area.
+    None if the point is not strictly inside. Faster than shapely.
     """
     sides = _hull_sides(points)
     if len(sides) < 3:
@@ -120,14 +116,13 @@ def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 SIDES = 48
 """Number of directions in which the boundary of the support region is computed if no tolerance is
-given, and largest number of sides of the result. Chosen: a regular polygon with 48 corners has 0.3
-% less area than its circumscribed circle."""
+given. Chosen: a regular polygon with 48 corners has 0.3 % less area than its circumscribed circle.
+"""
 
 _MIN_FAILURES = 3
-"""If the cone program fails in each of the first directions up to this number, the support region
-counts as empty. Otherwise, each direction in which the program fails is left out. Measured on 300
-random sets of 2 to 5 contacts: in 6 of 207 regions, the cone program failed by rounding in a single
-direction."""
+"""Number of directions, from the first one on, in which the cone program fails, and the support
+region then counts as empty. Measured on 300 random sets of 2 to 5 contacts: in 6 of 207 regions,
+the cone program failed by rounding in a single direction."""
 
 
 def support_corners(
@@ -155,15 +150,13 @@ def support_corners(
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients, or empty if unknown.
         stated: Prescribed contact forces: groups of contact points, shape (k, n), and total normal
-            force of each group, shape (k,), in units of the weight. None without prescribed
-            forces.
+            force of each group, shape (k,), in units of the weight. None without prescribed forces.
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without
             grips.
 
     Returns:
-        Points (x, y) [m] whose convex hull is the support region. The projected contact points are
-        returned in three cases: for equal normals as above, if the friction is unknown and there
-        are no grips, and if no CoM position with equilibrium is found.
+        Points (x, y) [m] whose convex hull is the support region. If the region cannot be computed,
+        the projected contact points.
     """
     is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
     corners = None
@@ -178,8 +171,7 @@ def support_corners(
 
 _NORMAL_TOLERANCE = 1e-12
 """Difference between components of two unit normals below which the normals count as equal
-(rounding). `support_corners` then returns the contact points, unless forces are prescribed or grips
-exist."""
+(rounding)."""
 
 
 @functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its CoM position is searched
@@ -212,13 +204,8 @@ def find_extreme_positions(
 ) -> tuple[Corner, ...]:
     """Compute the farthest CoM position that allows equilibrium, in several horizontal directions.
 
-    The result contains points (x, y) [m] in the world frame. The result is empty if no CoM position
-    allows equilibrium, or if the cone program fails in the first `_MIN_FAILURES` directions. Any
-    other direction in which the cone program fails is left out.
-
-    If ``tolerance`` is None, the number of directions is `SIDES`. Otherwise the search begins with
-    `_FIRST_SIDES` directions. The normal of a side is added as a direction if the region may extend
-    beyond the side by more than ``tolerance`` (Bretl and Lall 2008).
+    A direction in which the cone program fails is left out. With ``tolerance``, directions are
+    added where the region may extend beyond a side of the result (Bretl and Lall 2008).
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -230,7 +217,10 @@ def find_extreme_positions(
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.
         tolerance: Largest distance [m] between the region and the convex hull of the result; may be
-            exceeded if a cone program fails. None: the distance is not bounded.
+            exceeded if a cone program fails. None: `SIDES` directions.
+
+    Returns:
+        Points (x, y) [m] in the world frame; empty if no CoM position allows equilibrium.
     """
     count = len(points)
     positions = np.vstack([points, grips[:, :3]])
@@ -291,11 +281,10 @@ def _refine_sides(
     find_extreme: Callable[[float], Corner | None],
     tolerance: float,
 ) -> list[Corner]:
-    """Compute further extreme points, until convex hull and region differ by at most ``tolerance``.
+    """Compute further extreme points (x, y) [m], until hull and region differ by ``tolerance`` [m].
 
-    The difference may be larger at a side for which the cone program fails. The region is convex.
-    Therefore its part beyond a side is inside the triangle of the side and the tangents at both
-    ends.
+    The region is convex. Therefore its part beyond a side is inside the triangle of the side and
+    the tangents at both ends. A side for which the cone program fails is left unchanged.
 
     Args:
         sides: Sides of the polygon inside the region, counter-clockwise. Each of the two ends of a
@@ -359,9 +348,9 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
         contacts: Shape (k, 2) or (k, 3) [m]; at least three contact points or other corners that
             are not on a common line.
         count: Number of returned rows, not smaller than the number of sides; k by default.
-        from_first: If True, the first side begins at the first contact that is a corner. Otherwise
-            the first side begins at the corner with the smallest x. The order of the rows then
-            changes if another corner gets the smallest x.
+        from_first: If True, the first side begins at the first contact that is a corner; otherwise
+            at the corner with the smallest x, so that the order of rows may change with the
+            contacts.
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
@@ -385,8 +374,6 @@ def _start_at_first_corner(
     """Rotate the cyclic order of polygon sides, so that the first side begins at a given point.
 
     This point is the first element of ``corners`` that is a corner of the polygon.
-
-    Each side begins with its corner (x, y), which is an element of ``corners``.
     """
     starts = [corners.index((x, y)) for x, y, *_ in sides]
     first = starts.index(min(starts))

@@ -51,17 +51,16 @@ from pupper_analysis.statics.cone_program import split_force
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 MAX_PIVOT_RATIO = 0.01
-"""Largest slip of a sole, in units of the robot's stand height, with which `find_sliding_feet` does
-not report the sole as sliding although friction is saturated at all points. For a biped of 0.3 m
-this is 3 mm. Measured: soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
+"""Largest slip of a sole, in units of the robot's stand height, with which a sole with saturated
+friction does not count as sliding. For a biped of 0.3 m this is 3 mm. Measured: soles in MuJoCo
+pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
     """Find the stance feet that slide in an equilibrium: friction is saturated at loaded points.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
-    leg is no longer twisted. A sole with several points whose slip is at most `MAX_PIVOT_RATIO`
-    stand heights counts as at rest.
+    leg is no longer twisted. Such a sole does not count as sliding (`MAX_PIVOT_RATIO`).
     """
     loose, names = set(find_slipping_points(system, solution)), tuple(system.anchors)
     if not loose:
@@ -81,11 +80,7 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the contact points that slip in an equilibrium, because friction is too low.
-
-    The limit is zero if the ground does not press against the point. The result is empty if
-    ``feet`` is "sliding", since contacts then have no friction.
-    """
+    """Find the contact points that slip in an equilibrium, because friction is too low."""
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
@@ -172,13 +167,13 @@ def compute_smallest_stiffness(
 
 
 _MIN_SHARE_STEP = 1 / 64
-"""Fraction of all feed-forward at which `HomotopyPath.follow` stops to shorten its step: if no
+"""Fraction of all feed-forward below which `HomotopyPath.follow` does not shorten its step: if no
 equilibrium is found with a step of this size, the path of equilibria ends. Chosen, not tuned."""
 
 _MAX_UNCHECKED_STEP = 1 / 64
-"""Largest step of `HomotopyPath.follow` whose new equilibrium is accepted without a stability
-check. The step is the fraction of all feed-forward [1] that is removed at once. A longer step may
-end at an unstable equilibrium of another path, which is rejected. Chosen, not tuned."""
+"""Largest step of `HomotopyPath.follow`, as a fraction of all feed-forward, whose new equilibrium
+is accepted without a stability check. A longer step may end at an unstable equilibrium of another
+path. Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
 """Tolerance of the bisection that finds at which removed fraction of the feed-forward (0 to 1) a
@@ -186,14 +181,12 @@ contact opens or closes. Chosen: corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
 """Upper bound of the number of contact changes (contacts that open or close) along a path of
-equilibria. With more changes the path ends with an error, since the same contacts probably open and
-close in turn. For robots with more than six contact points, the bound is four changes per point.
-Chosen, not tuned."""
+equilibria of a robot with few contact points. With more changes, the same contacts probably open
+and close in turn, and the path ends with an error. Chosen, not tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
-"""Fraction of the friction limit above which a foot counts as about to slide, in the error that the
-path of equilibria ends before all feed-forward is removed. Chosen below 1, since the last computed
-equilibrium may be before the actual end of the path, by up to `_MIN_SHARE_STEP`."""
+"""Fraction of the friction limit above which an error names a foot as about to slide. Chosen below
+1, since the last computed equilibrium may be before the actual end of the path."""
 
 CREEP_STEPS = 20
 """Number of intervals into which a creep duration is divided, with one or more backward Euler steps
@@ -201,8 +194,8 @@ each. Measured: with 20, a robot that falls after 15 s is predicted to fall afte
 
 _MIN_EULER_STEP = 1 / 4096
 """Fraction of the duration of `HomotopyPath.creep_step` below which a backward Euler step is not
-shortened: the creep (slow slip) of feet ends with an error instead. For a duration of 0.6 s (12 s
-in 20 steps) this is 0.15 ms. Chosen, not tuned."""
+shortened: the creep (slow slip) of feet ends with an error instead. For a duration of 0.6 s this is
+0.15 ms. Chosen, not tuned."""
 
 
 class HomotopyPath:
@@ -289,8 +282,6 @@ class HomotopyPath:
     def linearise(self, solution: Solution) -> tuple[Array, float]:
         """Compute Jacobian and smallest stiffness of the equilibrium equations at a solution.
 
-        The result for the last solution is cached.
-
         Returns:
             Jacobian (`SagEquilibrium.derivative`), and smallest eigenvalue of stiffness relative to
             mass [1/s^2] (`compute_smallest_stiffness`).
@@ -308,13 +299,12 @@ class HomotopyPath:
     def creep_step(self, seconds: float) -> None:
         """Let feet that stick by friction creep (slip slowly, as in MuJoCo) for a duration [s].
 
-        Creep is integrated by backward Euler steps. If no equilibrium is found, the step is
-        shortened. Short steps are necessary for example for twisted soles, which creep by a
-        millimetre within hundredths of a second.
+        Creep is integrated by backward Euler steps of adaptive size: twisted soles, for example,
+        creep by a millimetre within hundredths of a second.
 
         Raises:
-            NoEquilibriumError: If a step has no equilibrium, and a quarter of this step is below
-                `_MIN_EULER_STEP` times the duration; the path stays at the last equilibrium.
+            NoEquilibriumError: If even a short step has no equilibrium; the path stays at the last
+                equilibrium.
         """
         left = seconds
         while left > 0:
@@ -340,8 +330,6 @@ class HomotopyPath:
     def reset_creep(self, anchors: dict[str, Anchor]) -> None:
         """Set the touching contacts, with a creep (slow slip) of zero for all contacts.
 
-        The contact changes before the call no longer count for `_MAX_EVENTS`.
-
         Args:
             anchors: {touching contact: pose at the first contact}.
         """
@@ -355,10 +343,7 @@ class HomotopyPath:
         self._set_command(1.0)
 
     def _feet_about_to_slide(self) -> list[str]:
-        """Find the contact points whose tangential force is close to the friction limit.
-
-        Empty unless the equations hold the feet in place (``pinned``).
-        """
+        """Find the contact points whose tangential force is close to the friction limit."""
         if self.system.feet != "pinned":
             return []
         feet = []
@@ -378,25 +363,22 @@ class HomotopyPath:
         system.set_command(full + share * (self.end - full))
 
     def _solve_at(self, share: float) -> Solution | None:
-        """Solve for the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
+        """Solve for the equilibrium with a fraction ``share`` of the feed-forward removed.
 
-        The touching contacts are those of ``system``, unchanged. None if no solution is found.
+        None if no solution is found.
         """
         self._set_command(share)
         return self.system.solve(self.solution)
 
     def _go_to_event(self, wanted: float, there: Solution) -> bool:
-        """Move along the path to the next opening or closing of a contact, and switch this contact.
-
-        The removed fraction of the feed-forward at this event is found by bisection.
+        """Move along the path to the next opening or closing of a contact, and switch it.
 
         Args:
             wanted: Removed fraction of the feed-forward at which contacts contradict the solution.
             there: Solution at this fraction.
 
         Returns:
-            False, without a change of ``share`` and ``solution``, if no equilibrium is found in
-            between.
+            False if no equilibrium is found in between.
         """
         right = self.share
         while wanted - right > _SHARE_TOLERANCE:
@@ -414,10 +396,10 @@ class HomotopyPath:
         return True
 
     def _switch_contact(self, foot: str, found: Solution) -> None:
-        """Release a contact point that touches in the solution ``found``; otherwise add it.
+        """Release a contact point that touches in the solution ``found``, or else add it.
 
         Raises:
-            NoEquilibriumError: After `_MAX_EVENTS` switches (more for many contact points).
+            NoEquilibriumError: After too many switches (`_MAX_EVENTS`).
         """
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
@@ -429,8 +411,7 @@ class HomotopyPath:
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
         """Solve for the equilibrium, and switch contacts until no contact contradicts the solution.
 
-        ``when`` describes the moment for the error message, for example a creep time; ``exact`` is
-        an argument of `SagEquilibrium.solve`.
+        ``when`` describes the moment for the error message.
 
         Raises:
             NoEquilibriumError: If Newton's method fails, or contacts change too often.
@@ -455,9 +436,9 @@ which the feet are expected to stay in place if the feed-forward is removed in o
 an allowance for contact effects that the first-order estimate of the overshoot neglects."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Upper bound of the predicted height change by creep within ``HOLD_DURATION``, relative to the
-base height in the stand, up to which creep is not simulated. Measured on a quadruped 2 % above its
-minimum stiffness: creep ends the equilibrium after 5 s, with a ratio of 0.025."""
+"""Predicted height change by creep within ``HOLD_DURATION``, relative to the base height in the
+stand, up to which creep is not simulated. Measured on a quadruped 2 % above its minimum stiffness:
+creep ends the equilibrium after 5 s, with a ratio of 0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -536,16 +517,13 @@ def steady_state(
         depth_i = r_i - z_i(q) = depth of f_i  if f_i > 0,   depth_i <= 0  if f_i = 0
 
     S selects the joints with motors. J_i is the Jacobian of the material point at the contact. If
-    ``feet`` is "pinned", this point does not slip, and the foot rolls on it. If ``seconds`` is also
+    ``feet`` is "pinned", this point does not slip, up to the friction limit. If ``seconds`` is also
     positive, the point creeps at the velocity -f_t / c, as in MuJoCo's friction. If ``feet`` is
     "sliding", the tangential force f_t is zero. Dry friction of joints and of rolling feet is
     ignored.
 
     Newton's method starts at the stand with full feed-forward, and follows the equilibrium while
-    feed-forward is removed. A swing foot that reaches the ground then carries load.
-    A foot that would have to pull is released. Then backward Euler steps follow the creep. The
-    result has a failure if further creep (`simulate_creep`) would end the equilibrium within
-    ``HOLD_DURATION`` (12 s). This occurs at stiffnesses just above the smallest one.
+    feed-forward is removed and contacts open and close. Then backward Euler steps follow the creep.
 
     Args:
         robot: Robot.
@@ -558,13 +536,14 @@ def steady_state(
         seconds: Creep time of pinned feet [s].
 
     Returns:
-        The equilibrium. ``failures`` contains the reasons why the robot does not stay there.
+        The equilibrium. ``failures`` contains reasons why the robot does not stay there, for
+        example that further creep would end the equilibrium within ``HOLD_DURATION`` (12 s).
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the contacts or the ground cannot be added (``build_on_ground``).
+            the contacts or the ground cannot be added (``build_on_ground``), for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If the stand has no equilibrium on soft ground, if the equilibrium is
             lost while feed-forward is removed, or if it ends by creep within ``seconds``.
@@ -585,8 +564,6 @@ def make_homotopy_path(
 ) -> HomotopyPath:
     """Create the path of equilibria of a stand, at its start: the equilibrium with feed-forward.
 
-    Along the path, the feed-forward is removed.
-
     Args:
         robot: Robot, with the contacts of the stand.
         stand: Stand.
@@ -596,8 +573,7 @@ def make_homotopy_path(
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Raises:
-        ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the contacts or the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no position servo and ``kp`` is None, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If the stand has no equilibrium on soft ground.
     """
@@ -608,17 +584,13 @@ def make_homotopy_path(
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
     """Compute how long [s] an equilibrium lasts while its feet creep (slip slowly).
 
-    Creep is simulated for up to ``HOLD_DURATION`` (12 s). No creep is simulated in two cases: no
-    foot creeps, or the change of the base height in this time would be at most
-    `MAX_CREEP_LOSS_RATIO` times the base height in the stand.
-
     Args:
         path: Path of equilibria that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
-        Time [s] until the equilibrium no longer exists or has a failure (see ``_find_failures``).
-        Infinite if longer than ``HOLD_DURATION``, or if no creep is simulated.
+        Time [s] until the equilibrium no longer exists or has a failure. Infinite if longer than
+        ``HOLD_DURATION`` (12 s), or if creep is negligible (`MAX_CREEP_LOSS_RATIO`).
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (
@@ -653,11 +625,8 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         seconds: Creep time [s] from 0 to `MAX_CREEP_DURATION`; 0 if ``feet`` is ``"sliding"``.
 
     Raises:
-        ConfigurationError: If ``feet`` or ``seconds`` is invalid; the stand's configuration has
-            another length than the robot's; a free base has neither contact with a ground nor welds
-            or grips; a stand with stance feet has a fixed base; ``feet`` is ``"sliding"`` on a
-            slope or on separate planes of feet; or ``feet`` is ``"pinned"`` and a contact point has
-            no friction.
+        ConfigurationError: If the robot cannot stand, ``feet`` is ``"sliding"`` on a slope, or
+            pinned feet have no friction, for example.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
@@ -678,11 +647,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
 
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Compute the equilibrium to which a stand sags if its feed-forward is removed.
-
-    The path of equilibria starts at the stand. The servo commands of the stand are the joint
-    positions plus feed-forward torque / kp. The feed-forward is removed in steps. Then the contact
-    points creep under their tangential forces, as in MuJoCo.
+    """Compute the equilibrium to which a stand sags if its feed-forward is removed, and feet creep.
 
     Args:
         path: Path at its start, with the full feed-forward; modified.
@@ -705,8 +670,7 @@ def release_margin(path: HomotopyPath) -> float:
 
     The reserve is (friction coefficient x normal force - tangential force) / weight. The contact
     forces of the overshoot after the step are 2 f - f_0, with the forces f at the current
-    equilibrium of the path and f_0 in the stand. The result is stored as
-    `SteadyState.release_margin`. Infinite without contacts.
+    equilibrium of the path and f_0 in the stand. Infinite without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
@@ -724,13 +688,6 @@ def find_sag_failure(
 ) -> Diagnostic | None:
     """Predict if a robot stands without feed-forward; return the reason if not, else None.
 
-    The robot does not stand in any of these cases:
-
-    - the path of equilibria has no start, or ends while feed-forward is removed
-      (`NoEquilibriumError`),
-    - a free base without weld or grip sinks to half of the stand's base height or less,
-    - the result of `steady_state` has failures.
-
     Args:
         robot: Robot, with the contacts of the stand (`with_contacts`).
         stand: Stand.
@@ -741,8 +698,7 @@ def find_sag_failure(
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
-            the contacts or the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no position servo and ``kp`` is None, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     try:
@@ -755,8 +711,7 @@ def find_sag_failure(
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
     """Return the reason why an equilibrium does not count as standing; None if the robot stands.
 
-    The reason is a base at half of the stand's base height or less, unless the base is fixed or the
-    task has a weld or grip. Otherwise the reasons are ``pose.failures``.
+    The reason is a failure of the equilibrium, or a base that sinks to half of its height.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -829,8 +784,7 @@ def _find_failures(
 ) -> tuple[Diagnostic, ...]:
     """List the reasons why the robot does not stay in an equilibrium.
 
-    ``stiffness`` is the smallest eigenvalue of the robot's stiffness on its contacts, relative to
-    the mass matrix [1/s^2].
+    ``stiffness`` [1/s^2] is the result of `compute_smallest_stiffness`.
     """
     robot, stand = system.robot, system.stand
     failures = []
