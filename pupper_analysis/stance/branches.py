@@ -22,9 +22,9 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 _NUM_STARTS = 32
-"""Number of random initial guesses per limb (the joints that move a foot). Measured on 800 random
-foot targets of three-joint legs: 32 guesses find all but one of the branches that 256 guesses
-find."""
+"""Number of random initial guesses per limb. Measured on 800 random foot targets of three-joint
+legs:
+32 guesses find all but one of the branches that 256 guesses find."""
 
 _MAX_ITERATIONS = 14
 """Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. If the target
@@ -32,12 +32,11 @@ is reachable, 6 to 10 iterations are needed. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
 """Upper bound of the number of Levenberg-Marquardt iterations that adapt a known IK branch to
-another base position. If the foot error is then still large, the target counts as out of reach.
-Chosen, not tuned."""
+another base position. Chosen, not tuned."""
 
 _BRANCH_DISTANCE = 0.05
-"""Two solutions count as the same branch if no joint position differs by more than this value [rad
-or m]. Chosen, not tuned."""
+"""Largest difference between joint positions [rad or m], up to which two solutions count as the
+same branch. Chosen, not tuned."""
 
 _FOOT_ERROR_STEP = 1e-6
 """Step [m] to which foot errors are rounded before branches are sorted, so that the order rarely
@@ -65,8 +64,8 @@ _MAX_DAMPING = 1e3
 tuned."""
 
 _CONVERGED_STEP = 1e-4
-"""The Levenberg-Marquardt iterations from an initial guess end if no joint moves by more than this
-value [rad or m] in an iteration. PlaCo's IK removes the remaining error. Chosen, not tuned."""
+"""Largest displacement of a joint in an iteration [rad or m], up to which the Levenberg-Marquardt
+iterations end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +99,7 @@ class Branch:
 def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
     """Find the limbs of a robot: groups of contact points with the joints that move the points.
 
-    Contact points that share a joint belong to one limb. Joints that move no contact point, for
-    example of a head, are in no limb.
+    Contact points that share a joint belong to one limb.
     """
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []
@@ -133,8 +131,8 @@ def find_branches(
 
     Args:
         robot: Robot with a free base.
-        qpos: Configuration, shape (nq,). The pose of the base and the positions of joints outside
-            of limbs are not changed.
+        qpos: Configuration, shape (nq,), with the pose of the base and the positions of joints
+            outside of limbs.
         foot_targets: {contact point: target of its sphere centre, shape (3,) [m], in the world
             frame}.
         lower: Lower joint limits, shape (nu,) [rad, m].
@@ -143,9 +141,8 @@ def find_branches(
     Returns:
         {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
         the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. Joint positions that
-        differ by whole turns count as equal: if within the limits, the position nearest to the home
-        configuration is returned; for a continuous joint, the position in [-pi, pi). For an
-        unreachable target, the branches are mostly near local minima of the foot error.
+        differ by whole turns count as equal. For an unreachable target, the branches are mostly
+        near local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
@@ -180,20 +177,14 @@ def _sort_branches(
 ) -> tuple[Branch, ...]:
     """Sort a limb's IK branches by foot error, then from rear to front by the joint origins.
 
-    Among equal foot errors, the branch whose joint origins are rearmost along base x is first, so
-    that legs with equivalent branches all bend in the same direction. ``qpos`` (nq,) contains the
+    Legs with equivalent branches thus all bend in the same direction. ``qpos`` (nq,) contains the
     base pose, and the positions of joints outside of the limb.
     """
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
     def sort_key(branch: Branch) -> tuple[int, float]:
-        """Return the sort key of an IK branch: foot error, then position of the joints.
-
-        The foot error is rounded to multiples of 1e-6 m, so that the joint positions decide between
-        equivalent branches. The position of the joints is the sum of the x coordinates of the joint
-        origins along base x [m].
-        """
+        """Return the rounded foot error, and the sum of the joint origins along base x [m]."""
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
         pin.forwardKinematics(model, data, robot.pin_convention.q(bent))
@@ -276,11 +267,10 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
 
 
 def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Subtract whole turns from joint positions (k, nu), to be within half a turn of the home pose.
+    """Subtract whole turns from hinge positions (k, nu) towards the home pose, within the limits.
 
-    Joints with a range of more than a turn reach the same leg posture several times. Slides,
-    continuous joints, and positions whose result would be out of range are not changed. ``lower``
-    and ``upper`` are the joint limits, shape (nu,) [rad, m].
+    Joints with a range of more than a turn reach the same leg posture several times. Continuous
+    joints are unchanged. ``lower`` and ``upper`` are the joint limits, shape (nu,) [rad, m].
     """
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
@@ -386,10 +376,7 @@ class _Descent:
         }
 
     def _all_joints(self, joints: Array) -> Array:
-        """Return positions of all joints (k, nu) from positions ``joints`` (k, n) of limb joints.
-
-        Other joints have the positions in ``qpos`` of the constructor.
-        """
+        """Return positions of all joints (k, nu) from positions (k, n) of the limb joints."""
         every = np.tile(self._rest, (len(joints), 1))
         every[:, self._joints] = joints
         return every
@@ -404,7 +391,7 @@ class _Descent:
     ) -> Array:
         """Return Levenberg-Marquardt steps of n limb joints in k configurations, (k, n) [rad, m].
 
-        The step of a joint at a bound is zero if the direction of descent is outward.
+        Joints at a bound do not move if the direction of descent is outward.
 
         Args:
             errors: Position errors of the f contact points, shape (k, f, 3) [m].
@@ -449,12 +436,11 @@ class _Descent:
 def combine_branches(
     found: Mapping[IndependentLimb, tuple[Branch, ...]], near: Array
 ) -> Iterator[Array]:
-    """Yield joint positions (nu,) [rad, m] of all combinations of one IK branch per limb.
+    """Yield joint positions (nu,) [rad, m] of combinations of one IK branch per limb.
 
     The combination with the lowest cost comes first. The cost is a sum over limbs. The cost of a
     limb is the sum of absolute differences of joint positions from ``near`` [rad, m], plus 1 per um
-    of foot error above 1 um. If there are more than `_MAX_SORTED_COMBINATIONS` combinations,
-    branches with a large cost are left out.
+    of foot error above 1 um.
 
     Args:
         found: {limb: its IK branches}.
@@ -488,17 +474,9 @@ not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
-    """Select the branches of each limb that are combined, so that not too many combinations exist.
+    """Select the indices of each limb's branches, so that not too many combinations exist.
 
-    The excess of a branch is its cost minus the smallest cost of a branch of the limb. While there
-    are more than `_MAX_SORTED_COMBINATIONS` combinations, the branch with the largest excess is
-    removed.
-
-    Args:
-        costs: Costs of the branches of each limb.
-
-    Returns:
-        Indices of the selected branches of each limb, ascending.
+    If necessary, the branches are removed whose cost exceeds the smallest cost of the limb most.
     """
     kept = [list(range(len(cost))) for cost in costs]
     excess = sorted(

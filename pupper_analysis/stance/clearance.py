@@ -168,9 +168,8 @@ class ClearanceShapes:
     def _pairs(self) -> IntArray:
         """Index pairs, shape (n, 2), of the collision shapes between which distances are measured.
 
-        Pairs on neighbouring links are left out. Links are neighbours if they are on equal or
-        adjacent joints, the MJCF excludes their contact, or they overlap or touch in the home
-        configuration.
+        Neighbouring links are left out: links on adjacent joints, or that touch at home, for
+        example.
         """
         model, shapes = self.robot.pin_model, self.shapes
         base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
@@ -208,9 +207,6 @@ class ClearanceShapes:
     def find_nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Return the nearest pairs of collision shapes on links that are not neighbours.
 
-        The last result is cached, since a nonlinear program evaluates distances and their Jacobian
-        at the same configuration.
-
         Args:
             qpos: Configuration, shape (nq,).
             most: Maximum number of pairs.
@@ -227,9 +223,8 @@ class ClearanceShapes:
     def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
         """Return the ``most`` nearest pairs of shapes in a configuration (nq,), nearest first.
 
-        ``pairs``, shape (n, 2), are the indices of the shapes to be compared.
-
-        Bounding spheres exclude most pairs without an exact distance.
+        ``pairs``, shape (n, 2), are the indices of the shapes to be compared. Bounding spheres
+        exclude most pairs without an exact distance.
         """
         solids, at = (
             [shape.form.collision for shape in self.shapes],
@@ -318,12 +313,9 @@ class ClearanceShapes:
     ) -> list[float]:
         """Compute the heights [m] above the ground (slope and steps) of the shapes in ``parts``.
 
-        ``parts`` are the collision shapes that must be above the ground. If no step is above the
-        slope and no foot has a separate plane, all heights are measured from the slope, even over
-        lower steps.
-
-        If a part, such as a calf, intersects the sphere of a foot, the penetration of this foot is
-        added to the height of the part. The part may then be as deep in the ground as the foot.
+        Lower steps count as slope if all steps are lower. If a part, such as a calf, intersects the
+        sphere of a foot, the penetration of this foot is added to the height of the part: the part
+        may be as deep in the ground as the foot.
 
         Args:
             at: Kinematics of the configuration.
@@ -333,8 +325,7 @@ class ClearanceShapes:
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Heights in the order of ``parts``; empty without parts, or if the robot's model has no
-            floor and the ground has no raised steps or planes of feet.
+            Heights in the order of ``parts``; empty without parts or ground.
         """
         if self._is_floorless(ground):
             return []
@@ -353,9 +344,8 @@ class ClearanceShapes:
     ) -> Array:
         """Compute the Jacobian (n, nv) by qvel of the heights of collision shapes above the ground.
 
-        The n shapes are those of ``parts``, which must be above the ground. The point of a shape
-        that is nearest to the ground is treated as fixed to the link. n is 0 if
-        `measure_part_heights` is empty.
+        The n shapes are those of `measure_part_heights`. The point of a shape that is nearest to
+        the ground is treated as fixed to the link.
 
         Args:
             at: Configuration.
@@ -388,14 +378,7 @@ class ClearanceShapes:
     ) -> Iterator[SurfaceDistance]:
         """Yield the smallest distance [m] of each shape in ``parts`` from the slope and all steps.
 
-        ``parts`` are the shapes that must be above the ground. For shapes on the joint of a hand,
-        the surface that this hand touches is ignored.
-
-        Args:
-            at: Kinematics of the configuration.
-            ground: Ground with steps.
-            foot_targets: {contact point: target of the sphere centre, shape (3,) [m]}, which
-                determines the positions of the steps.
+        For shapes on the joint of a hand, the surface that this hand touches is ignored.
         """
         where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
@@ -418,8 +401,7 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape of the robot that is no foot and must stay above the ground.
 
-        Shapes on a fixed or welded base, and on the joint of a sole, weld or grip, are left out,
-        since the file or the task determines their pose.
+        Shapes are left out if file or task determine their pose, as on a fixed base or a sole.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}

@@ -107,10 +107,7 @@ class BaseOrientation(Constraint):
     name, is_equality, is_presatisfied = "base-orientation", True, True
 
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
-        """Return the angle between base orientation and required orientation, shape (1,) [rad].
-
-        The angle belongs to the axis-angle form of the relative rotation, 0 to pi.
-        """
+        """Return the angle between base orientation and required one, 0 to pi, shape (1,) [rad]."""
         return np.array([self.violation(targets, at)])
 
     def violation(self, targets: StandTargets, at: Kinematics) -> float:
@@ -195,8 +192,8 @@ class Loops(Constraint):
     def violation(self, targets: StandTargets, at: Kinematics) -> float:
         """Return the largest deviation of closed loops from their static deflection [m, rad].
 
-        The deviation is that of independent combinations of the equations. Infinite if a loop is
-        assembled in another way than in the reference configuration, for example with crossed rods.
+        Infinite if a loop is assembled in another way than in the reference configuration, for
+        example with crossed rods.
         """
         if not self._closure.has_reference_assembly(at.qpos):
             return math.inf
@@ -239,18 +236,17 @@ class SupportMargin(Constraint):
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the CoM's distances from the sides of the support polygon minus the margin.
 
-        Shape (m,) [m], horizontal, one value per side, positive inside; the value of the last side
-        may be repeated. All values are >= 0 if the required margin is kept.
+        Shape (m,) [m], horizontal, positive inside; the value of the last side may be repeated. All
+        values are >= 0 if the required margin is kept.
         """
         sides, com = self._polygon_sides(targets), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - targets.task.com_margin
 
     def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
-        """Return the Jacobian of the CoM's distances from the sides of the support polygon.
+        """Return the Jacobian (m, nv) of the CoM's distances from the support polygon's sides.
 
-        Shape (m, nv), columns in the order of qvel. The rows are those of ``residual``, so that the
-        last side may be repeated. The polygon is treated as constant.
+        Columns are in the order of qvel. The polygon is treated as constant.
         """
         jacobian: Array = self._polygon_sides(targets)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
@@ -283,10 +279,7 @@ class JointLimits(Constraint):
         return np.concatenate([(joints - targets.lower)[low], (targets.upper - joints)[high]])
 
     def jacobian(self, _: StandTargets, at: Configuration) -> Array:
-        """Return the Jacobian by qvel of the n distances to finite joint limits, shape (n, nv).
-
-        Rows: lower limits, then upper limits, as in `residual`.
-        """
+        """Return the Jacobian by qvel of the n distances to finite joint limits, shape (n, nv)."""
         rows = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
         low, high = self._has_limits
         return np.concatenate([rows[low], -rows[high]])
@@ -313,9 +306,8 @@ class GroundClearance(Constraint):
         """Return the heights of n shapes above the ground minus the required clearance, (n,) [m].
 
         A residual >= 0 satisfies the constraint. The shapes are ``ClearanceShapes.parts``, in that
-        order; n is 0 without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a solver's
-        small errors do not violate the constraint. A part that intersects the sphere of a foot
-        sinks with this foot, so the penetration of the foot is added to the height of the part.
+        order. Half of `CLEARANCE_TOLERANCE` is added, so that a solver's small errors do not
+        violate the constraint.
         """
         heights = self._shapes.measure_part_heights(
             at, targets.task.ground, targets.rigid_targets, targets.depths
@@ -323,11 +315,7 @@ class GroundClearance(Constraint):
         return np.array(heights) - targets.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
     def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
-        """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv).
-
-        The shapes are those that must be above the ground, as in `residual`. ``targets`` specifies
-        the ground and the foot targets. Each step of the ground is below a foot target.
-        """
+        """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv)."""
         return self._shapes.height_jacobian(at, targets.task.ground, targets.rigid_targets)
 
     def smallest_clearance(self, targets: StandTargets, at: Kinematics) -> Clearance | None:
@@ -348,9 +336,8 @@ class SelfClearance(Constraint):
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
-        A residual >= 0 satisfies the constraint. The collision shapes are on links that are not
-        neighbours. Half of `CLEARANCE_TOLERANCE` is added, so that a solver's small errors do not
-        violate the constraint.
+        A residual >= 0 satisfies the constraint. Half of `CLEARANCE_TOLERANCE` is added, so that a
+        solver's small errors do not violate the constraint.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, NUM_NEAREST_PAIRS)
         least = (targets.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
@@ -363,7 +350,7 @@ class SelfClearance(Constraint):
     def smallest_clearance(self, _: StandTargets, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] of links that are not neighbours, with both links.
 
-        Only collision shapes count. None without two such links with collision shapes.
+        None without two such links with collision shapes.
         """
         return self._shapes.find_closest_links(at.qpos)
 
@@ -371,8 +358,7 @@ class SelfClearance(Constraint):
 def _has_fixed_com_on_planes(targets: StandTargets) -> bool:
     """Return True if the task has a CoM target, and a foot or hand has a separate plane.
 
-    A CoM margin of 0 is then not a constraint, since the support region is slow to compute. For a
-    target other than the centre of the feet, `compute_targets` has already checked the margin.
+    A CoM margin of 0 is then not a constraint, since the support region is slow to compute.
     """
     return bool(targets.task.ground.planes) and targets.task.com != "inside"
 
@@ -425,12 +411,7 @@ def evaluate_constraints(
 
 
 def make_constraints(shapes: ClearanceShapes, targets: StandTargets) -> Iterator[Constraint]:
-    """Yield the constraints that a stand task imposes, such as base height and joint limits.
-
-    ``targets`` are the targets and limits of the stand.
-
-    The constraints can also be evaluated for copies of the targets with relaxed values.
-    """
+    """Yield the constraints that a stand task imposes, such as base height and joint limits."""
     closure = shapes.robot.closure
     yield BaseHeight(shapes, targets)
     yield BaseOrientation(shapes, targets)

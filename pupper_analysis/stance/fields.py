@@ -139,10 +139,7 @@ class Field:
 
     @property
     def axes(self) -> str:
-        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty for other kinds.
-
-        Also empty for the kind ``"place"``, whose value is a point (x, y) or a word.
-        """
+        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty for other kinds of fields."""
         return _AXES_BY_KIND.get(self.kind, "")
 
     @property
@@ -186,11 +183,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check and convert a single value of this field (for a mapping: the value of one key).
-
-        Raises:
-            ConfigurationError: If the value has another type, or is out of range.
-        """
+        """Check and convert a single value of this field (for a mapping: the value of one key)."""
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)

@@ -129,7 +129,7 @@ class Stand(Pictured, Tabular):
         Args:
             robot: Robot with the masses and limits; compared by identity.
             distribution: Criterion that selects the contact forces.
-            compute: Function that computes the equilibrium; called if the cache has no result.
+            compute: Function that computes the equilibrium.
         """
         for owner, criterion, statics in self._statics:
             if owner() is robot and criterion == distribution:
@@ -138,10 +138,7 @@ class Stand(Pictured, Tabular):
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """Return the columns of a table with one row per contact point: {column: values}.
-
-        Columns: name, x, y and z of the target [m, world frame], carries load, penetration [m].
-        """
+        """Return {column: values} of a table with one row per contact point (m, world frame)."""
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -155,9 +152,8 @@ class Stand(Pictured, Tabular):
         """Return the direction in which each stance foot and contact point leaves the ground.
 
         Returns:
-            {foot or contact point: unit vector, shape (3,), in the world frame}. The direction is
-            upward. For a foot on a separate plane, such as a wall, it is the outward normal of this
-            plane.
+            {foot or contact point: unit vector, shape (3,), in the world frame}: upward, or the
+            outward normal of a separate plane, such as a wall.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
@@ -176,8 +172,8 @@ class Stand(Pictured, Tabular):
     def base_drop(self, robot: Robot, drops: Mapping[str, Array]) -> float:
         """Return the height loss of the base [m] that displacements of the stance feet cause.
 
-        A plane is fitted to the vertical displacements, and evaluated at the base. Feet with a
-        separate plane are ignored, unless all feet have one. 0 without displacements.
+        A plane is fitted to the vertical displacements, and evaluated at the base. Feet on separate
+        planes, such as walls, are left out if possible.
 
         Args:
             robot: Robot.
@@ -193,11 +189,10 @@ class Stand(Pictured, Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Return points (n, 2) [m] whose convex hull is the support region of this stand.
+        """Return points (n, 2) [m], world frame, whose convex hull is this stand's support region.
 
-        The support region contains the horizontal CoM positions with equilibrium.
-
-        Points are in the world frame. Shape (0,) if neither contacts nor sufficient grips exist.
+        The support region contains the horizontal CoM positions with equilibrium. Shape (0,)
+        without points.
         """
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])
@@ -210,13 +205,10 @@ class Stand(Pictured, Tabular):
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
-        """Targets of the contact points without penetration, to place the ground under the feet.
+        """Targets of the contact points, to place the ground under the feet.
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
-        have separate planes, the ``foot_targets`` are moved out of the ground by the penetration
-        (`remove_penetration`). Otherwise these are the ``foot_targets``: only horizontal positions
-        are needed to place a step under a foot. Penetration does not change them on level ground,
-        and changes them negligibly on a slope.
+        have separate planes, the targets are those without penetration (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
@@ -259,8 +251,8 @@ class Stand(Pictured, Tabular):
     def com_shortfall(self) -> float:
         """Required CoM margin minus the actual margin [m], at least 0.
 
-        0 if the task has an ``offset`` of the base and no required margin, since the position of
-        the CoM is then a result.
+        0 if the position of the CoM is a result: the task has an ``offset`` of the base, and no
+        margin.
         """
         if self.task.offset is not None and self.task.com_margin == 0.0:
             return 0.0
@@ -268,19 +260,16 @@ class Stand(Pictured, Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """Smallest excess of CoM margin and clearances over required values [m], at most 0.
-
-        0 if all required values are kept, negative if not.
-        """
+        """Smallest excess of CoM margin and clearances over required values [m], at most 0."""
         slacks = (near.distance - least for near, least in self._clearances())
         return min([-self.com_shortfall, *slacks])
 
     @property
     def solved(self) -> bool:
-        """Whether the stand was found: feet at their targets, loops closed, and all limits kept.
+        """Whether the stand was found: feet at their targets, loops closed, and joint limits kept.
 
-        The limits are those of joints, clearances and margins. The errors of base orientation, base
-        height and CoM are not tested.
+        Clearances and the CoM margin are kept, too. The errors of base orientation, base height and
+        CoM are not tested.
         """
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
@@ -288,8 +277,7 @@ class Stand(Pictured, Tabular):
         """Check that this stand belongs to a robot; return the robot with the contacts of the task.
 
         Raises:
-            ConfigurationError: If the stand belongs to another robot, or the robot cannot make the
-                contacts of the task.
+            ConfigurationError: If the stand belongs to another robot, for example.
             UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
             ModelError: If the model with the contacts cannot be built.
         """
@@ -309,8 +297,7 @@ class Stand(Pictured, Tabular):
         `solve_stand` returns such a stand. A stand from another process references no robot.
 
         Raises:
-            ConfigurationError: If the stand belongs to another robot, or the robot cannot make the
-                contacts of the task.
+            ConfigurationError: If the stand belongs to another robot, for example.
             UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
             ModelError: If the model with the contacts cannot be built.
         """
@@ -321,19 +308,12 @@ class Stand(Pictured, Tabular):
 
     @property
     def own_robot(self) -> Robot | None:
-        """Robot that the stand references; None for a stand from another process."""
+        """Robot that the stand references; None, for example, for a stand from another process."""
         robot: Robot | None = vars(self).get("_robot")
         return robot
 
     def _require_robot(self) -> Robot:
-        """Return the robot that this stand references, with the contacts of the task.
-
-        Raises:
-            ConfigurationError: If the stand references no robot, or the robot cannot make the
-                contacts of the task.
-            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
-            ModelError: If the model with the contacts cannot be built.
-        """
+        """Return the robot that this stand references, with the contacts of the task."""
         robot = self.own_robot
         if robot is None:
             owner = self.robot.rpartition(" ")[0]
@@ -345,8 +325,7 @@ class Stand(Pictured, Tabular):
         """Configuration of this stand in Pinocchio's convention, shape (pin_model.nq,).
 
         Raises:
-            ConfigurationError: If the stand references no robot (see `with_robot`), or the robot
-                cannot make the contacts of the task.
+            ConfigurationError: If the stand references no robot (see `with_robot`), for example.
             UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
             ModelError: If the model with the contacts cannot be built.
         """
@@ -361,12 +340,10 @@ class Stand(Pictured, Tabular):
         (`Servos.command`). MuJoCo clips commands to ``ctrlrange``.
 
         Raises:
-            ConfigurationError: If the stand references no robot (see `with_robot`), the robot
-                cannot make the contacts of the task, the friction of the ground is unknown, or a
-                closed loop is open or singular.
+            ConfigurationError: If the stand references no robot (see `with_robot`), or the friction
+                of the ground is unknown, for example.
             UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
-            ModelError: If a joint has no position servo, except dependent joints of loops, or if
-                the model with the contacts cannot be built.
+            ModelError: If a joint has no position servo, for example.
             StaticsInfeasibleError: If no contact forces balance the stand.
         """
         from pupper_analysis.robot.servos import model_with_servos
@@ -378,10 +355,7 @@ class Stand(Pictured, Tabular):
 
 
 def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
-    """Set the robot to which a new stand refers, in place, and return the stand.
-
-    With None, the stand refers to no robot.
-    """
+    """Set the robot to which a new stand refers (None: no robot) in place; return the stand."""
     vars(stand)["_robot"] = robot
     return stand
 
@@ -452,12 +426,10 @@ def evaluate_stand(
 
 
 def is_base_in_ground(shapes: ClearanceShapes, targets: StandTargets) -> bool:
-    """Return True if the required base height and orientation put the base link into the ground.
+    """Return True if the required base height and orientation put the base link into level ground.
 
-    If True, no stand of the task exists. A collision shape of the base link, or of a link that is
-    fixed to the base, then has less than the required clearance above the plane z = 0. Slopes, and
-    robots with a weld or grip, are not tested: the result is False. Steps and separate planes of
-    feet are ignored.
+    No stand of such a task exists. Links that are fixed to the base count as the base link. False
+    on slopes, and for robots with a weld or grip. Steps and separate planes of feet are ignored.
     """
     if targets.task.ground.slope or shapes.robot.fixed_parts:
         return False

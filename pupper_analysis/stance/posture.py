@@ -31,8 +31,7 @@ from pupper_analysis.stance.task import StandTask
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
 """Largest displacement [rad, m] of a joint with a given position, to close a loop. The displacement
-corrects the rounding of typed positions. If a joint is beyond its range and loops moved the joint
-by more than this value, the error names the loops. Chosen, not tuned."""
+corrects the rounding of typed positions. Chosen, not tuned."""
 
 LIMIT_TOLERANCE = 1e-6
 """Largest excess of a joint position over a joint limit [rad, m] that `steady_state` accepts as
@@ -83,10 +82,8 @@ def find_posture(
     """Complete given joint positions to a posture of all joints, for a robot with a fixed base.
 
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
-    their ranges. If a limit is infinite, the position is zero, or the limit that is nearest to
-    zero. Joints of loops and couplings that are not given move to close loops. If this is not
-    sufficient, given joints also move, by at most 1e-3 rad or m. If a joint then leaves its range,
-    only dependent joints that are not given move, if this keeps all ranges.
+    their ranges. Joints of loops and couplings then move to close loops; given joints move by at
+    most 1e-3 rad or m.
 
     Args:
         robot: Robot with a fixed base.
@@ -133,11 +130,7 @@ def _is_within(qpos: Array, ranges: Array) -> bool:
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
     """Return joint positions (nu,) near ``qpos`` (nu,) that close all loops and couplings.
 
-    The joints with the indices ``placed`` do not move. If the loops then cannot be closed, these
-    joints may move by at most `_MAX_CLOSING_DISPLACEMENT`.
-
-    Raises:
-        ConfigurationError: If the loops cannot be closed.
+    The joints with the indices ``placed`` move by at most `_MAX_CLOSING_DISPLACEMENT`.
     """
     if robot.closure is None:
         return qpos
@@ -163,7 +156,7 @@ def held_stand(robot: Robot, posture: Posture) -> Stand:
         posture: Commanded joint positions, from `find_posture`.
 
     Raises:
-        ConfigurationError: If the base is free, or an argument has another type.
+        ConfigurationError: If the base is free, for example.
     """
     check_fixed_base(robot)
     stand = Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)

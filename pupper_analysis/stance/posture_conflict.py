@@ -34,9 +34,8 @@ satisfied, have smaller effects."""
 
 _MIN_RATE = 1e-3
 """Smallest norm of the derivative of the failed task's residual by displacements of base or joints
-(m and rad mixed) with which these displacements have an effect on the task. The norm is smaller,
-for example, for a stretched limb; such displacements are then not compared between tasks. Chosen,
-not tuned: the levers of joints exceed 1 cm."""
+(m and rad mixed) with which these displacements have an effect on the task. Smaller, for example,
+for a stretched limb. Chosen, not tuned: the levers of joints exceed 1 cm."""
 
 
 class PostureConflict(NamedTuple):
@@ -69,13 +68,9 @@ def find_conflict(
     """Find the tasks and joint limits that prevent a task of a posture from reaching its target.
 
     The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
-    v. A task i opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2. This is tested
-    separately for the displacements of the base and of the joints, because the base has longer
-    levers. If |dr_f/dv| is below `_MIN_RATE` for these displacements, the test is omitted. The
-    limit of a joint opposes the task f under two conditions. The joint is at the limit. And the
-    descent direction -dr_f/dv of the joint points beyond the limit, with a magnitude above
-    `_MIN_SHARE` |dr_f/dv|. If |dr_f/dv| is below `_MIN_RATE`, nothing opposes the task
-    (``out_of_reach``).
+    v. A task i opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2, for displacements of
+    the base or of the joints (separately, because the base has longer levers). A limit opposes the
+    task f if the descent direction -dr_f/dv of a joint at the limit points beyond the limit.
 
     Args:
         robot: Robot.

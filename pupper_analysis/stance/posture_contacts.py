@@ -95,11 +95,9 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
 def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
     """Create a `Stand` from a posture that keeps the contacts of a given stand.
 
-    The task of the result requires the base orientation, height and CoM of the posture. It also
-    requires the positions of joints that move no foot, and of lifted feet (`_place_lifted_feet`).
-    The joint positions of the posture are its ``ik_seed``. The ground, the contacts, the positions
-    of the other feet, margins and clearances are those of the given stand. For an arm, which has
-    hands only, the task requires the position of the base instead of the CoM.
+    The task of the result requires the base pose and CoM of the posture, and the positions of the
+    joints that move no foot and of lifted feet. Contacts, margins and clearances are those of the
+    given stand.
 
     Args:
         robot: Robot with the contacts of the stand.
@@ -108,7 +106,7 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
         iterations: Number of solved or attempted quadratic programs, for the result.
 
     Raises:
-        ConfigurationError: If a lifted foot is not above the ground.
+        ConfigurationError: If a lifted foot is not above the ground, for example.
     """
     at = Configuration(robot, qpos)
     task = _place_lifted_feet(robot, stand, _require_base(robot, stand, at), at)
@@ -129,9 +127,8 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
     """Return a stand's task that requires base pose, CoM and footless joints of a configuration.
 
-    Footless joints move no foot, for example of an arm.
-
-    For an arm, which has hands only, the position of the base is required instead of the CoM.
+    Footless joints move no foot. For an arm, which has hands only, the position of the base is
+    required instead of the CoM.
     """
     roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(at.base_rotation()))
     centre, first = stand.centre(robot), robot.nq - robot.nu
@@ -164,12 +161,7 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
     """Return a task that requires the positions and heights of lifted feet in a configuration.
 
-    The lifted feet are those of ``stand``; the configuration is ``at``. A lifted hand, and a lifted
-    foot whose contact states a place, keep their horizontal positions in the task. Only their
-    heights are taken from ``at``.
-
-    Raises:
-        ConfigurationError: If a lifted foot is not above its ground.
+    The horizontal positions of hands, and of contacts with a ``place``, are unchanged.
     """
     feet = robot.feet_with(_list_lifted_points(robot, stand))
     positions = at.foot_positions()

@@ -34,9 +34,8 @@ Chosen: more than the rounding of matrices with seven digits."""
 
 CLEARANCE_WEIGHT = 1e2
 """Weight of the squared violation of the self clearance (distance between links), relative to other
-tasks. In a conflict, the clearance is kept and other tasks miss their targets. Measured on Pupper
-v3: with 1e4, PlaCo's quadratic programs are so badly conditioned that 180 iterations are needed
-instead of 18."""
+tasks. Measured on Pupper v3: with 1e4, PlaCo's quadratic programs are so badly conditioned that 180
+iterations are needed instead of 18."""
 
 
 class WholeBody(Protocol):
@@ -108,11 +107,7 @@ class PostureTask(ABC):
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add this task to a PlaCo solver, and return it as a `PlacoTask`.
-
-        ``weight`` is the weight of the squared error. `SelfClearanceTask` multiplies this weight by
-        `CLEARANCE_WEIGHT`.
-        """
+        """Add this task to a PlaCo solver with a weight of its squared error; return it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,25 +206,12 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] of the link ``target`` from its required position.
-
-        Both positions are relative to the link ``frame``, in its axes.
-        """
+        """Return the distance [m] of link ``target`` from its position required in ``frame``."""
         (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the position of ``target`` relative to ``frame`` [m].
-
-        The position is measured from the origin of ``frame``, in the axes of ``frame``.
-
-        Args:
-            solver: PlaCo solver.
-            weight: Weight of the squared position error.
-
-        Returns:
-            The added task.
-        """
+        """Add PlaCo's soft task for the position [m] of ``target``, in the frame of ``frame``."""
         task = solver.add_relative_position_task(self.frame, self.target, self.position)
         task.configure("relative position", "soft", weight)
         return PlacoTask(task)
@@ -303,10 +285,7 @@ class AxisAlignTask(PostureTask):
         return (self.frame,)
 
     def _required(self, body: WholeBody) -> Array:
-        """Return the required direction of the link's axis, unit vector (3,) in world axes.
-
-        If the target point is the origin of the frame, the result is vertical.
-        """
+        """Return the required direction of the link's axis, unit vector (3,) in world axes."""
         if self.point is None:
             return np.asarray(self.direction)
         line = np.asarray(self.point) - body.pose(self.frame)[1]
@@ -321,10 +300,7 @@ class AxisAlignTask(PostureTask):
         return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add PlaCo's soft task for the direction of an axis of ``frame``.
-
-        If the axis must point to ``point``, the target direction is updated before each iteration.
-        """
+        """Add PlaCo's soft task for the direction of an axis of ``frame`` to a solver."""
         direction = np.array([1.0, 0.0, 0.0]) if self.direction is None else self.direction
         task = solver.add_axisalign_task(self.frame, self.axis, direction)
         task.configure("axis", "soft", weight)
@@ -407,8 +383,7 @@ class SelfClearanceTask(PostureTask):
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
         """Add a soft constraint to PlaCo's solver: links keep at least ``distance`` [m].
 
-        The constraint applies to pairs of links that must not collide. Their distances are
-        linearised in the joint positions before each iteration.
+        The distances are linearised in the joint positions before each iteration.
         """
         constraint = solver.add_joint_space_half_spaces_constraint(np.zeros((0, 1)), np.zeros(0))
         constraint.configure("self clearance", "soft", CLEARANCE_WEIGHT * weight)
@@ -438,10 +413,7 @@ class _MeasuredClearance:
         """Do nothing: `PlacoTask.update_target` sets ``residual``, instead of PlaCo."""
 
     def error_norm(self) -> float:
-        """Return the required distance between links minus the smallest distance [m], at least 0.
-
-        The value is 0 before the first update of the constraint.
-        """
+        """Return required distance between links minus the smallest distance [m], at least 0."""
         return self.residual
 
 
@@ -452,13 +424,7 @@ def _freeze_array(task: object, name: str, value: Array) -> None:
 
 
 def _make_vector(name: str, value: Any) -> Array:
-    """Convert an argument to a new vector (3,) of finite numbers.
-
-    ``name`` is the name of the argument, for the error.
-
-    Raises:
-        ConfigurationError: If the value is no finite vector (3,).
-    """
+    """Convert an argument to a new vector (3,) of finite numbers; ``name`` is for the error."""
     vector = real_array(name, value)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ConfigurationError(name, diagnose("no-vector-of-three", given=repr(value)))
@@ -466,11 +432,7 @@ def _make_vector(name: str, value: Any) -> Array:
 
 
 def _check_rotation(value: Any) -> Array:
-    """Convert an argument to a new rotation matrix (3, 3).
-
-    Raises:
-        ConfigurationError: If the value is no rotation matrix.
-    """
+    """Convert an argument to a new rotation matrix (3, 3), after a check."""
     matrix = real_array("rotation", value)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ConfigurationError("rotation", diagnose("no-rotation", given=repr(value)))
@@ -488,7 +450,7 @@ def _check_axes(axes: str) -> None:
 
 
 def _select_axes(axes: str) -> list[int]:
-    """Return the sorted indices of axes: ``"zx"`` gives [0, 2]. `_check_axes` checks the names."""
+    """Return the sorted indices of axes: ``"zx"`` gives [0, 2]."""
     return ["xyz".index(axis) for axis in sorted(set(axes))]
 
 

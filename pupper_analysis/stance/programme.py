@@ -27,27 +27,23 @@ from pupper_analysis.stance.requirements import RequirementVector
 from pupper_analysis.stance.task import StandTask
 
 _DIFFERENCE_STEP = 1e-7
-"""Finite-difference step for the derivative of the residuals by a relaxable value of the task, such
-as the base height. The step of a length is relative to the base height of the nominal stand. The
-step of an angle is in rad. Truncation errors dominate with longer steps, rounding errors with
-shorter ones. Chosen, not tuned."""
+"""Finite-difference step for the derivative of the residuals by a relaxable value of the task, in
+units of the robot's stand height (lengths) or rad. Chosen, not tuned, between truncation and
+rounding errors."""
 
 _SATISFIED_VIOLATION = 1e-6
-"""Violation [m, rad] up to which the constraints of a program with slacks count as satisfied. The
-IK solve after the program reduces the violation further. Chosen, not tuned."""
+"""Violation [m, rad] up to which the constraints of a program with slacks count as satisfied.
+Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of the number of SLSQP iterations of a solve: first value without relaxable
-requirements (no slack variables), second value with relaxable requirements. The second value also
-bounds the first run of `minimise_foot_distances`. Measured on solves that led to a stand: without
-slacks, all of 1,500 solves took 12 iterations or fewer; with slacks, 90 % of 350 solves took 45 or
-fewer."""
+"""Upper bounds of the number of SLSQP iterations of a solve, without and with relaxable
+requirements. Measured on solves that led to a stand: without relaxation, all of 1,500 solves took
+12 iterations or fewer; with relaxation, 90 % of 350 solves took 45 or fewer."""
 
 _FINE_UNIT_DIVISOR = 200.0
 """Divisor [1] of the stand height, which gives the smallest unit of length in the second run of
-`minimise_foot_distances`: max(foot distance after the first run, stand height / divisor). Measured
-with flat minima: SLSQP stops before the minimum if the unit is the stand height, or a thousandth of
-the stand height."""
+`minimise_foot_distances`. Measured with flat minima: SLSQP stops before the minimum if the unit is
+the stand height, or a thousandth of the stand height."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the number of SLSQP iterations in the second run of `minimise_foot_distances`,
@@ -59,15 +55,15 @@ _MIN_PROGRESS_RATIO = 0.9
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Largest numbers of successive SLSQP iterations without progress; a further one ends the solve.
-First value: without relaxable requirements, second value: with relaxable requirements. Measured
-without relaxation: 1 of 138 solves that led to a stand exceeded the bound, and two thirds of 206
-solves without a stand. Measured with relaxation: 1 of 350, and one eighth of 633."""
+"""Largest numbers of successive SLSQP iterations without progress, without and with relaxable
+requirements. Measured without relaxation: 1 of 138 solves that led to a stand exceeded the bound,
+and two thirds of 206 solves without a stand. Measured with relaxation: 1 of 350, and one eighth of
+633."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Largest diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the
-largest element, with which an equality constraint is dropped as linearly dependent. SLSQP fails
-with dependent equalities. Chosen, not tuned."""
+"""Diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the largest
+element, up to which an equality constraint is dropped as linearly dependent. SLSQP fails with
+dependent equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +136,8 @@ class _Progress:
     def update(self, x: Array, violation: float) -> None:
         """Record the violation at variables ``x``, and store ``x`` with the smallest violation.
 
-        There is progress if the violation is at most ``enough``, or at most `_MIN_PROGRESS_RATIO`
-        of the smallest earlier violation. Successive calls with the same ``x`` count once: in an
-        iteration, SLSQP evaluates the Jacobians of equalities and of inequalities separately.
+        Successive calls with the same ``x`` count once: in an iteration, SLSQP evaluates the
+        Jacobians of equalities and of inequalities separately.
 
         Args:
             x: Variables of the program.
@@ -222,9 +217,8 @@ class StanceProgram:
             task: Task with the values from which the solve starts. Default: the requested values.
 
         Returns:
-            Relaxed task and configuration: a local minimum, or the last iterate if SLSQP fails or
-                reaches its iteration limit. If successive iterations make no progress
-                (`_PATIENCE`): the point with the smallest violation so far.
+            Relaxed task and configuration: a local minimum if SLSQP converges, which may violate
+                the constraints otherwise.
         """
         relaxable = bool(self._requirements)
         tolerance = _SATISFIED_VIOLATION if relaxable else TASK_TOLERANCE
@@ -249,10 +243,9 @@ class StanceProgram:
     def minimise_foot_distances(self, qpos: Array) -> Array:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
-        The sum of squared distances is minimised subject to the constraints of this program, in two
-        runs. The unit of distance is the stand height in the first run, and the remaining distance
-        (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run. The result is a local
-        minimum, or, after too many iterations, may violate the constraints.
+        The sum of squared distances is minimised subject to the constraints of this program, in a
+        second run with a finer unit of distance. The result is a local minimum, or, after too many
+        iterations, may violate the constraints.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -264,10 +257,9 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Compute the objective, squared distances of feet from their targets, and its gradient.
+        """Compute ``scale`` times the squared distances [m^2] of feet from targets, and gradient.
 
-        The objective is ``scale`` times the sum of squared distances [m^2]. The gradient (v,) is
-        the derivative by the variables ``x`` (v,).
+        The gradient (v,) is the derivative by the variables ``x`` (v,).
         """
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
@@ -288,32 +280,24 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Minimise a function under the constraints of this program, by SLSQP.
+        """Minimise a function under the constraints of this program, by SLSQP; variables (v,).
 
         Args:
             function: Returns value and gradient, shape (v,), at the variables.
             start: Initial guess of the variables, shape (v,).
             tolerance: Tolerance of the function value (``ftol`` of SLSQP).
             iterations: Upper bound of iterations.
-            progress: Monitor that ends the solve early.
-
-        Returns:
-            Variables, shape (v,), within their bounds. If ``progress`` ends the solve: the
-            variables with the smallest violation so far.
+            progress: Monitor that may end the solve at the variables with the smallest violation so
+                far.
         """
         from scipy import optimize  # slow to import
 
         equal = self._rows[1]
 
         def rates(x: Array, rows: slice) -> Array:
-            """Return the Jacobian of some constraints by the variables; record the progress.
+            """Return the Jacobian (m, v) of some constraint residuals; record the progress.
 
-            Args:
-                x: Variables, shape (v,): base x and y, joint positions, relaxations.
-                rows: Rows of the m constraints: the equalities, or the inequalities.
-
-            Returns:
-                Jacobian, shape (m, v), of the residuals [m, rad] by the scaled variables.
+            ``rows`` selects equalities or inequalities.
             """
             if progress is not None:
                 progress.update(x, self._max_violation(x))
@@ -354,8 +338,8 @@ class StanceProgram:
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
         """Convert an initial configuration (nq,) and initial relaxations to variables (v,).
 
-        The relaxations are the differences of ``task`` from the requested task, such as
-        another height; zero without a task. The result is clipped to the bounds of the variables.
+        The relaxations are the differences of ``task`` from the requested task; zero without a
+        task.
         """
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)
@@ -381,45 +365,30 @@ class StanceProgram:
         return _Point(x.copy(), at.qpos, targets, residuals)
 
     def _compute_targets(self, values: Array, like: StandTargets) -> StandTargets:
-        """Convert values of the relaxable requirements [m, rad] to `StandTargets`.
-
-        Foot targets and joint limits of ``like`` are reused if they are equal.
-        """
+        """Convert values of relaxable requirements [m, rad] to targets; reuse parts of ``like``."""
         task = self._numbers.make_task(values, checked=False)
         return compute_targets(self._robot, task, self._targets.depths, like, checked=False)
 
     def _point(self, x: Array) -> _Point:
-        """Return targets, configuration and constraint residuals at the variables ``x`` (v,).
-
-        The last result is cached.
-        """
+        """Return targets, configuration and constraint residuals at the variables ``x`` (v,)."""
         if self._last is None or not (x == self._last.x).all():
             self._last = self._evaluate(x)
         return self._last
 
     def _configuration(self, x: Array) -> Configuration:
-        """Return the robot's `Configuration` at the variables ``x`` (v,).
-
-        The last result is cached.
-        """
+        """Return the robot's `Configuration` at the variables ``x`` (v,)."""
         there = self._point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
-        """Return the constraint residuals at the variables ``x``: equalities, then inequalities.
-
-        Equalities that depend on other equalities are left out. Units are m and rad.
-        """
+        """Return the used constraint residuals [m, rad] at ``x`` (v,), equalities first."""
         joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
         return joined
 
     def _jacobian(self, x: Array) -> Array:
-        """Return the Jacobian of the constraint residuals by the variables ``x`` (v,).
-
-        Rows are those of ``_residuals``. The last result is cached.
-        """
+        """Return the Jacobian of ``_residuals`` by the variables ``x`` (v,)."""
         if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
             self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
         return self._jacobian_there[1]
@@ -427,9 +396,8 @@ class StanceProgram:
     def _derivative(self, x: Array) -> Array:
         """Compute the Jacobian (r, v) of all r constraint residuals by the v variables.
 
-        Derivatives by robot motion are analytic. The derivative by a relaxable value is the effect
-        of the resulting base motion, plus a difference quotient of the residuals at a constant
-        configuration.
+        Derivatives by robot motion are analytic, those by relaxable values partly difference
+        quotients.
         """
         there, values = self._point(x), self._requirement_values(x)
         config = self._configuration(x)
@@ -462,8 +430,7 @@ class StanceProgram:
     def _rows(self) -> tuple[IntArray, int]:
         """Indices of the residuals that the program uses, and the number of equalities among them.
 
-        The residuals of independent equalities come first, then those of all inequalities. The
-        independence is tested at random joint positions within the limits.
+        Linearly dependent equalities are left out; the test is at random joint positions.
         """
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
@@ -479,10 +446,7 @@ class StanceProgram:
 
 
 def _stack(blocks: Sequence[Array], columns: int) -> Array:
-    """Concatenate vectors (n,), or matrices (n, columns) if ``columns`` > 0, along the rows.
-
-    Without blocks the result has no rows.
-    """
+    """Concatenate vectors (n,), or matrices (n, columns) if ``columns`` > 0, along the rows."""
     return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 
 

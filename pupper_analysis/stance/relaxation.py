@@ -41,17 +41,16 @@ from pupper_analysis.stance.task import StandTask
 _DEAD_POINT_RATIO = 1e-2
 """Ratio [1] (mobility of a foot with closed loops) / (mobility without the loops), below which a
 dead point of the loops is reported. A mobility is a singular value of the foot Jacobian. At 1 mrad
-from a dead point the ratio is about 1e-3. Singular values below this fraction of the largest
-singular value are not tested. Chosen, not tuned."""
+from a dead point the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] below which a foot is not reported as out of reach if the closed loops are at a
-dead point. The tolerance of the search explains such an error. Chosen, not tuned."""
+"""Foot error [m] below which a foot is not reported as out of reach at a dead point of closed
+loops. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
 """Fractions by which the relaxation of an unreachable task is increased, in this order, until the
-relaxed task with rounded values has a stand. Without an increase, the relaxed task is at the limit
-of reach, where a search from other initial guesses may fail. Chosen, not tuned."""
+relaxed task with rounded values has a stand. At the limit of reach, a search from other initial
+guesses may fail. Chosen, not tuned."""
 
 _POSITIVE_REQUIREMENTS = ("swing", "com_margin")
 """Names of relaxable requirements whose values must not become close to zero. A foot with a swing
@@ -64,9 +63,8 @@ height of the nominal stand. A relaxed task with a smaller value is rejected. Ch
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which `_relax_one` reduces a computed relaxation, to test if the nonlinear program
-ended in a local minimum. If the task with less relaxation has a stand, the program starts again
-from this stand. Otherwise the next fraction is tried. Chosen from a measurement with Pupper v3 on a
-slope: the program left two local minima, and the relaxation decreased by 6 % and by 1 %."""
+ended in a local minimum. Chosen from a measurement with Pupper v3 on a slope: the program left two
+local minima, and the relaxation decreased by 6 % and by 1 %."""
 
 _MIN_RELAXATION = 1e-6
 """Relaxation [stand heights, rad] up to which a requirement counts as unchanged and is not
@@ -129,10 +127,9 @@ def explain_refusal(
 
 
 def _describe_different_files(robot: Robot) -> Diagnostic | None:
-    """Describe the first difference of a robot's two files; None if both describe one robot.
+    """Describe the first difference of a robot's two files, a possible reason why no stand exists.
 
-    The robot is described by both: a foot that the URDF places on the ground may be in the ground
-    by the MJCF.
+    None without a difference. A foot on the ground by the URDF may be in the ground by the MJCF.
     """
     # Imports forty modules, which few refusals need.
     from pupper_analysis.robot.compare.compare import find_first_difference
@@ -144,9 +141,7 @@ def _describe_different_files(robot: Robot) -> Diagnostic | None:
 def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     """Return True if closed loops are at a dead point: joints cannot move a foot in some direction.
 
-    Without the loops, the joints could move the foot in this direction. Directions that the loops
-    also block in the home configuration do not count, for example the second direction of a leg
-    with a single motor. Only stance feet are tested.
+    Directions that the loops also block in the home configuration do not count.
     """
     if robot.closure is None:
         return False
@@ -169,7 +164,7 @@ def _compute_mobilities(
 
     Returns:
         {contact point: (mobilities without closed loops, with closed loops), shape (3,) each,
-        descending, zero for directions without motion}.
+        descending}.
     """
     basis = closure.null_space(qpos)
 
@@ -216,11 +211,10 @@ class _RelaxationSearch:
         self.starts = [nearest.qpos, home]
 
     def find_relaxations(self) -> list[_StatedRelaxation]:
-        """Find the relaxations that make the task reachable, each with a stand.
+        """Find relaxations of single requirements that make the task reachable, with stands.
 
-        Each relaxation changes a single requirement. If no single requirement suffices, the result
-        is one relaxation of a small set of requirements. The result is empty if no such set is
-        found.
+        If no single requirement suffices, a relaxation of a small set of requirements. Empty on
+        failure.
         """
         robot, task = self.context.robot, self.targets.task
         differing = [
@@ -238,12 +232,11 @@ class _RelaxationSearch:
     def _find_smallest(
         self, requirements: Sequence[str], starts: Iterable[Array]
     ) -> Relaxation | None:
-        """Find the smallest relaxation of some requirements with which the program is feasible.
+        """Find the smallest feasible relaxation of some requirements; None if none is found.
 
-        The nonlinear program starts from each initial configuration (nq,) in ``starts``. It also
-        starts from the stand of the task with nominal values of these requirements, if the default
-        guesses find this stand. Measured with several relaxed requirements: this stand gave the
-        best result in 27 of 28 refusals. None if no feasible relaxation is found.
+        The program starts from configurations (nq,), and from the stand with nominal values of
+        these requirements. Measured with several relaxed requirements: this stand gave the best
+        result in 27 of 28 refusals.
         """
         elastic = StanceProgram(self.context.shapes, self.targets, requirements)
         basis = [elastic.solve(start) for start in starts]
@@ -262,8 +255,8 @@ class _RelaxationSearch:
     def _relax_one(self, requirement: str) -> Relaxation | None:
         """Find the smallest relaxation of one requirement; None without a feasible relaxation.
 
-        The nonlinear program may end in a local minimum. If a search finds a stand with less
-        relaxation, the program starts again from this stand.
+        Stands with less relaxation are searched, since the nonlinear program may end in a local
+        minimum.
         """
         relaxation = self._find_smallest([requirement], self.starts)
         shares = list(_REDUCTION_SHARES)
@@ -284,11 +277,7 @@ class _RelaxationSearch:
         return relaxation
 
     def _reduce_requirements(self, relaxation: Relaxation | None) -> Relaxation | None:
-        """Reduce the number of relaxed requirements, while the nonlinear program stays feasible.
-
-        Requirements are left out one by one, the least relaxed first. A requirement is left out
-        only if at least two other requirements are relaxed. None if ``relaxation`` is None.
-        """
+        """Reduce the number of relaxed requirements, while the nonlinear program stays feasible."""
         if relaxation is None:
             return None
         given = {
@@ -307,12 +296,9 @@ class _RelaxationSearch:
         return relaxation
 
     def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
-        """Round the values of a relaxation, and verify that the rounded task has a stand.
+        """Round the values of a relaxation; return it if the rounded task has a stand, else None.
 
-        If the rounded task has no stand, the relaxation is increased (`_EXTRA_RELAXATIONS`). None
-        if ``relaxation`` is None, if no requirement is relaxed by more than `_MIN_RELAXATION`, or
-        if no rounded task has a stand. Values close to zero are rejected, too
-        (`_is_degenerate`).
+        If necessary, the relaxation is increased (`_EXTRA_RELAXATIONS`).
         """
         if relaxation is None:
             return None
@@ -337,12 +323,9 @@ class _RelaxationSearch:
     def _round_task(
         self, relaxation: Relaxation, requirements: Sequence[str], share: float
     ) -> StandTask | None:
-        """Round the relaxed values of a task; None if the task becomes infeasible.
+        """Round relaxed values, increased by ``share``; None if the task becomes infeasible.
 
-        The requirements ``requirements`` are rounded one after another, the largest relaxation
-        first. After each rounding, the relaxation of the remaining requirements is computed again.
-        Before rounding, the distance of a value from the requested value is increased by the
-        fraction ``share``.
+        After each rounding, the relaxation of the remaining requirements is computed again.
         """
         robot, left = self.context.robot, [*requirements]
         requested = task = self.targets.task
@@ -371,20 +354,13 @@ class _RelaxationSearch:
         """Convert a task to targets, with the static deflections of the unreachable targets.
 
         Deflections are the penetrations of the feet into soft ground, and the openings of loops.
-
-        Args:
-            task: Task, with relaxed requirements.
-            checked: True to reject tasks that no stand can satisfy.
         """
         targets = compute_targets(self.context.robot, task, self.targets.depths, checked=checked)
         return replace(targets, loop_opening=self.targets.loop_opening)
 
 
 def _is_degenerate(robot: Robot, task: StandTask, requirement: str) -> bool:
-    """Return True if a requirement in `_POSITIVE_REQUIREMENTS` has a too small value.
-
-    The smallest permitted value is `_NEGLIGIBLE_VALUE` times the robot's stand height.
-    """
+    """Return True if a value of a requirement in `_POSITIVE_REQUIREMENTS` is too small."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return requirement in _POSITIVE_REQUIREMENTS and bool(
         (RequirementVector(robot, task, [requirement]).values < least).any()

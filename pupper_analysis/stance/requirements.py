@@ -59,7 +59,7 @@ value in the nominal stand. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
 """Largest change of a reported value by rounding, as a fraction of the difference from the value in
-the nominal stand. Determines the number of decimals in mm or deg. Chosen, not tuned."""
+the nominal stand. Chosen, not tuned."""
 
 _MAX_DIGITS = 12
 """Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
@@ -121,9 +121,7 @@ class RequirementVector:
         self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def read_task(self, task: StandTask) -> Array:
-        """Read the numbers that ``keys`` identifies (field, foot, axis) from a second task, (n,).
-
-        Values are in m or rad.
+        """Read the numbers (n,) [m, rad] that ``keys`` identifies (field, foot, axis) from a task.
 
         Args:
             task: Task that specifies the same fields for the same feet as the task of this vector.
@@ -168,10 +166,7 @@ class RequirementVector:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def clip(self, values: Array) -> Array:
-        """Clip values of the requirements, (n,) [m, rad], to the bounds of relaxed values.
-
-        Values are in the order of ``keys``; the bounds are ``low`` and ``high``.
-        """
+        """Clip values of the requirements, (n,) [m, rad], to the bounds ``low`` and ``high``."""
         inside: Array = np.clip(values, self.low, self.high)
         return inside
 
@@ -179,11 +174,7 @@ class RequirementVector:
 def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
     """Yield (axis, value, nominal value) [m, rad] of each number in a field's value.
 
-    The axis of a scalar is "".
-
-    Args:
-        value: Value of the task: number, point (x, y), or contact with a surface.
-        nominal: Value of the same type in the stand of the default `StandTask`.
+    The axis of a scalar is "". ``value`` is a number, a point (x, y), or a contact with a surface.
     """
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
@@ -194,10 +185,9 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
 
 
 def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
-    """Yield (name, value) for each value of a field in a stand task.
+    """Yield (foot, joint or link, value) for each value of a field in a stand task.
 
-    The name is that of a foot, joint or link, or "" if the field has a single value. A single value
-    that is a text or None is left out.
+    The name is "" if the field has a single value. Texts and None are left out.
     """
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
@@ -235,10 +225,9 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
 
 
 def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
-    """Compute the horizontal mean (x, y) [m] of the requested stance foot positions, without hands.
+    """Compute the horizontal mean (x, y) [m] of the requested stance foot positions, world frame.
 
-    Coordinates are in the world frame. Each foot counts once per contact point. Without such a
-    foot, the home position (x, y) of the base is returned.
+    Hands are left out. Each foot counts once per contact point.
     """
     stance_feet = [
         place
@@ -253,10 +242,7 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
     """Return the bounds (lower, upper) [m, rad] within which a number of a task may be relaxed.
 
-    ``value`` is the number in the stand task, and ``turns`` is True for an angle. Margins, lifts,
-    slopes and steps may only change towards zero. Other numbers may change in both directions:
-    angles within the range of the field, lengths by `_MAX_RELAXATION`, and a positive height down
-    to `_MIN_HEIGHT_RATIO` of its value.
+    ``value`` is the number in the stand task, and ``turns`` is True for an angle.
     """
     far = _MAX_RELAXATION * robot.stand_height
     if field.relaxation == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
@@ -286,8 +272,7 @@ def differs_from_nominal(robot: Robot, task: StandTask, requirements: Sequence[s
 def reset_to_nominal(robot: Robot, task: StandTask, requirements: Sequence[str]) -> StandTask:
     """Return a copy of a task with some requirements reset to their values in the nominal stand.
 
-    The nominal stand is the stand of the default `StandTask`. Each value is clipped to the bounds
-    within which the requirement may change if the stance is out of reach (`RequirementVector`).
+    Values are clipped to the bounds of relaxed values (`RequirementVector`).
 
     Args:
         robot: Robot.
@@ -312,7 +297,7 @@ def relax_further(
         task: Task with relaxed values.
         requested: Task with the requested values.
         requirements: Names of the relaxable requirements to change, from `RELAXABLE_REQUIREMENTS`.
-        share: Added fraction of the present relaxation. A negative fraction reduces the relaxation.
+        share: Added fraction of the present relaxation; negative to reduce the relaxation.
     """
     now = RequirementVector(robot, task, requirements)
     before = RequirementVector(robot, requested, requirements)
@@ -324,9 +309,8 @@ def round_outward(
 ) -> StandTask:
     """Round the relaxed values of a task for a report, away from the requested values.
 
-    The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
-    0.1 mm or 0.1 deg, and by at most 0.5 % of its distance from the value in the nominal stand (of
-    the default `StandTask`).
+    The reported stand is thus usually at least as relaxed as the computed stand. A value changes by
+    at most 0.1 mm or 0.1 deg.
 
     Args:
         robot: Robot.
@@ -344,9 +328,7 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] for a report, away from ``requested``.
 
-    A number within `_ROUNDING_ATOL` of ``requested`` or ``usual`` becomes that value; ``usual`` is
-    the value in the stand of the default `StandTask`. The number is unchanged if the rounded number
-    would equal or pass ``usual``.
+    ``usual`` is the value in the stand of the default `StandTask`, which rounding must not reach.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
@@ -385,7 +367,7 @@ def _describe_requirement(
 ) -> Diagnostic:
     """Create the message with the value of a requirement in a relaxed task.
 
-    Contacts that equal those of the task ``requested`` are left out.
+    Unchanged contacts are left out.
     """
     name = Term(requirement)
     if requirement == "ground":

@@ -57,10 +57,9 @@ def solve_stand(
 ) -> Stand:
     """Solve a stand task: find a configuration with planted feet within the joint limits.
 
-    PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
-    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). If
-    these fail, a nonlinear program of all constraints (`stance.programme`) is solved in two cases:
-    the CoM is free, or the robot has redundant joints and only clearances or margins are violated.
+    PlaCo solves a sequence of QPs on the floating base, from several initial guesses, for example
+    in the IK branches of the legs (`stance.branches`). If these fail, a nonlinear program of all
+    constraints (`stance.programme`) may find a stand with a free CoM or redundant joints.
 
     Args:
         robot: Robot with a floating base.
@@ -69,8 +68,7 @@ def solve_stand(
             joint positions select the IK branch. Default: ``ik_seed`` of the task.
         explain: Whether the error about an unreachable stance contains the smallest foot error, and
             the smallest change of requirements that makes the stance reachable. Takes about a
-            second, longer with a free CoM. If False, the reported foot errors are results of the
-            IK, and may be larger.
+            second, longer with a free CoM. If False, the reported foot errors may be larger.
 
     Returns:
         The stand; each error is below 1e-9 m or rad. A sole on a leg with fewer than six joints may
@@ -81,8 +79,7 @@ def solve_stand(
             robot has no feet, or the margins are too large. Also if ``start`` is not a valid
             configuration of the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
             and the requirements to relax.
     """
@@ -105,8 +102,7 @@ def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stan
     Raises:
         ConfigurationError: If a stand belongs to another robot, or no stand can satisfy a task.
         UnknownNameError: If a task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: If a task is unreachable.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
@@ -162,8 +158,8 @@ def stand_statics(
             minimum tangential forces.
 
     Raises:
-        ConfigurationError: If the stand belongs to another robot, ``distribution`` is unknown, the
-            friction of the ground is unknown, or a closed loop is open or singular.
+        ConfigurationError: If the stand belongs to another robot, or the friction of the ground is
+            unknown, for example.
         UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
         ModelError: If the model with the contacts of the task cannot be built.
         StaticsInfeasibleError: If no contact forces balance the stand: for example, the robot
@@ -172,7 +168,7 @@ def stand_statics(
     robot, distribution = stand.check(robot), to_distribution(distribution)
 
     def compute() -> GravityCompensation:
-        """Compute the statics without the cache of the stand."""
+        """Compute the statics of the stand, without its cache."""
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
         return balance_load(config, config.static_load(), carrying, distribution=distribution)
 
@@ -180,10 +176,7 @@ def stand_statics(
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
-    """Return the contacts of a stand's stance feet, with ground normals and penetrations [m].
-
-    The robot caches contacts on level, rigid ground.
-    """
+    """Return the contacts of a stand's stance feet, with ground normals and penetrations [m]."""
     level = all(normal.tolist() == _UP for normal in stand.normals.values())
     normals, depths = None if level else stand.normals, stand.depths
     sunk = depths if any(depths.values()) else None
@@ -192,8 +185,8 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
 
 _MAX_JOINT_DISTANCE = 0.5
 """Upper bound of the norm of the joint displacement [rad and m mixed] between successive stands of
-a sequence, with which both count as one IK branch. With a larger displacement, the task is solved
-again from all initial guesses. Chosen, not tuned; samples of a path are much closer."""
+a sequence, with which both count as one IK branch. Chosen, not tuned; samples of a path are much
+closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
@@ -212,15 +205,13 @@ def solve_stands(
 ) -> tuple[Stand, ...]:
     """Solve a sequence of stand tasks, faster than one by one if successive tasks are similar.
 
-    Each search starts at an extrapolation of up to four previous stands, then at the previous
-    stand. If neither leads to a stand near the previous stand, the task is solved as by
-    `solve_stand`. Exceptions: the first task, tasks with an ``ik_seed``, a free CoM or
-    ``self_clearance``, and all tasks of robots with redundant joints are solved as by
-    `solve_stand`, since the result depends on the initial guess.
+    A search starts at an extrapolation of up to four previous stands, then at the previous stand.
+    If neither leads to a stand near the previous stand, the task is solved as by `solve_stand`.
+    Tasks whose result depends on the initial guess, for example with a free CoM or redundant
+    joints, are always solved as by `solve_stand`.
 
-    The errors of each stand are bounded as in `solve_stand`: 1e-9 m or rad, or 0.05 mm for a sole
-    on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps the
-    branch of the first stand as long as possible.
+    The errors of each stand are bounded as in `solve_stand`. If a leg has several IK branches, a
+    sequence usually keeps the branch of the first stand as long as possible.
 
     Args:
         robot: Robot with a floating base.
@@ -234,14 +225,9 @@ def solve_stands(
 
     Raises:
         ConfigurationError: If no stand can satisfy a task: for example, the base is fixed, the
-            robot has no feet, or the margins are too large. Raised before the first solve, with the
-            index of the task. Two errors have no index: the robot cannot make the first task's
-            contacts, or has no parts for a required clearance. The latter is raised when the
-            task is solved.
-        UnknownNameError: If a task contains an unknown foot, joint or contact; raised before the
-            first solve.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+            robot has no feet, or the margins are too large; usually with the index of the task.
+        UnknownNameError: If a task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid, for example.
         StanceUnreachableError: For the first unreachable task, with the task index.
     """
     all_targets: list[StandTargets] = []
@@ -271,14 +257,8 @@ def _continue_sequence(
 ) -> Stand | None:
     """Search for the next stand of a sequence near the previous stands; None if not found.
 
-    None also if there are no previous stands, or if the stand may depend on the initial guess, for
-    example because of redundant joints. The search starts from the extrapolated configuration, if
-    that is near the latest configuration, then from the latest configuration.
-
-    Args:
-        context: Search context of the robot.
-        targets: Targets and limits of the stand.
-        before: Configurations (nq,) of up to four previous stands, the latest first.
+    None also if the stand may depend on the initial guess. ``before`` contains configurations (nq,)
+    of up to four previous stands, the latest first.
     """
     if not before or has_redundant_joints(context.robot) or _depends_on_start(targets):
         return None

@@ -39,11 +39,8 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         Configuration, shape (nq,).
 
     Raises:
-        ConfigurationError: If the file cannot be read, or contains no configuration, or a number
-            that is not finite. A CSV without joint names must have a single row or a single column.
-            Also if a configuration without joint names has a wrong length or belongs to another
-            robot, or if ``joint_positions`` and ``qpos`` at the same place in a JSON file differ.
-            If a JSON file contains configurations at several places, the first is read.
+        ConfigurationError: If the file cannot be read, contains no configuration, or belongs to
+            another robot, for example.
         UnknownNameError: If the file contains a joint name that the robot lacks.
         OutputError: If the run will write this file.
     """
@@ -87,10 +84,9 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 
 
 def _read_table(text: str) -> Any:
-    """Read a CSV: a mapping {joint: position}, a list of numbers, or None.
+    """Read a CSV: a mapping {joint: position}, a list of numbers, or None for another form.
 
-    Cells that contain no number stay texts, which `_find_positions` rejects. None if the text has
-    another form, for example several rows of several numbers.
+    Cells that contain no number stay texts.
     """
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
@@ -120,8 +116,8 @@ def _parse_cell(cell: str) -> float | str:
 
 _MAX_POSITION_GAP = 1e-9
 """Largest difference between ``joint_positions`` and the last values of ``qpos`` [rad, m] in a
-file. Above this bound, the file contains two configurations. Chosen, not tuned: both have 15
-digits in the results of this package."""
+file, with which both count as equal. Chosen, not tuned: both have 15 digits in the results of this
+package."""
 
 
 def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
@@ -129,11 +125,7 @@ def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
 
     Returns:
         Positions, None if the content has no positions. Fingerprint (name and hash) of the robot to
-        which the positions belong; empty if the file states no robot, or if the positions have
-        names.
-
-    Raises:
-        ConfigurationError: If ``joint_positions`` and ``qpos`` contradict each other.
+        which the positions belong; empty if not necessary or not stated.
     """
     if _is_numbers(content):
         return content, ""

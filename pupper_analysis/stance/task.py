@@ -171,9 +171,8 @@ class StandTask:
 
         Args:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
-            checked: If True, check the values. Numbers and points need no check if they are known
-                to be valid and have the types of this class. Values of the ground, contacts and
-                posture are always checked.
+            checked: If False, numbers and points may be unchecked, to save time: they must be known
+                to be valid and have the types of this class.
 
         Raises:
             ConfigurationError: If a value is invalid, or contradicts another value.
@@ -249,13 +248,7 @@ class StandTask:
 
 
 def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
-    """Raise an error if the contact of a lifted foot exerts a force (weld, grip or given force).
-
-    A lifted foot may have a plane: the foot is lifted along the normal of the plane.
-
-    Raises:
-        ConfigurationError: If the contact exerts a force.
-    """
+    """Raise an error if the contact of a lifted foot exerts a force (weld, grip or given force)."""
     if isinstance(contact, Weld):
         bearing = "weld"
     elif contact.grip is not None:
@@ -275,8 +268,8 @@ _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 the ``ground`` of a task."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute of `StandTask`: default value, or ``dataclasses.MISSING`` for an attribute with a
-default factory}. An attribute whose value is the default object itself (``is``) is not checked."""
+"""{attribute of `StandTask`: default value}. An attribute whose value is the default object itself
+(``is``) is not checked."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""

@@ -64,8 +64,7 @@ stages of the solver (with and without preferred tasks). Chosen, not tuned."""
 
 _MAX_FULL_STEPS = 30
 """Upper bound of the number of full Gauss-Newton steps before the trust-region iteration. Measured
-on four postures: 4 to 10 steps. With steps of `_MAX_STEP`, a joint crosses its range in about
-20."""
+on four postures: 4 to 10 steps."""
 
 _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
@@ -76,12 +75,11 @@ Larger than any robot. Chosen, not tuned."""
 
 _CONTACT_WEIGHT = 1e4
 """Weight of the squared residuals of contacts that a posture must keep, relative to required tasks.
-In a conflict, the contacts are kept and the tasks miss their targets. Chosen, not tuned."""
+Chosen, not tuned: in a conflict, tasks rather than contacts miss their targets."""
 
 _PREFERENCE_WEIGHT = 1e-4
 """Weight of the squared residuals of preferred joint positions, relative to required tasks. Chosen
-much smaller than the weight of required tasks, and much larger than `_REGULARIZATION`. A second
-iteration without preferences removes the remaining residuals of required tasks."""
+much smaller than the weight of required tasks, and much larger than `_REGULARIZATION`."""
 
 _NEAR_BASE_WEIGHT = 1e-2
 """Weight of the squared displacement of the base [m^2, rad^2] from the stand at which a posture
@@ -170,10 +168,9 @@ def solve_posture(
 ) -> SolvedPosture:
     """Find a configuration that satisfies posture tasks within the joint limits (whole-body IK).
 
-    PlaCo minimises the weighted squared residuals. The iteration starts at ``start``. If it fails,
-    it starts again at up to eight random postures. Without a ``SelfClearanceTask``, links of the
-    result may collide. See ``examples/first_look.ipynb`` for pictures of the result
-    (``posture.show()``).
+    PlaCo minimises the weighted squared residuals, from ``start`` and then from a few random
+    postures. Without a ``SelfClearanceTask``, links of the result may collide. See
+    ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
 
     If ``start`` is a stand, its contacts and welds stay in place. Base and joints stay near the
     stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
@@ -188,20 +185,16 @@ def solve_posture(
             stand. Of other solved postures, ``qpos`` is used. Default: ``robot.home``.
         contacts: Contact points that keep their positions in ``start``, for a robot with a free
             base. Default: the contact points of the stand, or ``robot.bearing_points``. If the list
-            is empty, the base moves freely. Contact points of a fixed base are not accepted.
+            is empty, the base moves freely.
 
     Raises:
         PostureUnreachableError: If the residual of a required task exceeds `POSTURE_TOLERANCE`. The
             error states the required task with the largest residual, and the tasks and joint limits
             that oppose this task.
-        ConfigurationError: If there is no task, ``start`` or a task is not valid, or ``contacts``
-            are given for a fixed base or together with a stand. Also if the stand belongs to
-            another robot, a lifted foot of the stand is not above the ground, or the robot has
-            closed loops or couplings. With a ``SelfClearanceTask`` also if the robot has a
-            continuous joint, since PlaCo's half-space constraint does not support such joints.
+        ConfigurationError: If there is no task, ``start`` or a task is not valid, or the robot has
+            closed loops, for example.
         UnknownNameError: If a link, joint or contact point is unknown.
-        ModelError: On the contacts of a stand, if the mass or inertia of a body is invalid, or the
-            model with the contacts cannot be built.
+        ModelError: If the contacts of a stand cannot be added to the model, for example.
     """
     robot.check_tree("a whole-body posture")
     requested = tuple(tasks) if isinstance(tasks, Iterable) else (tasks,)
@@ -240,16 +233,7 @@ def solve_posture(
 def _keep_points_of(
     initial: Configuration, contacts: Iterable[str] | None
 ) -> tuple[KeptContact, ...]:
-    """Create the IK tasks that keep contact points at their positions in a configuration.
-
-    Args:
-        initial: Configuration.
-        contacts: Contact points; None for all points that can bear contact forces.
-
-    Raises:
-        ConfigurationError: If contact points of a fixed base are named.
-        UnknownNameError: If the robot has no such contact point.
-    """
+    """Create the IK tasks that keep contact points (default: all that can bear forces) in place."""
     robot = initial.robot
     points = tuple(robot.bearing_points if contacts is None else contacts)
     if points and not robot.floating:
@@ -260,10 +244,9 @@ def _keep_points_of(
 
 
 def _stay_near(initial: Configuration) -> tuple[tuple[float, PostureTask], ...]:
-    """Create weak IK tasks that keep base and joints near a configuration.
+    """Create weak IK tasks that keep base and joints near a configuration; pairs (weight, task).
 
-    Returns:
-        Pairs (weight of the squared error relative to required tasks, task).
+    Weights are those of the squared error, relative to required tasks.
     """
     robot = initial.robot
     joints = initial.qpos[robot.nq - robot.nu :].tolist()
@@ -360,14 +343,7 @@ class _Problem:
     ) -> PostureUnreachableError:
         """Create the error about an unreachable posture, with the tasks and limits that prevent it.
 
-        The error names the required task with the largest residual, and the tasks and joint limits
-        that oppose this task (`find_conflict`). The unit of a `JointsTask` is that of the joint
-        with the largest deviation.
-
-        Args:
-            residuals: Residual of each task [m or rad].
-            qpos: Configuration with these residuals, shape (nq,).
-            collision: Collision shapes of the robot.
+        ``residuals`` are those of the tasks [m or rad] at the configuration ``qpos`` (nq,).
         """
         robot, tasks, names = self._robot, self._tasks, self._names
         weights = np.array([float(task.required) for task in tasks])
@@ -526,9 +502,8 @@ class _PostureSolver:
     def _take_full_steps(self, stage: _Stage) -> bool:
         """Take full Gauss-Newton steps; return True if converged without an increase of the error.
 
-        The error is compared with the initial error only at the end. Contacts are nonlinear
-        constraints with a large weight. A trust-region iteration would therefore need many short
-        steps.
+        Contacts are nonlinear constraints with a large weight. A trust-region iteration would
+        therefore need many short steps.
         """
         initial_error = self._evaluate(stage)
         stage.solver.dt = _MAX_STEP
@@ -545,12 +520,7 @@ class _PostureSolver:
         return False
 
     def _iterate_trust_region(self, stage: _Stage) -> None:
-        """Take Gauss-Newton steps within a trust radius that do not increase the error.
-
-        A step that increases the error is taken back, and the trust radius is reduced. Ends if the
-        error, a step or the radius is negligible, after `_MAX_ITERATIONS`, or if a quadratic
-        program has no solution.
-        """
+        """Take Gauss-Newton steps within a trust radius that do not increase the error."""
         wrapper, radius = self._placo_robot.wrapper, _MAX_STEP
         error = self._evaluate(stage)
         for _ in range(_MAX_ITERATIONS):
@@ -645,17 +615,13 @@ class _PinocchioBody:
     def self_clearances(self) -> Array:
         """Return the smallest distances [m] of shapes on links that are no neighbours, ascending.
 
-        There are at most `NUM_NEAREST_PAIRS` distances.
+        At most `NUM_NEAREST_PAIRS` distances.
         """
         pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
-        """Return the derivatives of `self_clearances` by the configuration q, and q itself.
-
-        The configuration q is that of PlaCo's robot, shape (nq,). The derivatives of n distances
-        have the shape (n, nq); those by the pose of the base are zero.
-        """
+        """Return derivatives (n, nq) of `self_clearances` by PlaCo's configuration q, and q."""
         robot, convention = self._config.robot, self._config.robot.pin_convention
         rates = self._collision.shapes.distance_jacobian(self._config, NUM_NEAREST_PAIRS)
         # PlaCo's robot has a free base, which a fixed-base robot does not move.
@@ -692,10 +658,9 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return the smallest distances (n,) [m] of links that are no neighbours, ascending.
+        """Return distances (n,) [m] of links that are no neighbours, by MuJoCo, ascending.
 
-        MuJoCo measures the distances, for the n pairs of collision shapes that Pinocchio finds
-        nearest.
+        The pairs of collision shapes are those that Pinocchio finds nearest.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
         pairs = shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)

@@ -30,14 +30,11 @@ from pupper_analysis.stance.task import StandTask
 
 BISECTION_RTOL = 1e-3
 """Tolerance of the ends of a reachable interval, relative to the first step of the search
-(`_FIRST_STEPS`). Also the relative tolerance with which an end counts as the largest searched angle
-(`_MAX_VALUES`). Chosen, not tuned."""
+(`_FIRST_STEPS`). Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
 """Step length of the outward search, relative to the first step (`_FIRST_STEPS`), above which a
-full search from all initial guesses follows if IK from the last stand fails. A shorter step is
-halved without a full search. Full searches are also used before the end of an interval is accepted,
-and after the search has crossed a gap. Chosen, not tuned."""
+full search from all initial guesses follows if IK from the last stand fails. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
 """Step length after the outward search has crossed a gap, relative to the first step
@@ -96,11 +93,8 @@ class BaseWorkspace(Result):
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Find the interval of base heights [m] that satisfy all other requirements of a task.
 
-    The interval ends at the first height without a stand that the search finds. Feet stay planted.
-    The CoM keeps the horizontal position that the task requires. If the task permits any position
-    inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
-    legs cannot move it in two directions (`can_move_com`). With an ``offset`` in the task, the base
-    keeps this offset instead.
+    The interval ends at the first height without a stand that the search finds. `base_workspace`
+    describes the position of the CoM.
 
     Args:
         robot: Robot.
@@ -112,8 +106,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
         ConfigurationError: If the robot cannot stand, the task is invalid, or the task welds the
             base.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
     """
     start = solve_stand(robot, task)
     _check_base_moves(start.check(robot))
@@ -131,8 +124,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
     Each coordinate is varied separately, outward from its value in the task to the first value
-    without a stand. A gap in the interval is skipped if it is shorter than 0.8 % of the first
-    search step. Longer gaps may be missed between two steps. Feet stay planted.
+    without a stand that the search finds; short gaps in an interval may be missed. Feet stay
+    planted.
 
     The CoM keeps the horizontal position that the task requires. If the task permits any position
     inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
@@ -150,8 +143,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         ConfigurationError: If the robot cannot stand, the task is invalid, or the task welds the
             base.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
-            cannot be built.
+        ModelError: If the mass or inertia of a body is invalid, for example.
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)
@@ -172,10 +164,9 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
 
 _LIMIT_DISTANCE = 0.01
-"""Distance [rad, m] of a joint from its limit (with margin) below which the limit is reported as
-the reason for the end of an interval. The joint must also have moved by more than this value since
-the start. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several times as
-fast as the base."""
+"""Distance [rad, m] of a moved joint from its limit (with margin) below which the limit is reported
+as the reason for the end of an interval. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and
+joints move several times as fast as the base."""
 
 _EDGE_DISTANCE = 1e-3
 """Excess [m] of a margin or clearance over its required value, below which this requirement is
@@ -186,19 +177,10 @@ height."""
 def _describe_base_limit(
     robot: Robot, start: Stand, end: Stand, direction: str, value: float
 ) -> Diagnostic:
-    """Create the message about the reason why an interval of a base coordinate ends.
+    """Create the message about the reason why an interval of a base coordinate ends at ``end``.
 
-    A requirement limits the interval if the stand at the end just meets it. The requirements are
-    tested in this order, and the first match is reported: largest searched angle, limits of joints
-    that have moved, clearances, and for x and y the support polygon. Without a match, the reach of
-    the legs is reported.
-
-    Args:
-        robot: Robot.
-        start: Stand at which the search started.
-        end: Stand at the end of the interval.
-        direction: Name of the coordinate, an element of ``DIRECTIONS``.
-        value: Coordinate at the end [m or rad].
+    ``value`` is the coordinate at the end [m or rad]. Without another reason, the reach of the legs
+    is reported.
     """
     task = start.task
     if abs(value) >= _MAX_VALUES.get(direction, math.inf) * (1 - BISECTION_RTOL):
@@ -258,25 +240,11 @@ def _find_limit(
     enough: float,
     default_guesses_only: bool,
 ) -> tuple[float, Stand]:
-    """Find an end of the reachable interval of a base coordinate.
+    """Find an end of the reachable interval of a base coordinate; return value and stand there.
 
-    The search moves outward from the stand ``start``. Each step is halved if no stand is found. The
-    IK of each step starts at the last stand. If it fails after a long step, the initial guesses of
-    `search_stand` are tried. Before the end is accepted, these guesses are tried once more, at the
-    next value and beyond a short gap. The end is moved back until these guesses also lead to a
-    stand.
-
-    Args:
-        robot: Robot.
-        start: Stand at which the search starts.
-        direction: Name of the coordinate, an element of ``DIRECTIONS``.
-        sign: 1 to search towards larger values, -1 towards smaller values.
-        enough: Distance [m or rad] from the start at which the search ends.
-        default_guesses_only: Whether to omit the IK branches and the nonlinear program in
-            `search_stand`.
-
-    Returns:
-        The coordinate at the end [m or rad], and the stand there.
+    The search moves outward from ``start``, towards larger (``sign`` 1) or smaller values (-1),
+    until it exceeds the distance ``enough`` [m or rad]. IK starts at the last stand, but the end
+    must also be reachable from the initial guesses of `search_stand`.
     """
     first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
     first_value = value = _get_coordinate(robot, start, direction)
@@ -284,10 +252,9 @@ def _find_limit(
     shortest = _FULL_SEARCH_RATIO * first  # step with a full search
 
     def try_value(further: float, near: Stand | None = None) -> bool:
-        """Return True if a stand exists at a value of the coordinate; store value and stand.
+        """Return True if a stand exists at ``further`` [m or rad]; store value and stand.
 
-        The value is ``further`` [m or rad]. The stand ``near`` is the only initial guess; None for
-        all guesses of `search_stand`.
+        ``near`` is the initial guess; None for all guesses of `search_stand`.
         """
         nonlocal value, last
         if abs(further) > most:
@@ -334,8 +301,7 @@ def _solve_at(
 ) -> Stand | None:
     """Search for a stand with a given value [m or rad] of a base coordinate; None if not found.
 
-    The search starts at the stand ``near`` only, or from all initial guesses if ``near`` is None.
-    The result is also None if the task is rejected, or if the CoM margin at an x or y is too small.
+    The search starts at the stand ``near``, or from all initial guesses if ``near`` is None.
     """
     try:
         targets = compute_targets(robot, _make_task(robot, start, direction, value), {})
@@ -356,17 +322,10 @@ def _solve_at(
 
 
 def _make_task(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
-    """Return a stand's task with another value of a single base coordinate.
+    """Return a stand's task with another value [m or rad] of a single base coordinate.
 
-    `base_workspace` describes which CoM position or base offset the task then requires.
-
-    Args:
-        robot: Robot.
-        start: Stand whose task is changed.
-        direction: Coordinate, one of ``DIRECTIONS``.
-        value: New value of the coordinate: base height [m]; roll, pitch or yaw [rad]; for ``x`` and
-            ``y``, position of the base relative to the centre of the feet, along this axis of the
-            world frame [m].
+    `base_workspace` describes which CoM position or base offset the task then requires. x and y are
+    relative to the centre of the feet.
     """
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):

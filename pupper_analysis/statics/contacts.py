@@ -72,11 +72,8 @@ class Contacts:
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
         """Compute the horizontal distance from the CoM to the edge of the support region.
 
-        A horizontal CoM position belongs to the support region if forces of these contacts balance
-        the weight within friction and grip limits. The sum of the normal forces is at most
-        `MAX_TOTAL_NORMAL_FORCE` weights. If all normals of the contacts are equal and neither grips
-        nor prescribed forces exist, the region is the convex hull of the contacts, independent of
-        friction. The hull is also used if no CoM position allows equilibrium.
+        The support region contains the horizontal CoM positions in which forces of these contacts
+        balance the weight within friction and grip limits (`support_corners`).
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
@@ -86,8 +83,7 @@ class Contacts:
         Returns:
             Distance [m]: positive inside, negative outside. Infinity if a part is welded, since a
             weld holds any CoM. Otherwise minus infinity if a horizontal coordinate of ``place`` is
-            not finite. NaN if no contacts exist and no grips can carry the robot at any CoM
-            position.
+            not finite. NaN if the region has no points.
         """
         if len(self.fixed_parts) > len(self.grips):
             return math.inf
@@ -109,8 +105,7 @@ class Contacts:
     def metric(self) -> TangentialMetric:
         """Weights of the norm of forces that `ForceDistribution.MIN_TANGENTIAL` minimises first.
 
-        All contacts have equal weights, as if their viscosities (tangential force per creep
-        velocity) were equal.
+        All contacts have equal weights.
         """
         return TangentialMetric(self.normals)
 
@@ -145,10 +140,8 @@ class Contacts:
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
         """Compute {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
-        The transposed Jacobian of a grip converts the force [N] on the part to generalised forces.
-        The transposed Jacobian of a weld converts force [N] and moment [N m]. Force and moment are
-        in world axes. The moment is about the origin of the base, or the centre of the foot or
-        hand.
+        Columns of a weld are force [N] and moment [N m], those of a grip the force [N], in world
+        axes. The moment is about the origin of the base, or the centre of the foot or hand.
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
@@ -162,7 +155,7 @@ class Contacts:
     def _twist_to_velocity(self) -> Array:
         """Matrix (3 n, 6 n) from twists at sphere centres to velocities of contact points.
 
-        All are in world axes; a twist is linear velocity, then angular velocity.
+        World axes; a twist is linear velocity, then angular velocity.
         """
         count = len(self.feet)
         matrix = np.zeros((count, 3, count, 6))
@@ -174,7 +167,7 @@ class Contacts:
     def balance(self, transposed: Array, load: Array) -> Balance:
         """Return the equations of equilibrium of a load with contact forces and motor torques.
 
-        Each prescribed normal force (`stated`) adds an equation.
+        Prescribed normal forces (`stated`) are further equations.
 
         Args:
             transposed: Transposed Jacobian, shape (nv, 3 n + 6 w + 3 g), from
@@ -208,8 +201,6 @@ def make_contacts(
 ) -> Contacts:
     """Validate the contact arguments of `gravity_compensation`, and create the contacts.
 
-    If ``friction``, ``normals`` and ``depths`` are None, the result is cached per robot.
-
     Args:
         robot: Robot.
         contacts: Contact points that carry load. None: `Robot.bearing_points` for a free base, no
@@ -222,11 +213,8 @@ def make_contacts(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
-            normal is not a direction, a depth is not a valid length, or a contact point is named
-            twice. Also if the ground's friction is unknown, or a robot with a fixed base has
-            contacts. Without contact points, ``friction``, ``normals`` and ``depths`` are not
-            checked.
+        ConfigurationError: If a friction coefficient, normal or depth is invalid, the ground's
+            friction is unknown, or a robot with a fixed base has contacts, for example.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -235,10 +223,7 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create contacts on level ground with MuJoCo's friction; see `make_contacts` for errors.
-
-    The caller caches the result. Normals, friction and offsets are therefore read-only.
-    """
+    """Create contacts on level ground with MuJoCo's friction, and read-only arrays for a cache."""
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False
@@ -252,7 +237,7 @@ def _make_contacts(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
-    """Create the contacts of named contact points; see `make_contacts` for checks and errors."""
+    """Create the contacts of named contact points; see `make_contacts` for the arguments."""
     for foot in feet:
         robot.check_foot(foot)
     if len(set(feet)) != len(feet):
@@ -297,11 +282,7 @@ def _make_contacts(
 
 
 def _list_depths(feet: tuple[str, ...], depths: Mapping[str, float] | None) -> list[float]:
-    """Return the penetration [m] of each contact point, 0 by default.
-
-    Raises:
-        ConfigurationError: If a penetration is not a valid length.
-    """
+    """Return the penetration [m] of each contact point (default 0), after a check of the values."""
     listed = [(depths or {}).get(foot, 0.0) for foot in feet]
     try:
         if math.hypot(*listed) <= MAX_LENGTH:  # faster than a check of each; False for NaN
@@ -321,10 +302,9 @@ def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] 
         feet: Names of the n contact points that carry load.
 
     Returns:
-        Groups, shape (k, n), and forces, shape (k,). Element (i, j) of the groups is 1.0 if contact
-        point j belongs to the foot with prescribed force i, else 0.0. The forces are the total
-        normal forces of the groups, in units of the robot's weight. None if no force of these feet
-        is prescribed.
+        Groups, shape (k, n), and total normal forces of the groups, shape (k,), in units of the
+        robot's weight. Element (i, j) of the groups is 1.0 if contact point j belongs to the foot
+        with prescribed force i, else 0.0. None if no force of these feet is prescribed.
     """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None
@@ -340,8 +320,7 @@ def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] 
 def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
     """Return position [m] and force limit of each grip; None if the robot has no grips.
 
-    A grip is a foot or hand that holds on to its contact point: a grip can pull as well as push,
-    and carries no moment. The norm of the grip force is limited.
+    A grip is a foot or hand that holds on to its contact point: it can pull as well as push.
 
     Args:
         robot: Robot.
@@ -358,14 +337,10 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
-    """Return the friction coefficient of a contact point with the ground.
+    """Return the friction coefficient of a contact point with the ground, after a check.
 
-    ``friction`` is a common coefficient or {contact point: coefficient}; if it is None, the
-    coefficient of MuJoCo's model is returned.
-
-    Raises:
-        ConfigurationError: If the coefficient is missing or not in [0, `MAX_FRICTION`], or MuJoCo's
-            model has no contact of the point with the ground.
+    ``friction`` is a common coefficient or {contact point: coefficient}; None: that of MuJoCo's
+    model.
     """
     if friction is None:
         if foot not in robot.contacts:

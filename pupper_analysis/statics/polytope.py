@@ -23,18 +23,15 @@ from pupper_analysis.robot.tool import FramePoint, Tool, find_place, find_tool
 
 MIN_LEVER_ARM = 1e-9
 """Lever arm of a force about a hinge [m], or component of a unit force along a slide [1], above
-which the motor bears the force. Values up to this bound count as zero. Chosen as the size of
-rounding errors."""
+which the motor bears the force. Chosen as the size of rounding errors."""
 
 _PARALLEL_TOLERANCE = 1e-9
-"""Tolerance [1] of the linear dependence of unit normals of faces. Three faces meet in a vertex if
-the triple product of their normals is larger than this value. The polytope is bounded if the third
-singular value of all unit normals is at least this value. Rounding is 1e-16; chosen, not tuned."""
+"""Tolerance [1] of the linear dependence of unit normals of faces, for their triple product or
+third singular value. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
-"""Relative tolerance of vertices [1]. A vertex may be outside of a face by this fraction of its
-largest coordinate. Two vertices are equal if they differ by at most this fraction of the largest
-coordinate of all vertices. A largest coordinate below 1 N counts as 1 N. Chosen, not tuned."""
+"""Relative tolerance [1] with which a vertex may be outside of a face, or two vertices count as
+equal. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +66,9 @@ class ForcePolytope(Tabular):
     def largest_force(self, direction: ArrayLike) -> float:
         """Return the largest external force [N] along a direction that the motors withstand.
 
-        Special values, the first that applies:
-
-        - NaN if a motor that bears the force has an unknown torque limit.
-        - 0 if the static load alone exceeds the limit of a motor in ``joints``, even if the force
-          would relieve this motor.
-        - Infinite if no motor bears the force.
+        NaN if a motor that bears the force has an unknown torque limit. Otherwise 0 if the static
+        load alone exceeds the limit of a motor in ``joints``, even if the force would relieve this
+        motor. Infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.
@@ -87,8 +81,9 @@ class ForcePolytope(Tabular):
     def largest_push(self, direction: ArrayLike) -> float:
         """Return the largest straight push [N] of the robot that the motors withstand.
 
-        The robot pushes against the environment along ``direction``. The external force on the
-        robot is opposite to the push. The result is therefore ``largest_force(-direction)``.
+        The robot pushes against the environment along ``direction``. The result is
+        ``largest_force(-direction)``, since the external force on the robot is opposite to the
+        push.
 
         Args:
             direction: Direction (3,) of the push, in world axes; normalised here.
@@ -116,9 +111,6 @@ class ForcePolytope(Tabular):
         """Compute the largest external force [N] along a direction, and the limiting motor's index.
 
         The index refers to ``joints``; it is -1 if the force is infinite or NaN.
-
-        Raises:
-            ConfigurationError: If the direction is no finite vector (3,), or zero.
         """
         unit = check_direction("direction", direction)
         if not self.joints:
@@ -132,10 +124,7 @@ class ForcePolytope(Tabular):
         return np.concatenate([self.rows, -self.rows]), slack
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return the columns {"x", "y", "z": coordinates [N]} of a table with a row per vertex.
-
-        The columns are empty if ``vertices`` is None or empty.
-        """
+        """Return {"x", "y", "z": coordinates [N]}, the columns of a table with a row per vertex."""
         vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
         return dict(zip(("x", "y", "z"), vertices.T, strict=True))
 
@@ -186,10 +175,7 @@ def force_polytope(config: Configuration, point: str | FramePoint) -> ForcePolyt
 
 
 def _find_point(config: Configuration, point: str | FramePoint) -> Tool:
-    """Return the `Tool` (a point on a link) that a name or a `FramePoint` specifies.
-
-    The tool of a foot is at the mean position of the foot's contact points in ``config``.
-    """
+    """Return the `Tool` (a point on a link) that a name or a `FramePoint` specifies."""
     robot = config.robot
     if not isinstance(point, str):
         return find_place(robot, point)
@@ -235,10 +221,8 @@ def force_limits_along(
         directions: Unit vectors in world axes, shape (k, 3).
 
     Returns:
-        Largest forces, shape (k,) [N], and indices (k,) of the motors that reach the effort limit
-        first. A force is NaN if a motor with an unknown limit bears the force. Otherwise the force
-        is 0 if an element of ``slack`` is negative, and infinite if no motor bears the force. The
-        index is -1 if the force is not finite.
+        Largest forces, shape (k,) [N], as from `ForcePolytope.largest_force`; and indices (k,) of
+        the motors that reach the effort limit first, -1 if the force is not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -256,19 +240,18 @@ def force_limits_along(
 def find_vertices(rows: Array, slack: Array) -> Array | None:
     """Compute the vertices of the polytope of forces f with -slack[n:] <= rows @ f <= slack[:n].
 
-    Each vertex is the common point of three faces. All triples are solved, because a polytope
-    without volume (a motor with a limit of zero) has no interior point, which Qhull requires.
+    All triples of faces are solved, because a polytope without volume (a motor with a limit of
+    zero) has no interior point, which Qhull requires.
 
     Args:
-        rows: Shape (n, 3) [m, or 1 for a slide].
+        rows: Shape (n, 3) [m, or 1 for a slide]. Rows with a length up to `MIN_LEVER_ARM` count as
+            zero.
         slack: Shape (2 n,) [N m, or N for a slide]; finite upper bounds of ``rows @ f``, then of
             ``-rows @ f``.
 
     Returns:
         Vertices, shape (k, 3) [N]; k = 0 if the polytope is empty. None if the rows do not span
-        three dimensions, so that the polytope is unbounded or empty. Rows with a length up to
-        `MIN_LEVER_ARM` count as zero. If such a row has a negative bound, k = 0 is returned in any
-        case.
+        three dimensions, so that the polytope is unbounded (or its emptiness is not examined).
     """
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM
@@ -294,10 +277,7 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
 
 
 def _merge_equal_points(points: Array) -> Array:
-    """Remove each point that equals an earlier point, within `_VERTEX_RTOL`.
-
-    ``points`` has the shape (n, 3) [N], and the result (k, 3) [N].
-    """
+    """Remove points (n, 3) [N] that equal an earlier point, within `_VERTEX_RTOL`."""
     tolerance = _VERTEX_RTOL * max(1.0, float(np.abs(points).max(initial=0.0)))
     kept: list[Array] = []
     for point in points:

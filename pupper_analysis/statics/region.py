@@ -27,10 +27,8 @@ from pupper_analysis.statics.support_polygon import (
 )
 
 _MIN_DEPTH = 1e-7
-"""Largest distance [m] of a corner from the line between its neighbours with which the corner is
-removed from the region. Such a point is inside a side: for a direction perpendicular to a side, the
-cone program returns any point of the side. Solutions of the cone program are accurate to about 1e-8
-m."""
+"""Largest distance [m] of a corner from the line between its neighbours with which the corner
+counts as inside a side. Solutions of the cone program are accurate to about 1e-8 m."""
 
 
 REGION_TOLERANCE = 1e-5
@@ -87,11 +85,10 @@ def support_region(
     ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits. l
     is the static load, and J is the Jacobian of the contact points.
 
-    On level ground, if neither torque limits nor forces prescribed by the stand task apply, the
-    region is the convex hull of the contact points. Otherwise the result is the convex hull of
-    extreme points of the region, to the accuracy of the cone program (about 1e-8 m). The hull is
-    inside the region. The distance between the edges of hull and region is at most 0.01 mm, if no
-    cone program fails.
+    On level ground without torque limits and prescribed forces, the region is the convex hull of
+    the contact points. Otherwise the result is a polygon inside the region, up to the accuracy of
+    the cone program (about 1e-8 m); its edge is within 0.01 mm of the region's edge, if no cone
+    program fails.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -106,11 +103,8 @@ def support_region(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has a wrong type, a friction coefficient, normal or depth
-            is invalid, or a contact point is named twice. Also if the friction of the ground is
-            unknown, the base is fixed, there are no contacts, or a part is welded or grips. With
-            ``torque_limits``, also if no file states the effort limit of a motor, or a closed loop
-            is singular.
+        ConfigurationError: If a friction coefficient, normal or depth is invalid, the base is
+            fixed, or an effort limit that is needed is unknown, for example.
     """
     robot = config.robot
     robot.check_floating()
@@ -146,14 +140,9 @@ def support_region(
 
 
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
-    """Return A (m, size) and b (m,) of the effort limits, as inequalities A f <= b.
+    """Return A (m, size) and b (m,) of the effort limits, as scaled inequalities A f <= b.
 
-    f are the contact forces in units of the robot's weight. The limits are those of independent
-    joints. Each row is divided by the limit, if the limit is positive.
-
-    Raises:
-        ConfigurationError: If no file states the effort limit of a motor, or a closed loop is
-            singular.
+    f are the contact forces in units of the robot's weight.
     """
     robot = config.robot
     limits, first = robot.effort_limits, robot.nv - robot.nu
@@ -180,9 +169,7 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
 def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
     """Compute the corners of the convex hull of positions, counter-clockwise, shape (n, 2) [m].
 
-    A corner is removed if it is within `_MIN_DEPTH` of the line between its neighbours. The last
-    three corners are kept. Therefore positions that are on a line up to rounding may have three
-    corners.
+    Corners within `_MIN_DEPTH` of the line between their neighbours are removed, if possible.
     """
     import shapely  # slow to import
 

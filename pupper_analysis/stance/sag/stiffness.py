@@ -37,9 +37,8 @@ from pupper_analysis.stance.stand import Stand
 
 HIGHEST_KP = 2500.0
 """Upper bound of the servo stiffness kp up to which `minimum_stiffness` searches a bracket, in
-units of `EquilibriumScales.stiffness` (robot weight x height). If the robot does not stand with any
-tested kp up to this bound, NoStiffnessError is raised. For Pupper v3 the bound is 1,600 times the
-kp of its servos (5 N m/rad). Chosen, not tuned."""
+units of `EquilibriumScales.stiffness` (robot weight x height). For Pupper v3 the bound is 1,600
+times the kp of its servos (5 N m/rad). Chosen, not tuned."""
 
 _FIRST_KP = 4.0
 """First servo stiffness kp that `minimum_stiffness` tests, in units of
@@ -52,18 +51,15 @@ units of `EquilibriumScales.stiffness` (robot weight x height). A robot that sta
 for example on straight legs, needs no servos. Chosen, not tuned."""
 
 _LEAST_STEP = 0.1
-"""Smallest step of ln(kp) with which an equilibrium is continued to another kp. A failed step is
-repeated with half the length, since Newton's method may miss an equilibrium that is far away; below
-the smallest step, the equilibrium counts as lost. Smaller intervals of the bisection are tried in
-one step. Chosen, not tuned."""
+"""Smallest step of ln(kp) with which an equilibrium is continued to another kp: if a step of about
+this length fails, the equilibrium counts as lost. Chosen, not tuned."""
 
 _FIRST_CREEP_RATIO = 0.04
 """Relative excess over the largest kp without a static equilibrium, at which creep is simulated
 first. Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
 
 _MAX_PREDICTIONS = 4
-"""Number of creep simulations of `_bisect_stiffness` at predicted kp: the first follows from
-`_FIRST_CREEP_RATIO`, the others from `_predict_stiffness`. Further simulations halve the bracket.
+"""Number of creep simulations of `_bisect_stiffness` at predicted kp, before the bracket is halved.
 Chosen, not tuned."""
 
 _ESTIMATE_TOLERANCE = 0.02
@@ -84,9 +80,7 @@ def minimum_stiffness(
     tolerance: float = 0.01,
     ratios: ArrayLike | None = None,
 ) -> float:
-    """Find the smallest servo stiffness kp with which a robot stands without feed-forward.
-
-    The method is bisection.
+    """Find the smallest servo stiffness kp for a stand without feed-forward, by bisection.
 
     The robot stands if the result of `steady_state` has no failures, and a free base keeps more
     than half of the stand's height. Examples of failures are a swing foot on the ground, and creep
@@ -108,8 +102,7 @@ def minimum_stiffness(
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
-            (``build_on_ground``).
+        ModelError: If a joint has no motor, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
@@ -137,11 +130,9 @@ def estimate_minimum_stiffness(
 ) -> float:
     """Estimate the smallest servo stiffness kp [N m/rad] for a stand without feed-forward.
 
-    Unlike in `minimum_stiffness`, creep near the result is simulated only once: a prediction
-    replaces the bisection (`_predict_stiffness`). If the robot stands with all tested kp, the
-    result is the smallest tested kp. If the predicted kp is at least twice the upper end of the
-    bracket, the result of `minimum_stiffness` is returned. Measured: 0 to 5 % above
-    `minimum_stiffness` for T1 and v3-long-leg, within 1 % for v3, original and Go2.
+    Unlike in `minimum_stiffness`, creep near the result is usually simulated only once: a
+    prediction replaces the bisection. Measured: 0 to 5 % above `minimum_stiffness` for T1 and
+    v3-long-leg, within 1 % for v3, original and Go2.
 
     Args:
         robot: Robot.
@@ -152,8 +143,7 @@ def estimate_minimum_stiffness(
     Raises:
         ConfigurationError: If ``ratios`` is invalid, or the robot cannot stand.
         UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
-            (``build_on_ground``).
+        ModelError: If a joint has no motor, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
             ``EquilibriumScales.stiffness``; contains the reason.
@@ -177,18 +167,8 @@ def _bracket_stiffness(
     """Bracket the smallest servo stiffness kp [N m/rad] of a stand, by steps of a factor 2.
 
     Returns:
-        Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low. The
-        robot stands with kp = high, as long as the feet have not crept. If the robot stands with
-        all tested kp, down to `_LEAST_KP` or `MIN_STIFFNESS`, low is 0.
-
-    Raises:
-        ConfigurationError: If ``feet`` or ``ratios`` is invalid, or the robot cannot stand.
-        UnknownNameError: If the stand has feet that the robot lacks.
-        ModelError: If a joint has no motor, or if the contacts or the ground cannot be added
-            (``build_on_ground``).
-        StaticsInfeasibleError: If no contact forces balance the stand.
-        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
-            ``EquilibriumScales.stiffness``; contains the reason.
+        Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low, but
+        with kp = high before creep. low is 0 if the robot stands with all tested kp.
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)
@@ -239,10 +219,9 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Find the largest grid value of kp without an equilibrium before creep; return its index.
+    """Bisect for the largest grid value of kp without a static equilibrium; return its index.
 
-    The search is a bisection with `_StiffnessSearch.stands_at_first`; the index is 0 if the robot
-    stands with each tested value.
+    Creep is not simulated.
     """
     first, last = 0, grid.count
     while last - first > 1:
@@ -259,7 +238,7 @@ def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
     of the statics (measured on v3, original and Go2).
 
     Args:
-        start: Largest kp without a static equilibrium [N m/rad].
+        start: kp [N m/rad] just below the least kp of the static equilibrium.
         tried: kp with which creep was simulated [N m/rad].
         lasts: Time for which the equilibrium lasts with this kp [s].
     """
@@ -269,17 +248,11 @@ def _predict_stiffness(start: float, tried: float, lasts: float) -> float:
 def _bisect_stiffness(
     search: _StiffnessSearch, low: float, high: float, tolerance: float
 ) -> tuple[float, float]:
-    """Narrow a bracket of the smallest stiffness kp [N m/rad] with which the robot stands.
+    """Narrow a bracket (low, high) of the smallest kp [N m/rad] with which the robot stands.
 
-    If the robot stands with each kp above some kp, the result equals that of a bisection in which
-    each kp is tested with creep. A simulation of creep takes ten times as long as statics.
-    Therefore statics bound kp first, and predictions (`_predict_stiffness`) replace midpoints.
-
-    Args:
-        search: Test of stiffnesses.
-        low: kp with which the robot does not stand [N m/rad].
-        high: kp with which the robot stands [N m/rad].
-        tolerance: Largest width of the result, relative to its upper end.
+    A simulation of creep takes ten times as long as statics. Therefore statics bound kp first, and
+    predictions (`_predict_stiffness`) replace midpoints. ``tolerance`` is relative to the upper
+    end.
     """
     grid = _Grid(low, high, tolerance)
     static = first = _find_static_end(search, grid)
@@ -307,12 +280,7 @@ def _bisect_stiffness(
 
 
 def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
-    """Check the given ratios of joint stiffness, and return an array (nu,); ones for None.
-
-    Raises:
-        ConfigurationError: If the ratios have another shape, are negative or not finite, or are all
-            zero.
-    """
+    """Check the given ratios of joint stiffness, and return an array (nu,); ones for None."""
     if ratios is None:
         return np.ones(robot.nu)
     values = real_array("ratios", ratios)
@@ -349,18 +317,14 @@ class _StiffnessSearch:
         self.lost: set[float] = set()
 
     def stands(self, value: float) -> bool:
-        """Return True if the robot stands without feed-forward, with kp = ``value`` times ratios.
-
-        ``value`` is in N m/rad; the ratios are those of the constructor.
-        """
+        """Return True if the robot stands without feed-forward, with kp = ``value`` [N m/rad]."""
         return math.isinf(self.measure_duration(value))
 
     def measure_duration(self, value: float) -> float:
         """Return the time [s] until creep of the feet ends the equilibrium, with kp = ``value``.
 
-        The result is 0 if the robot does not stand even before the creep. Infinite if the robot
-        stands. Until the search has found a kp with which the robot stands, the result is either 0
-        or infinite.
+        0 if the robot does not stand even before the creep; infinite if the robot stands. Until the
+        search has found a kp with which the robot stands, the result is 0 or infinite.
         """
         if self._path is None:
             return math.inf if self.follow(value) else 0.0
@@ -399,7 +363,7 @@ class _StiffnessSearch:
     def stands_at_first(self, value: float) -> bool:
         """Return True if the robot stands with kp = ``value`` [N m/rad], before the feet creep.
 
-        If no equilibrium is known yet, or a contact opens or closes, creep is simulated as well.
+        In some cases creep is simulated as well, for example if no equilibrium is known yet.
         """
         if self._path is None:
             return self.follow(value)
@@ -435,9 +399,8 @@ class _StiffnessSearch:
     def _continue(self, path: HomotopyPath, value: float) -> Solution | None:
         """Find the stable equilibrium with kp = ``value`` [N m/rad] from a known equilibrium.
 
-        The nearest known equilibrium is the start; its touching contacts stay unchanged. A step of
-        ln(kp) is halved if Newton's method fails, or finds an unstable equilibrium. None if a step
-        becomes shorter than `_LEAST_STEP`.
+        The touching contacts stay unchanged. None if steps of ln(kp) become shorter than
+        `_LEAST_STEP`.
         """
         at = min(self._poses, key=lambda known: abs(math.log(known / value)))
         solution = self._poses[at][0]
