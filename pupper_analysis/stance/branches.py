@@ -141,8 +141,8 @@ def find_branches(
     Returns:
         {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
         the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. Joint positions that
-        differ by whole turns count as equal. For an unreachable target, the branches are mostly
-        near local minima of the foot error.
+        differ by whole turns mostly count as equal. For an unreachable target, the branches are
+        mostly near local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.

@@ -313,9 +313,9 @@ class ClearanceShapes:
     ) -> list[float]:
         """Compute the heights [m] above the ground (slope and steps) of the shapes in ``parts``.
 
-        Lower steps count as slope if all steps are lower. If a part, such as a calf, intersects the
-        sphere of a foot, the penetration of this foot is added to the height of the part: the part
-        may be as deep in the ground as the foot.
+        If all steps are below the slope, the heights are measured from the slope. If a part, such
+        as a calf, intersects the sphere of a foot, the penetration of this foot is added to the
+        height of the part: the part may be as deep in the ground as the foot.
 
         Args:
             at: Kinematics of the configuration.

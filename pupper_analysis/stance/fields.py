@@ -144,10 +144,7 @@ class Field:
 
     @property
     def attribute(self) -> str:
-        """Name of the attribute of `StandTask` that stores the value of this field.
-
-        ``"ground"`` for a field of the ground (`Ground`), else the ``name`` of the field.
-        """
+        """Attribute of `StandTask` that stores the value of this field, such as ``"ground"``."""
         return self.name if self.part == "task" else self.part
 
     @property

@@ -138,7 +138,7 @@ class Stand(Pictured, Tabular):
         return self._statics[-1][2]
 
     def _columns(self) -> dict[str, Any]:
-        """Return {column: values} of a table with one row per contact point (m, world frame)."""
+        """Return {column: values} of a table with one row per contact point (lengths in m)."""
         feet = list(self.foot_targets)
         places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
         return {
@@ -391,8 +391,8 @@ def evaluate_stand(
         iterations: Number of solved or attempted quadratic programs.
 
     Raises:
-        ConfigurationError: If the task requires a clearance that does not exist: without a ground,
-            without parts above the ground, or without links that are not neighbours.
+        ConfigurationError: If the task requires a clearance that does not exist, for example
+            because the model has no ground.
     """
     robot, task = shapes.robot, targets.task
     at = shapes.move_to(qpos)
@@ -426,10 +426,10 @@ def evaluate_stand(
 
 
 def is_base_in_ground(shapes: ClearanceShapes, targets: StandTargets) -> bool:
-    """Return True if the required base height and orientation put the base link into level ground.
+    """Return True if the required base height and orientation violate the ground clearance.
 
-    No stand of such a task exists. Links that are fixed to the base count as the base link. False
-    on slopes, and for robots with a weld or grip. Steps and separate planes of feet are ignored.
+    No stand of such a task exists. Shapes of the base link, and of links that are fixed to the
+    base, are tested on level ground. False on slopes, and for robots with a weld or grip.
     """
     if targets.task.ground.slope or shapes.robot.fixed_parts:
         return False

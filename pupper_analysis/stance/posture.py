@@ -82,8 +82,8 @@ def find_posture(
     """Complete given joint positions to a posture of all joints, for a robot with a fixed base.
 
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
-    their ranges. Joints of loops and couplings then move to close loops; given joints move by at
-    most 1e-3 rad or m.
+    their ranges (zero, if possible, for an unlimited joint). Joints of loops and couplings then
+    move to close loops; given joints move by at most 1e-3 rad or m.
 
     Args:
         robot: Robot with a fixed base.

@@ -372,12 +372,7 @@ class SelfClearanceTask(PostureTask):
         return self._shortfall(body.self_clearances())
 
     def _shortfall(self, distances: Array) -> float:
-        """Return the required ``distance`` minus the smallest distance [m], at least 0.
-
-        ``distances`` are ascending, shape (n,) [m].
-
-        0 if the smallest distance is sufficient, or if there are no distances.
-        """
+        """Return the required ``distance`` minus the smallest of ascending distances [m], or 0."""
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:

@@ -353,10 +353,11 @@ def feet_centre(
 ) -> Array:
     """Compute the reference point (3,) [m] of a stand: mean of the stance contacts, world frame.
 
-    Welded and gripping feet count as contacts. Hands, and feet on steep planes, are left out if
-    other contacts remain. If all feet are lifted, the point is the horizontal mean of all targets,
-    at z = 0. For an arm (a robot with a weld or grip, and without feet other than hands), it is the
-    point at z = 0 below the base in the home pose.
+    Welded and gripping feet count as contacts. If other contacts remain, hands and feet on steep
+    planes are left out, and feet on separate planes do not count for the height. If all feet are
+    lifted, the point is the horizontal mean of all targets, at z = 0. For an arm (a robot with a
+    weld or grip, and without feet other than hands), it is the point at z = 0 below the base in the
+    home pose.
 
     Args:
         robot: Robot.
@@ -528,9 +529,9 @@ count as collinear: second singular value of the centred points. Chosen, not tun
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
-    """Return {contact point: default target of its sphere centre, (3,) [m]}, world frame.
+    """Return {contact point: sphere centre (3,) [m]} in the nominal pose, in the world frame.
 
-    Positions are those with the base upright at the origin and the joints at ``robot.nominal``.
+    The base is upright at the origin, and the joints are at ``robot.nominal``.
     """
     return {point: place.copy() for point, place in robot.compute_once(_compute_nominal_points)}
 

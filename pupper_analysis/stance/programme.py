@@ -217,8 +217,8 @@ class StanceProgram:
             task: Task with the values from which the solve starts. Default: the requested values.
 
         Returns:
-            Relaxed task and configuration: a local minimum if SLSQP converges, which may violate
-                the constraints otherwise.
+            Relaxed task and configuration, which may violate the constraints if SLSQP does not
+            converge.
         """
         relaxable = bool(self._requirements)
         tolerance = _SATISFIED_VIOLATION if relaxable else TASK_TOLERANCE
@@ -243,9 +243,8 @@ class StanceProgram:
     def minimise_foot_distances(self, qpos: Array) -> Array:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
-        The sum of squared distances is minimised subject to the constraints of this program, in a
-        second run with a finer unit of distance. The result is a local minimum, or, after too many
-        iterations, may violate the constraints.
+        The sum of squared distances is minimised subject to the constraints of this program, in two
+        runs, the second with a finer unit of distance. The minimum may be local.
 
         Args:
             qpos: Initial configuration, shape (nq,).

@@ -82,8 +82,8 @@ def search_stand(
         context: Search context of the robot.
         targets: Targets and limits of the stand (`StandTargets`).
         default_guesses_only: If True, use only IK from `default_initial_guesses`.
-        com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is usually above
-            the centre of the feet.
+        com_at_centre_only: If True, omit the search by the nonlinear program, so that a free CoM is
+            usually above the centre of the feet.
 
     Returns:
         A solved stand, or the best failure (`Stand.solved` is False).
@@ -194,13 +194,13 @@ class _StandSearch:
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
-        """Whether the required base pose puts the base into the ground, so that no stand exists."""
+        """Whether the required base pose violates the ground clearance (`is_base_in_ground`)."""
         return is_base_in_ground(self.shapes, self.targets)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first stand.
 
-        If the required base pose puts the base into the ground, the stand is not solved.
+        If the required base pose violates the ground clearance, the stand is not solved.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
@@ -568,7 +568,7 @@ def branch_initial_guesses(
 ) -> Iterator[Array]:
     """Yield initial guesses of the joint positions, (nu,) [rad, m]: combinations of IK branches.
 
-    Combinations near ``ik_seed`` of the task, or else near the home position, come first.
+    Combinations with small foot errors, near ``ik_seed`` of the task or else near home, come first.
 
     Args:
         robot: Robot.

@@ -54,9 +54,9 @@ which the fixed-point iteration fails. Example: a sole that is loaded at its edg
 further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Ratio of two successive changes of the fixed-point iteration, above which steps are scaled by a
-relaxation factor. Chosen, not tuned: with this ratio, the iteration without relaxation needs 20
-rounds from 1 mm to `DEPTH_TOLERANCE`."""
+"""Ratio [1] of the change in an iteration of the fixed point to the previous change of depths,
+above which steps are scaled by a relaxation factor. Chosen, not tuned: with this ratio, the
+iteration without relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
 """Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's
@@ -224,8 +224,8 @@ def solve_loaded_stand(
 ) -> tuple[Robot, Stand]:
     """Add a payload to a robot, and solve a stand of the loaded robot.
 
-    In the default task, the CoM of the loaded robot is above the centre of the feet, so that the
-    base is shifted.
+    In the default task, the CoM of the loaded robot is above the centre of the feet, if the legs
+    permit: the base is shifted.
 
     Args:
         robot: Robot.

@@ -125,7 +125,8 @@ def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
 
     Returns:
         Positions, None if the content has no positions. Fingerprint (name and hash) of the robot to
-        which the positions belong; empty if not necessary or not stated.
+        which the positions belong; empty if the file states no robot, or if the positions have
+        names.
     """
     if _is_numbers(content):
         return content, ""
@@ -159,7 +160,7 @@ def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
 
 
 def _is_numbers(value: Any) -> TypeGuard[list[float]]:
-    """Return True for a list of at least one number."""
+    """Return True for a list of numbers that is not empty."""
     return (
         isinstance(value, list)
         and bool(value)

@@ -222,8 +222,7 @@ def find_interval(
         direction: An element of ``DIRECTIONS``.
         enough: Distance [m or rad] from the start at which the search ends, even if values beyond
             are reachable.
-        default_guesses_only: Whether to search from `default_initial_guesses` only, not in all IK
-            branches.
+        default_guesses_only: Whether full searches start from `default_initial_guesses` only.
     """
     (low, _), (high, _) = (
         _find_limit(robot, start, direction, sign, enough, default_guesses_only)
@@ -242,9 +241,9 @@ def _find_limit(
 ) -> tuple[float, Stand]:
     """Find an end of the reachable interval of a base coordinate; return value and stand there.
 
-    The search moves outward from ``start``, towards larger (``sign`` 1) or smaller values (-1),
-    until it exceeds the distance ``enough`` [m or rad]. IK starts at the last stand, but the end
-    must also be reachable from the initial guesses of `search_stand`.
+    The search moves outward from ``start``, towards larger (``sign`` 1) or smaller values (-1), at
+    most until it has reached the distance ``enough`` [m or rad]. IK starts at the last stand, but
+    the end must also be reachable from the initial guesses of `search_stand`.
     """
     first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
     first_value = value = _get_coordinate(robot, start, direction)

@@ -386,8 +386,8 @@ class Balance:
     ) -> Array | None:
         """Compute null-space coordinates z (k,) with the smallest peak ``max |cost @ z - target|``.
 
-        Among the z with this peak, the norm is minimised. The forces ``particular + free @ z`` must
-        be inside the friction cones. None if no such z is found.
+        If possible, the norm is then minimised. The forces ``particular + free @ z`` must be inside
+        the friction cones. None if no such z is found.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))

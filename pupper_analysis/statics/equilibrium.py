@@ -250,7 +250,7 @@ def gravity_compensation(
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
-    (`Description.passive_joints`) have a torque only if balance requires this torque.
+    (`Description.passive_joints`) have torques only if balance is impossible without these.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -318,11 +318,7 @@ def balance_load(
     friction = None if held else carrying.friction
 
     def distribute(problem: Balance) -> Array | None:
-        """Compute contact forces (size,) [N, N m] by ``distribution``; None if infeasible.
-
-        Feasible forces satisfy the equations of balance ``problem``. Unless ``held`` is True (feet
-        as if glued to the ground), feasible forces also satisfy the friction cones and grip limits.
-        """
+        """Compute contact forces (size,) [N, N m] by ``distribution``; None if infeasible."""
         if criterion is ForceDistribution.MIN_MAX_TORQUE:
             return problem.min_max_torque(friction, robot.effort_limits)
         if criterion is ForceDistribution.MIN_TORQUE:
@@ -379,10 +375,7 @@ def distribute_loads(
     forces, torques = [], []
 
     def distribute(problem: Balance) -> Array | None:
-        """Compute feasible forces (size,) [N], world axes, with `ForceDistribution.MIN_TANGENTIAL`.
-
-        None if no forces satisfy balance, friction cones and grip limits.
-        """
+        """Compute forces (size,) [N, N m] by minimum tangential forces; None if infeasible."""
         return _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
 
     for load in map(config.transfer_to_motors, loads):

@@ -251,7 +251,7 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
 
     Returns:
         Vertices, shape (k, 3) [N]; k = 0 if the polytope is empty. None if the rows do not span
-        three dimensions, so that the polytope is unbounded (or its emptiness is not examined).
+        three dimensions, so that the polytope may be unbounded.
     """
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM

@@ -120,9 +120,9 @@ given. Chosen: a regular polygon with 48 corners has 0.3 % less area than its ci
 """
 
 _MIN_FAILURES = 3
-"""Number of directions, from the first one on, in which the cone program fails, and the support
-region then counts as empty. Measured on 300 random sets of 2 to 5 contacts: in 6 of 207 regions,
-the cone program failed by rounding in a single direction."""
+"""If the cone program fails in this number of directions before the first success, the support
+region counts as empty. Measured on 300 random sets of 2 to 5 contacts: in 6 of 207 regions, the
+cone program failed by rounding in a single direction."""
 
 
 def support_corners(
@@ -220,7 +220,7 @@ def find_extreme_positions(
             exceeded if a cone program fails. None: `SIDES` directions.
 
     Returns:
-        Points (x, y) [m] in the world frame; empty if no CoM position allows equilibrium.
+        Points (x, y) [m] in the world frame; empty if no CoM position with equilibrium is found.
     """
     count = len(points)
     positions = np.vstack([points, grips[:, :3]])

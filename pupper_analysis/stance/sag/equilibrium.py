@@ -171,7 +171,7 @@ class ContactKinematics:
         return pushed
 
     def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
-        """Compute the Jacobian (nv, nv) by qvel of the static load minus constant contact forces.
+        """Compute the Jacobian (nv, nv) by qvel of static load minus constant contact forces.
 
         Args:
             forces: Contact forces, shape (n, 3) [N], in the contact frame.
@@ -562,7 +562,7 @@ class SagEquilibrium:
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Compute the Jacobian of the residual by qvel and by contact forces, (nv + 3 n, nv + 3 n).
 
-        With welds, the balance in this derivative contains the weld wrenches as constants.
+        Wrenches of welded feet and hands enter the balance as constants.
 
         Args:
             qpos: Configuration, shape (nq,).

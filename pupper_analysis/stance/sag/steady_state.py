@@ -112,7 +112,7 @@ def compute_smallest_stiffness(
     The result decides the stability: an equilibrium is stable if the eigenvalue is positive.
 
     The stiffness matrix is the Hessian of the potential energy in the motions that the feet permit,
-    plus the stiffness of saturated friction. The matrix is not symmetric if feet slip.
+    plus the stiffness of saturated friction. The matrix may be unsymmetric if feet slip.
 
     Args:
         system: Equilibrium equations of the robot on its servos.
@@ -531,7 +531,7 @@ def steady_state(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feedforward: Whether ctrl = q* + tau / kp (joint positions plus static torques of the
             stand); otherwise ctrl = q*.
-        feet: ``pinned``: the feet do not slip (as of rubber, or in MuJoCo for some seconds).
+        feet: ``pinned``: the feet stick up to the friction limit (as in MuJoCo for some seconds).
             ``sliding``: no tangential forces, the final state of MuJoCo's creep.
         seconds: Creep time of pinned feet [s].
 
@@ -782,7 +782,7 @@ def _make_rest_data(robot: Robot) -> mujoco.MjData:
 def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
-    """List the reasons why the robot does not stay in an equilibrium.
+    """List reasons why the robot does not stay in an equilibrium.
 
     ``stiffness`` [1/s^2] is the result of `compute_smallest_stiffness`.
     """

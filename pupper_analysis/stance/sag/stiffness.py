@@ -168,7 +168,7 @@ def _bracket_stiffness(
 
     Returns:
         Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low, but
-        with kp = high before creep. low is 0 if the robot stands with all tested kp.
+        with kp = high before creep. If the robot stands with all tested kp, low is 0.
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)
