@@ -246,7 +246,7 @@ class SupportMargin(Constraint):
     def jacobian(self, targets: StandTargets, at: Configuration) -> Array:
         """Return the Jacobian (m, nv) of the CoM's distances from the support polygon's sides.
 
-        Columns are in the order of qvel. The polygon is treated as constant.
+        Rows as in ``residual``, columns in the order of qvel. The polygon is treated as constant.
         """
         jacobian: Array = self._polygon_sides(targets)[:, :2] @ at.com_jacobian()[:2]
         return jacobian
@@ -350,7 +350,7 @@ class SelfClearance(Constraint):
     def smallest_clearance(self, _: StandTargets, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] of links that are not neighbours, with both links.
 
-        None without two such links with collision shapes.
+        None without such links with collision shapes.
         """
         return self._shapes.find_closest_links(at.qpos)
 

@@ -107,7 +107,7 @@ class PostureTask(ABC):
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add this task to a PlaCo solver with a weight of its squared error; return it."""
+        """Add this task to a PlaCo solver, and return it as a `PlacoTask`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,8 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] of link ``target`` from its position required in ``frame``."""
+        """Return the distance [m] of ``target`` from its required position relative to
+        ``frame``."""
         (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 

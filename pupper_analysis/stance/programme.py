@@ -279,7 +279,7 @@ class StanceProgram:
         iterations: int,
         progress: _Progress | None = None,
     ) -> Array:
-        """Minimise a function under the constraints of this program, by SLSQP; variables (v,).
+        """Minimise a function under this program's constraints by SLSQP; return variables (v,).
 
         Args:
             function: Returns value and gradient, shape (v,), at the variables.

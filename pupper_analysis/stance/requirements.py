@@ -197,7 +197,10 @@ def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
-    """Return the value of a field [m, rad], for a foot or joint, in the stand of a default task."""
+    """Return the value of a field [m, rad], for a foot or joint, in the nominal stand.
+
+    `differs_from_nominal` describes this stand.
+    """
     if field.kind == "contact":
         contact = task.contacts[foot]
         if not contact.parameters:
@@ -272,7 +275,8 @@ def differs_from_nominal(robot: Robot, task: StandTask, requirements: Sequence[s
 def reset_to_nominal(robot: Robot, task: StandTask, requirements: Sequence[str]) -> StandTask:
     """Return a copy of a task with some requirements reset to their values in the nominal stand.
 
-    Values are clipped to the bounds of relaxed values (`RequirementVector`).
+    `differs_from_nominal` describes this stand. Values are clipped to the bounds of relaxed values
+    (`RequirementVector`).
 
     Args:
         robot: Robot.

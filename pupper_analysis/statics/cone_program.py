@@ -292,7 +292,7 @@ class Balance:
     def _solve_by_gglse(self, cost: Array, target: Array) -> Array | None:
         """Compute the result of `_solve_linear` by LAPACK's ``gglse``, faster than by an SVD.
 
-        None if the equations are (nearly) singular; balance of the result is not checked.
+        None, for example, if the equations are (nearly) singular. Balance is not checked.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):

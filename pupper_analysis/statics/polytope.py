@@ -68,7 +68,7 @@ class ForcePolytope(Tabular):
 
         NaN if a motor that bears the force has an unknown torque limit. Otherwise 0 if the static
         load alone exceeds the limit of a motor in ``joints``, even if the force would relieve this
-        motor. Infinite if no motor bears the force.
+        motor. Otherwise infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.
@@ -251,7 +251,7 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
 
     Returns:
         Vertices, shape (k, 3) [N]; k = 0 if the polytope is empty. None if the rows do not span
-        three dimensions, so that the polytope may be unbounded.
+        three dimensions, and the polytope is not known to be empty.
     """
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM
