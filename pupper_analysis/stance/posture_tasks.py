@@ -206,8 +206,7 @@ class RelativePositionTask(PostureTask):
         return (self.frame, self.target)
 
     def residual(self, body: WholeBody) -> float:
-        """Return the distance [m] of ``target`` from its required position relative to
-        ``frame``."""
+        """Return the distance [m] of ``target`` from its required position in frame ``frame``."""
         (rotation, origin), (_, place) = body.pose(self.frame), body.pose(self.target)
         return float(np.linalg.norm(rotation.T @ (place - origin) - np.asarray(self.position)))
 

@@ -244,7 +244,7 @@ class StanceProgram:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
         The sum of squared distances is minimised subject to the constraints of this program, in two
-        runs, the second with a finer unit of distance. The minimum may be local.
+        runs, the second with the remaining distance as unit. The minimum may be local.
 
         Args:
             qpos: Initial configuration, shape (nq,).

@@ -94,7 +94,7 @@ class RequirementVector:
         keys: Key (field, foot, axis) of each number.
         requirements: Name of the requirement to which each number belongs.
         values: Values in the task, shape (n,) [m, rad].
-        nominal: Values in the nominal stand (of the default `StandTask`), shape (n,) [m, rad].
+        nominal: Values in the nominal stand (`differs_from_nominal`), shape (n,) [m, rad].
         low: Lower bounds of relaxed values, shape (n,) [m, rad].
         high: Upper bounds of relaxed values, shape (n,) [m, rad].
         angles: 1 for angles, 0 for lengths, shape (n,).

@@ -268,8 +268,8 @@ _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 the ``ground`` of a task."""
 
 _DEFAULTS = {attribute.name: attribute.default for attribute in fields(StandTask)}
-"""{attribute of `StandTask`: default value}. An attribute whose value is the default object itself
-(``is``) is not checked."""
+"""{attribute of `StandTask`: default value, or ``dataclasses.MISSING``}. An attribute whose value
+is the default object itself (``is``) is not checked."""
 
 _SEPARATORS = {"en": ", ", "zh": "，"}  # noqa: RUF001
 """{language: separator of requirements in a text}."""
