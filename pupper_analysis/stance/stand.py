@@ -210,8 +210,8 @@ def solve_stands(
     Tasks whose result depends on the initial guess, for example with a free CoM or redundant
     joints, are always solved as by `solve_stand`.
 
-    The errors of each stand are bounded as in `solve_stand`. If a leg has several IK branches, the
-    branch of the previous stand is kept if possible.
+    The errors of each stand are bounded as in `solve_stand`. Searches from previous stands keep the
+    IK branch.
 
     Args:
         robot: Robot with a floating base.

@@ -82,9 +82,9 @@ def minimum_stiffness(
 ) -> float:
     """Find the smallest servo stiffness kp for a stand without feed-forward, by bisection.
 
-    The robot stands if the result of `steady_state` has no failures, and a free base keeps more
-    than half of the stand's height. Examples of failures are a swing foot on the ground, and creep
-    that ends the equilibrium within 12 s.
+    The robot stands if the result of `steady_state` has no failures, and a free base without welds
+    or grips keeps more than half of the stand's height. Examples of failures are a swing foot on
+    the ground, and creep that ends the equilibrium within 12 s.
 
     Args:
         robot: Robot.
