@@ -175,11 +175,7 @@ def find_branches(
 def _sort_branches(
     robot: Robot, qpos: Array, limb: IndependentLimb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
-    """Sort a limb's IK branches by foot error, then from rear to front by the joint origins.
-
-    Legs with equivalent branches thus all bend in the same direction. ``qpos`` (nq,) contains the
-    base pose, and the positions of joints outside of the limb.
-    """
+    """Sort a limb's IK branches by foot error; then rearmost first, so that legs bend alike."""
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
 
@@ -267,11 +263,7 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
 
 
 def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Subtract whole turns from hinge positions (k, nu) towards the home pose, within the limits.
-
-    Joints with a range of more than a turn reach the same leg posture several times. Continuous
-    joints are unchanged. ``lower`` and ``upper`` are the joint limits, shape (nu,) [rad, m].
-    """
+    """Subtract whole turns from hinge positions (k, nu) [rad] towards home, within the limits."""
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
         model.joints[model.getJointId(name)].shortname().startswith("JointModelP")
@@ -474,10 +466,7 @@ not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
-    """Select the indices of each limb's branches, so that not too many combinations exist.
-
-    If necessary, the branches are removed whose cost exceeds the smallest cost of the limb most.
-    """
+    """Select the indices of each limb's cheapest branches, so that combinations stay sortable."""
     kept = [list(range(len(cost))) for cost in costs]
     excess = sorted(
         (

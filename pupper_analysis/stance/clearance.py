@@ -166,11 +166,7 @@ class ClearanceShapes:
 
     @functools.cached_property
     def _pairs(self) -> IntArray:
-        """Index pairs, shape (n, 2), of the collision shapes between which distances are measured.
-
-        Neighbouring links are left out: links on adjacent joints, or that touch at home, for
-        example.
-        """
+        """Index pairs (n, 2) of the collision shapes on links that are not neighbours."""
         model, shapes = self.robot.pin_model, self.shapes
         base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
         joints = [model.getJointId(shape.joint) if shape.joint else base for shape in shapes]
@@ -221,11 +217,7 @@ class ClearanceShapes:
         return list(self._nearest[1])
 
     def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
-        """Return the ``most`` nearest pairs of shapes in a configuration (nq,), nearest first.
-
-        ``pairs``, shape (n, 2), are the indices of the shapes to be compared. Bounding spheres
-        exclude most pairs without an exact distance.
-        """
+        """Return the ``most`` nearest of given index pairs (n, 2) of shapes, nearest first."""
         solids, at = (
             [shape.form.collision for shape in self.shapes],
             self._shape_poses(self.move_to(qpos)),

@@ -128,10 +128,7 @@ def _is_within(qpos: Array, ranges: Array) -> bool:
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Return joint positions (nu,) near ``qpos`` (nu,) that close all loops and couplings.
-
-    The joints with the indices ``placed`` move by at most `_MAX_CLOSING_DISPLACEMENT`.
-    """
+    """Return joint positions (nu,) near ``qpos`` that close all loops; ``placed`` joints stay."""
     if robot.closure is None:
         return qpos
     moving = np.ones(robot.nu)

@@ -127,8 +127,7 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
     """Return a stand's task that requires base pose, CoM and footless joints of a configuration.
 
-    Footless joints move no foot. For an arm, which has hands only, the position of the base is
-    required instead of the CoM.
+    Footless joints move no foot. An arm (hands only) has a base position instead of the CoM.
     """
     roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(at.base_rotation()))
     centre, first = stand.centre(robot), robot.nq - robot.nu

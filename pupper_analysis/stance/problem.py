@@ -93,10 +93,7 @@ def _compute_com_mobility(robot: Robot) -> bool:
 
 
 def _count_com_directions(robot: Robot, joints: Array) -> int:
-    """Return the number (0 to 2) of horizontal directions in which the legs can move the CoM.
-
-    Feet, base height and base orientation are fixed. ``joints`` are the joint positions (nu,).
-    """
+    """Return the number (0 to 2) of horizontal directions in which planted legs move the CoM."""
     config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
@@ -464,10 +461,7 @@ def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
 
 
 def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
-    """Raise a ConfigurationError if the support region is too narrow (`_MIN_SUPPORT_WIDTH`).
-
-    ``corners`` (n, 2) [m] are the corners of the region.
-    """
+    """Raise an error if the support region with corners (n, 2) [m] is too narrow."""
     # A robot on grips alone has no corners if the grips cannot carry the weight.
     seen = corners - corners.mean(axis=0) if len(corners) > 1 else np.zeros((2, 2))
     if np.linalg.svd(seen, compute_uv=False)[1] < _MIN_SUPPORT_WIDTH:
@@ -537,10 +531,7 @@ def nominal_point_positions(robot: Robot) -> dict[str, Array]:
 
 
 def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
-    """Return (contact point, sphere centre (3,) [m]) at the nominal joint positions.
-
-    The base is at the world origin, without rotation.
-    """
+    """Return (contact point, sphere centre (3,) [m]) in the nominal pose, base at the origin."""
     qpos = robot.make_qpos(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
@@ -606,11 +597,7 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
-    """Compute {contact point: target of its sphere centre, (3,) [m]} on a foot's separate plane.
-
-    The contact is at the point of the plane nearest to the requested position, plus the swing
-    height.
-    """
+    """Compute {contact point: target of its sphere centre, (3,) [m]} at a foot's separate plane."""
     points = robot.feet[foot]
     on = task.ground.planes[foot].project(_requested_position(robot, task, foot, place))
     out = task.ground.normal(foot)
@@ -672,10 +659,7 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 
 
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
-    """Rotate and translate the sphere centres (n, 3) [m] of a sole, so that the sole is on a plane.
-
-    The plane passes through the origin and has the unit normal ``normal``, shape (3,).
-    """
+    """Move sphere centres (n, 3) [m], so that the sole is on a plane through the origin."""
     out = UP
     for _ in range(_NUM_FIT_ITERATIONS):
         out = _fit_upward_normal(sole - radii[:, None] * out)

@@ -256,10 +256,7 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Compute ``scale`` times the squared distances [m^2] of feet from targets, and gradient.
-
-        The gradient (v,) is the derivative by the variables ``x`` (v,).
-        """
+        """Compute ``scale`` times the sum of squared foot errors [m^2], and the gradient (v,)."""
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
@@ -335,11 +332,7 @@ class StanceProgram:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
-        """Convert an initial configuration (nq,) and initial relaxations to variables (v,).
-
-        The relaxations are the differences of ``task`` from the requested task; zero without a
-        task.
-        """
+        """Convert an initial configuration (nq,) and relaxed task to variables (v,)."""
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)
         given = (had - numbers.values) / numbers.units
@@ -427,10 +420,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Indices of the residuals that the program uses, and the number of equalities among them.
-
-        Linearly dependent equalities are left out; the test is at random joint positions.
-        """
+        """Indices of independent equality and of inequality residuals; number of equalities."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._targets.lower, -np.pi), np.minimum(self._targets.upper, np.pi)

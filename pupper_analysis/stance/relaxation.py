@@ -296,10 +296,7 @@ class _RelaxationSearch:
         return relaxation
 
     def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
-        """Round the values of a relaxation; return it if the rounded task has a stand, else None.
-
-        If necessary, the relaxation is increased (`_EXTRA_RELAXATIONS`).
-        """
+        """Round a relaxation, increase it if necessary, and solve its stand; None on failure."""
         if relaxation is None:
             return None
         robot = self.context.robot

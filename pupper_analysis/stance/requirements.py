@@ -197,10 +197,7 @@ def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
-    """Return the value of a field [m, rad], for a foot or joint, in the nominal stand.
-
-    `differs_from_nominal` describes this stand.
-    """
+    """Return the value of a field [m, rad], for a foot or joint, in the nominal stand."""
     if field.kind == "contact":
         contact = task.contacts[foot]
         if not contact.parameters:
@@ -228,9 +225,9 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
 
 
 def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
-    """Compute the horizontal mean (x, y) [m] of the requested stance foot positions, world frame.
+    """Compute the mean (x, y) [m] of stance foot positions, weighted by their contact points.
 
-    Hands are left out. Each foot counts once per contact point.
+    Hands are left out. World frame.
     """
     stance_feet = [
         place
@@ -243,10 +240,7 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Return the bounds (lower, upper) [m, rad] within which a number of a task may be relaxed.
-
-    ``value`` is the number in the stand task, and ``turns`` is True for an angle.
-    """
+    """Return bounds (lower, upper) [m, rad] of a relaxed number; ``turns``: it is an angle."""
     far = _MAX_RELAXATION * robot.stand_height
     if field.relaxation == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _MIN_HEIGHT_RATIO * value if field.open else min(0.0, value)
@@ -369,10 +363,7 @@ def describe_limit(
 def _describe_requirement(
     robot: Robot, task: StandTask, requirement: str, requested: StandTask
 ) -> Diagnostic:
-    """Create the message with the value of a requirement in a relaxed task.
-
-    Unchanged contacts are left out.
-    """
+    """Create the message with the value of a requirement in a relaxed task."""
     name = Term(requirement)
     if requirement == "ground":
         slope = Quantity(task.ground.slope, "rad")

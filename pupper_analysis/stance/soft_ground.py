@@ -206,10 +206,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Deflect loops and couplings of a posture, as MuJoCo's soft constraints do under static load.
-
-    ``qpos`` and the result are joint positions, shape (nu,) [rad, m].
-    """
+    """Deflect loops of a posture (nu,) [rad, m] as MuJoCo's soft constraints under static load."""
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos

@@ -84,10 +84,7 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 
 
 def _read_table(text: str) -> Any:
-    """Read a CSV: a mapping {joint: position}, a list of numbers, or None for another form.
-
-    Cells that contain no number stay texts.
-    """
+    """Read a CSV: mapping {joint: position}, list of numbers, or None for another form."""
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
     except csv.Error:

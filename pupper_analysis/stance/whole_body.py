@@ -341,10 +341,7 @@ class _Problem:
     def _explain_failure(
         self, residuals: Array, qpos: Array, collision: _LazyShapes
     ) -> PostureUnreachableError:
-        """Create the error about an unreachable posture, with the tasks and limits that prevent it.
-
-        ``residuals`` are those of the tasks [m or rad] at the configuration ``qpos`` (nq,).
-        """
+        """Create the error about an unreachable posture, with opposing tasks and limits."""
         robot, tasks, names = self._robot, self._tasks, self._names
         weights = np.array([float(task.required) for task in tasks])
         weights[[isinstance(task, SelfClearanceTask) for task in tasks]] *= CLEARANCE_WEIGHT
@@ -550,10 +547,7 @@ class _PostureSolver:
                 return
 
     def _evaluate(self, stage: _Stage) -> float:
-        """Return the weighted sum of squared residuals [m^2, rad^2] at PlaCo's configuration.
-
-        Targets that depend on the configuration, such as a gaze direction, are updated first.
-        """
+        """Return the weighted sum of squared residuals [m^2, rad^2] at PlaCo's configuration."""
         if any(task.update_target for _, task in stage.tasks):
             body = _PinocchioBody(self._robot, self._current_qpos(), self._collision)
             for _, task in stage.tasks:

@@ -177,11 +177,7 @@ height."""
 def _describe_base_limit(
     robot: Robot, start: Stand, end: Stand, direction: str, value: float
 ) -> Diagnostic:
-    """Create the message about the reason why an interval of a base coordinate ends at ``end``.
-
-    ``value`` is the coordinate at the end [m or rad]. Without another reason, the reach of the legs
-    is reported.
-    """
+    """Create the message why the interval of a base coordinate ends at the stand ``end``."""
     task = start.task
     if abs(value) >= _MAX_VALUES.get(direction, math.inf) * (1 - BISECTION_RTOL):
         return diagnose("workspace-ends-at-full-turn")
@@ -298,10 +294,7 @@ def _solve_at(
     near: Stand | None,
     default_guesses_only: bool,
 ) -> Stand | None:
-    """Search for a stand with a given value [m or rad] of a base coordinate; None if not found.
-
-    The search starts at the stand ``near``, or from all initial guesses if ``near`` is None.
-    """
+    """Search for a stand with a base coordinate ``value`` [m or rad], from ``near`` if given."""
     try:
         targets = compute_targets(robot, _make_task(robot, start, direction, value), {})
     except ConfigurationError:

@@ -305,10 +305,7 @@ class Balance:
 
     @cached_property
     def _particular_and_null_space(self) -> tuple[Array, Array]:
-        """Minimum-norm solution of the balance equations (least squares), and a null-space basis.
-
-        The shapes are (size,) and (size, k); the equations are ``base_rows @ f = base_load``.
-        """
+        """Minimum-norm balancing forces (size,), least squares; null-space basis (size, k)."""
         left, sizes, right = np.linalg.svd(self.base_rows)
         rank = int((sizes > 1e-12 * sizes[0]).sum())
         particular: Array = (left[:, :rank].T @ self.base_load / sizes[:rank]) @ right[:rank]
@@ -341,10 +338,7 @@ class Balance:
         return error <= BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest violation of a friction cone or grip limit [N]; negative inside all.
-
-        NaN if a force is NaN.
-        """
+        """Return the largest violation of a cone or grip limit [N], negative inside all."""
         excess = []
         for force, normal, coefficient in zip(
             self._contact_part(forces).tolist(),
@@ -528,10 +522,7 @@ class TangentialMetric:
         return self._scale_tangential(1 / self._weights, forces)
 
     def _scale_tangential(self, weights: Array, forces: Array) -> Array:
-        """Multiply the tangential parts of contact forces (3 n,) or (3 n, k) by weights (n, 1).
-
-        Normal parts are unchanged.
-        """
+        """Multiply the tangential parts of contact forces (3 n,) or (3 n, k) by weights (n, 1)."""
         columns = forces.reshape(len(self._normals), 3, -1)
         normals = self._normals[:, :, None]
         along_normals = normals * (normals * columns).sum(axis=1, keepdims=True)

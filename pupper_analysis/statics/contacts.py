@@ -153,10 +153,7 @@ class Contacts:
 
     @functools.cached_property
     def _twist_to_velocity(self) -> Array:
-        """Matrix (3 n, 6 n) from twists at sphere centres to velocities of contact points.
-
-        World axes; a twist is linear velocity, then angular velocity.
-        """
+        """Matrix (3 n, 6 n) from twists at sphere centres to velocities of contacts, world axes."""
         count = len(self.feet)
         matrix = np.zeros((count, 3, count, 6))
         index = np.arange(count)
@@ -337,11 +334,7 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
-    """Return the friction coefficient of a contact point with the ground, after a check.
-
-    ``friction`` is a common coefficient or {contact point: coefficient}; None: that of MuJoCo's
-    model.
-    """
+    """Check and return the friction coefficient of a contact point, by default that of MuJoCo."""
     if friction is None:
         if foot not in robot.contacts:
             raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))

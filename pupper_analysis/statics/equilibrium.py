@@ -338,10 +338,7 @@ def balance_load(
 def _distribute_with_passive_joints(
     robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
 ) -> Array | None:
-    """Compute contact forces with which passive joints (without motor) need no torque, if feasible.
-
-    None if no forces balance the load. ``distribute`` returns the forces for given equations.
-    """
+    """Compute contact forces with which passive joints need no torque, if such forces exist."""
     if robot.passive_joints:
         passive = [robot.joint_names.index(name) for name in robot.passive_joints]
         relieved = replace(

@@ -140,10 +140,7 @@ def support_region(
 
 
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
-    """Return A (m, size) and b (m,) of the effort limits, as scaled inequalities A f <= b.
-
-    f are the contact forces in units of the robot's weight.
-    """
+    """Return A (m, size), b (m,) with A f <= b for effort limits; forces f in robot weights."""
     robot = config.robot
     limits, first = robot.effort_limits, robot.nv - robot.nu
     motors = np.ones(robot.nu, dtype=bool)
@@ -167,10 +164,7 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
 
 
 def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
-    """Compute the corners of the convex hull of positions, counter-clockwise, shape (n, 2) [m].
-
-    Corners within `_MIN_DEPTH` of the line between their neighbours are removed, if possible.
-    """
+    """Compute the corners (n, 2) [m] of the convex hull of positions, counter-clockwise."""
     import shapely  # slow to import
 
     hull = shapely.MultiPoint(list(positions)).convex_hull

@@ -371,10 +371,7 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
 def _start_at_first_corner(
     sides: tuple[tuple[float, ...], ...], corners: Sequence[Corner]
 ) -> tuple[tuple[float, ...], ...]:
-    """Rotate the cyclic order of polygon sides, so that the first side begins at a given point.
-
-    This point is the first element of ``corners`` that is a corner of the polygon.
-    """
+    """Rotate the polygon sides, so that the first begins at the earliest point of ``corners``."""
     starts = [corners.index((x, y)) for x, y, *_ in sides]
     first = starts.index(min(starts))
     return sides[first:] + sides[:first]

@@ -363,10 +363,7 @@ class HomotopyPath:
         system.set_command(full + share * (self.end - full))
 
     def _solve_at(self, share: float) -> Solution | None:
-        """Solve for the equilibrium with a fraction ``share`` of the feed-forward removed.
-
-        None if no solution is found.
-        """
+        """Solve the equilibrium with a fraction ``share`` of the feed-forward removed, or None."""
         self._set_command(share)
         return self.system.solve(self.solution)
 
@@ -396,11 +393,7 @@ class HomotopyPath:
         return True
 
     def _switch_contact(self, foot: str, found: Solution) -> None:
-        """Release a contact point that touches in the solution ``found``, or else add it.
-
-        Raises:
-            NoEquilibriumError: After too many switches (`_MAX_EVENTS`).
-        """
+        """Release a contact point that touches in the solution ``found``, or else add it."""
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
             raise NoEquilibriumError(
@@ -409,13 +402,7 @@ class HomotopyPath:
         self.solution = self.system.switch_contact(foot, found)
 
     def _solve_contacts(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
-        """Solve for the equilibrium, and switch contacts until no contact contradicts the solution.
-
-        ``when`` describes the moment for the error message.
-
-        Raises:
-            NoEquilibriumError: If Newton's method fails, or contacts change too often.
-        """
+        """Solve the equilibrium; switch contacts until no contact contradicts the solution."""
         self.solution = guess
         while True:
             found = self.system.solve(self.solution, exact=exact)
@@ -782,10 +769,7 @@ def _make_rest_data(robot: Robot) -> mujoco.MjData:
 def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
-    """List reasons why the robot does not stay in an equilibrium.
-
-    ``stiffness`` [1/s^2] is the result of `compute_smallest_stiffness`.
-    """
+    """List reasons why the robot does not stay in an equilibrium of ``stiffness`` [1/s^2]."""
     robot, stand = system.robot, system.stand
     failures = []
     if not stiffness > 0:

@@ -219,10 +219,7 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Bisect for the largest grid value of kp without a static equilibrium; return its index.
-
-    Creep is not simulated.
-    """
+    """Bisect for the largest grid kp without a static equilibrium; return its index."""
     first, last = 0, grid.count
     while last - first > 1:
         middle = (first + last) // 2
@@ -387,10 +384,7 @@ class _StiffnessSearch:
         return True
 
     def _set_stiffness(self, path: HomotopyPath, value: float, solution: Solution) -> None:
-        """Set the servo stiffness of ``path`` to ``value`` [N m/rad] times the joint ratios.
-
-        The path starts again at the equilibrium ``solution``, without feed-forward and creep.
-        """
+        """Set kp = ``value`` [N m/rad] times ratios; restart the path at ``solution``."""
         path.reset_creep(self._anchors)
         path.system.kp = np.where(path.system.kp > 0, value * self._ratios, 0.0)
         path.solution = solution
