@@ -466,7 +466,7 @@ not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
-    """Select the indices of each limb's cheapest branches, so that combinations stay sortable."""
+    """Select the indices of each limb's cheapest branches, so that combinations can be sorted."""
     kept = [list(range(len(cost))) for cost in costs]
     excess = sorted(
         (

@@ -128,7 +128,7 @@ def _is_within(qpos: Array, ranges: Array) -> bool:
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Return joint positions (nu,) near ``qpos`` that close all loops; ``placed`` joints stay."""
+    """Return positions (nu,) near ``qpos`` that close all loops; ``placed`` joints hardly move."""
     if robot.closure is None:
         return qpos
     moving = np.ones(robot.nu)

@@ -197,7 +197,7 @@ def _list_values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
-    """Return the value of a field [m, rad], for a foot or joint, in the nominal stand."""
+    """Return the nominal value of a field [m, rad] (`differs_from_nominal`)."""
     if field.kind == "contact":
         contact = task.contacts[foot]
         if not contact.parameters:
@@ -240,7 +240,7 @@ def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 
 def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
-    """Return bounds (lower, upper) [m, rad] of a relaxed number; ``turns``: it is an angle."""
+    """Return bounds (lower, upper) [m, rad] of a relaxed number; ``turns`` is True for an angle."""
     far = _MAX_RELAXATION * robot.stand_height
     if field.relaxation == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _MIN_HEIGHT_RATIO * value if field.open else min(0.0, value)

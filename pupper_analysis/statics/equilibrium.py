@@ -338,7 +338,7 @@ def balance_load(
 def _distribute_with_passive_joints(
     robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
 ) -> Array | None:
-    """Compute contact forces with which passive joints need no torque, if such forces exist."""
+    """Compute balancing contact forces, if possible without torques of passive joints."""
     if robot.passive_joints:
         passive = [robot.joint_names.index(name) for name in robot.passive_joints]
         relieved = replace(

@@ -769,7 +769,10 @@ def _make_rest_data(robot: Robot) -> mujoco.MjData:
 def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
-    """List reasons why the robot does not stay in an equilibrium of ``stiffness`` [1/s^2]."""
+    """List reasons why the robot does not stay in an equilibrium.
+
+    ``stiffness`` [1/s^2] is the result of `compute_smallest_stiffness`.
+    """
     robot, stand = system.robot, system.stand
     failures = []
     if not stiffness > 0:
