@@ -76,9 +76,7 @@ def list_urdf_links(robot: Robot) -> Links:
     """Return the inertials of the links of each body of the URDF, in the frame of the body.
 
     Returns:
-        {base or joint: links with mass that move with it}. A link has a name, mass [kg], CoM [m]
-        and inertia about the CoM [kg m^2] in the axes of the body, and the pose of the link's frame
-        in the frame of the body.
+        {base or joint: links with mass that move with it}.
     """
     model = robot.pin_model
     links_by_joint: dict[str, list[ComparedLink]] = {}
@@ -109,8 +107,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
         aligned: The same tree, in the body frames of the URDF.
 
     Returns:
-        {base or joint: links with mass that move with this joint}: mass [kg], CoM [m], inertia
-        [kg m^2] and axes.
+        {base or joint: links with mass that move with it}.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
     raw_poses, aligned_poses = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
@@ -129,8 +126,6 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
 
 def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
     """Return the name of a joint of a Pinocchio model if it is a joint of the robot, else the base.
-
-    ``joint`` is the index of the parent joint of a link; the result names the body with the link.
     """
     name = str(model.names[joint])
     return name if name in robot.joint_names else robot.base
@@ -147,11 +142,9 @@ def combine_bodies(*bodies: TreeBody) -> TreeBody:
 def compute_moments(body: TreeBody) -> Array:
     """Compute mass, first moments and rotational inertia of a body about the origin of the frame.
 
-    The vectors of bodies that are expressed in a common frame can be added.
-
     Returns:
         Shape (10,): mass m [kg]; first moments m c, with the CoM c [kg m]; ixx, iyy, izz, ixy, ixz,
-        iyz of the inertia tensor about the origin [kg m^2].
+        iyz of the inertia tensor about the origin [kg m^2]. Additive for bodies in a common frame.
     """
     c = body.com
     inertia = body.inertia + body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
@@ -163,9 +156,6 @@ def body_from_moments(values: Array) -> TreeBody:
     """Compute mass, CoM and inertia about the CoM of a body from its moments about the origin.
 
     Inverse of `compute_moments`. The CoM of a body without mass is set to zero.
-
-    Args:
-        values: Moments, shape (10,) [kg, kg m, kg m^2], as from `compute_moments`.
     """
     mass = float(values[0])
     com = values[1:4] / mass if mass else np.zeros(3)
@@ -219,7 +209,7 @@ class PatternCase:
                 joints and the base.
 
         Returns:
-            (kind, element) of each difference; all of ``keys`` if the trees have different joints.
+            (kind, element) of each difference; ``keys`` if the trees cannot be compared.
         """
         first = self.first if only is None else self.first.select_joints(only)
         try:
@@ -234,10 +224,8 @@ class PatternCase:
     def find_explained(self, second: MultibodyTree) -> set[PropertyKey]:
         """Return the differences between the files that disappear if the MJCF's tree is modified.
 
-        A modification that explains several differences is a common cause.
-
         Args:
-            second: Modified tree of the MJCF, in the body frames of the URDF.
+            second: Modified tree of the MJCF.
 
         Returns:
             Differences as pairs (kind, element). Empty if the modified tree has a new difference,
@@ -275,11 +263,8 @@ axes. Upper case, for fixed axes, is also tested; the stated sequence is not."""
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
-    Each other setting is tested by a new comparison (`PatternCase.find_explained`). The setting
-    with which most differences disappear is a finding if at least 60 % of the differences in
-    rotations and axes disappear. If no rotation or axis differs, at least 60 % of the differences
-    in joint limits must disappear. ``eulerseq`` (`_EULER_SEQUENCES`) is tested only if a body of
-    the MJCF has Euler angles; ``angle`` is also tested if joint limits differ.
+    A finding explains at least 60 % of the differences in rotations and axes, or in joint limits if
+    no rotation or axis differs.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -338,9 +323,7 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged in either file.
 
-    A limb consists of a joint of the base and all joints below; both limbs have equally many
-    joints. A pair counts if it has two or more differences, and after the exchange of the joint
-    names at most `_MAX_REMAINING_FRACTION` times as many. All pairs together are one finding.
+    A limb consists of a joint of the base and all joints below.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
@@ -448,12 +431,9 @@ used, divided by the number in the required unit.
 
 
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
-    """Find joint limits, masses, lengths or inertias that all differ by a common factor.
+    """Find a common factor between the joint limits, masses, lengths or inertias of both files.
 
-    The message names the wrong unit (such as degrees, g or mm) or a wrong decimal point, if this
-    explains the factor. Values that are zero in the URDF are ignored, and hinges with an infinite
-    limit. Limits of slides are not compared. The factor of lengths is computed from the joint
-    positions. Differences of CoMs and frames are explained only if they have the same factor.
+    The message guesses a wrong unit (such as degrees, g or mm) or a wrong decimal point.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -489,10 +469,12 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
-    """Return the differences that remain after lengths are multiplied by a factor.
+    """Return the differences that remain after the lengths of one file are scaled to the other
+    file.
 
-    `_scale_lengths` multiplies the lengths. ``factor`` is length in the MJCF / length in the URDF.
-    The tree with the larger numbers is scaled, so that the tolerances apply to the smaller numbers.
+    ``factor`` is length in the MJCF / length in the URDF. The larger numbers are scaled, so that
+    the
+    tolerances apply to the smaller numbers.
     """
     if factor > 1:
         return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
@@ -516,12 +498,9 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Return the factor second / first that pairs of proportional arrays have in common.
+    """Return the common factor second / first of pairs of proportional arrays, None without factor.
 
-    Returns:
-        Common factor of the pairs whose first array is not zero. None if there are fewer than two
-        such pairs, or if the arrays of such a pair are not proportional within 0.1 %. None also if
-        the ratios are not positive or not equal within 0.1 %, or if the factor is 1 within 1 %.
+    Tolerance 0.1 %. Arrays of zeros are ignored; a factor of about 1 does not count.
     """
     ratios = []
     for first, second in pairs:
@@ -539,11 +518,9 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
 
 
 def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
-    """Return a message about the wrong unit or decimal point that explains a factor, or None.
+    """Return a message about a wrong unit or decimal point that explains a factor, or None.
 
-    ``factor`` is the number in the MJCF divided by the number in the URDF. ``units`` is {factor:
-    (unit used, unit required)} for a mistake in the MJCF; the inverse factor is a mistake in the
-    URDF.
+    ``factor`` is the number in the MJCF / number in the URDF.
     """
     for size, (meant, right) in units.items():
         for file, times in (("MJCF", size), ("URDF", 1 / size)):
@@ -556,9 +533,7 @@ def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagno
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
     """Find efforts of a URDF that are the efforts of the motor, before the gear.
 
-    The criterion is (effort in the URDF) * |gear| = (effort in the MJCF), both [N m] or [N], with
-    the gear ratio of the joint's only actuator in the MJCF. Joints with |gear| = 1, and differences
-    that another cause explains, are skipped.
+    The criterion is (effort in the URDF) * |gear| = (effort in the MJCF), both [N m] or [N].
     """
     model = case.robot.mj_model
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
@@ -585,15 +560,10 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 
 
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
-    """Find inertias that differ only because one file has no products of inertia.
+    """Find inertias that differ because one file has no products of inertia.
 
-    For the test, the products are removed from the other file, and the inertias are compared again.
-    The products are removed in the axes of each link, or in the axes of the combined body. At least
-    two differences must disappear.
-
-    Args:
-        case: The two trees.
-        lacking: File without products of inertia, ``URDF`` or ``MJCF``.
+    For the test, the products are removed from the other file. ``lacking`` is the file without
+    products of inertia: ``URDF`` or ``MJCF``.
     """
     if sum(kind == "inertia" for kind, _ in case.unexplained) < 2:
         return
@@ -655,19 +625,13 @@ def _keep_diagonal(inertia: Array) -> Array:
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of the largest entry.
-
-    The magnitudes are compared.
-    """
+    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of the largest entry."""
     off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
 def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
-    """Find products of inertia that one file lacks, first in the URDF and then in the MJCF.
-
-    `find_dropped_products` tests each file.
-    """
+    """Find products of inertia that the URDF or the MJCF lacks."""
     for file in ("URDF", "MJCF"):
         yield from find_dropped_products(case, file)
 
@@ -691,22 +655,13 @@ class _TensorPair:
     turn: Array
 
     def equals(self, urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
-        """Return True if two inertia tensors, shape (3, 3) [kg m^2], agree within the tolerance.
-
-        Args:
-            urdf: Tensor of the URDF, from which a tested mistake may have been removed.
-            mjcf: Tensor of the MJCF, from which a tested mistake may have been removed.
-            tolerances: Tolerances; ``inertia`` is relative to the largest entry.
-        """
+        """Return True if two inertia tensors, shape (3, 3) [kg m^2], agree within the tolerance."""
         scale = max(float(np.abs(urdf).max()), float(np.abs(mjcf).max()))
         return float(np.abs(urdf - mjcf).max()) <= tolerances.inertia * scale
 
 
 def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
-    """Yield both inertia tensors of each body whose tensors differ, but whose mass and CoM agree.
-
-    Differences with a known cause are left out, and bodies that consist of several links in a file.
-    """
+    """Yield inertia tensors that differ between the files, of bodies with equal mass and CoM."""
     links = UrdfTree.of(case.robot.description.urdf).links
     differing = {element for kind, element in case.keys if kind in ("mass", "com")}
     for kind, name in case.unexplained:
@@ -724,10 +679,9 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
 
 
 def _compute_origin_shift(link: ComparedLink) -> Array:
-    """Compute a link's tensor about its origin minus that about the CoM, shape (3, 3) [kg m^2].
+    """Compute a link's inertia about its origin minus inertia about the CoM, shape (3, 3) [kg m^2].
 
-    This is m (c.c E - c c^T), with the mass m, the identity E, and the CoM c relative to the origin
-    of the link (`ComparedLink.offset`). The tensor is in the axes of the moving body.
+    m (c.c E - c c^T) in the axes of the moving body, with the CoM c relative to the link's origin.
     """
     offset = link.offset
     tensor: Array = link.body.mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
@@ -737,10 +691,7 @@ def _compute_origin_shift(link: ComparedLink) -> Array:
 def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
     """Return True if one file has the inverse rotation of the principal axes of inertia.
 
-    For a rotation E and a diagonal matrix D, the tensors are then E D E^T and E^T D E in the axes
-    of the link whose file has the mistake. Both files are tested, since their links may have
-    different axes. All orders and signs of the principal axes that form a right-handed frame are
-    tested.
+    With a rotation E and a diagonal matrix D, the tensors are then E D E^T and E^T D E.
     """
     urdf, mjcf = pair.urdf, pair.mjcf
     for link, other in ((mjcf, urdf), (urdf, mjcf)):
@@ -762,11 +713,10 @@ tested as a cause. Chosen, not tuned."""
 def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
     """Find mistakes that explain different inertia tensors of bodies with equal mass and CoM.
 
-    Tested mistakes: a file states tensors about the origin of the link instead of the CoM; the
-    MJCF lacks the rotation of ``<inertial><origin>``; one file has the inverse rotation of the
-    principal axes. The mistake that explains most bodies is reported first. A single body is
-    sufficient evidence, since six numbers are hardly equal by chance. Inverse axes require two
-    bodies, since many orders of axes are tested.
+    Tested mistakes: tensors about the origin of the link instead of the CoM; a lost rotation of
+    ``<inertial><origin>``; the inverse rotation of the principal axes. For the first two a single
+    body
+    is sufficient evidence, since six numbers are hardly equal by chance.
     """
     pairs = list(_list_tensor_pairs(case))
     total, tolerances = len(pairs), case.tolerances
@@ -800,13 +750,9 @@ def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
 def _describe_tensor_mistake(
     kind: str, file: str, pairs: Sequence[_TensorPair], total: int
 ) -> Diagnostic:
-    """Describe a mistake that explains different inertia tensors of some bodies.
+    """Create the message about a mistake that explains different inertia tensors of bodies.
 
-    Args:
-        kind: Mistake: ``inertia axes``, ``inertia origin`` or ``inertia turn`` (a lost rotation).
-        file: File with the mistake: ``URDF`` or ``MJCF``; empty for ``inertia axes``.
-        pairs: Tensors of the bodies with this mistake.
-        total: Number of bodies whose different tensors were tested (`_list_tensor_pairs`).
+    ``kind`` is ``inertia axes``, ``inertia origin`` or ``inertia turn`` (a lost rotation).
     """
     links, count = [pair.urdf.name for pair in pairs], len(pairs)
     other = "URDF" if file == "MJCF" else "MJCF"
@@ -821,13 +767,7 @@ def _describe_tensor_mistake(
 
 
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
-    """Find joints that mimic another joint in the URDF, and that move freely in the MJCF.
-
-    Joints that an active joint equality of the MJCF couples otherwise are left out.
-
-    The cause also explains the different efforts of these joints if they have neither a motor nor
-    an effort limit in the MJCF.
-    """
+    """Find joints that mimic another joint in the URDF, and that move freely in the MJCF."""
     model = case.robot.mj_model
     leaders = {name: mimic[0] for name, mimic in case.robot.description.mimics.items()}
     coupled = set()
@@ -858,15 +798,14 @@ difference only contains six numbers."""
 
 _MAX_SUBSET_LINKS = 12
 """Largest number of links of a body of which subsets are tested as the links that one file lacks:
-2^12 = 4096 subsets take some milliseconds. If more links of the body are candidates, only the
-heaviest are tested. Links with more than 1.01 times the missing mass are no candidates."""
+2^12 = 4096 subsets take some milliseconds. Of more links, the heaviest are tested.
+"""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
-undone. 1.5 times this fraction is the mass tolerance of tested sets of links (`_list_subsets`).
-
-Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's mass. A
-wrong subset of links leaves about as much as the subset removes."""
+undone. Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's
+mass. A wrong subset of links leaves about as much as the subset removes.
+"""
 
 
 _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -903,11 +842,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Report one common cause for all equality constraints that are missing in the URDF.
-
-    Nothing is reported if there are fewer than two constraints. Constraints that an earlier cause
-    explains are not counted.
-    """
+    """Report one common cause for two or more equality constraints that are missing in the URDF."""
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)
@@ -935,9 +870,7 @@ class _LinkMistake:
 
 
 def find_link_mistakes(case: PatternCase) -> PatternFindings:
-    """Find links that explain why bodies (links that move together) differ in their inertia.
-
-    One file lacks some links of the body, or the mass of one link differs by a factor.
+    """Find links that one file lacks, or whose mass is scaled, as causes of inertial differences.
     """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
@@ -960,12 +893,9 @@ def find_link_mistakes(case: PatternCase) -> PatternFindings:
 
 
 def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
-    """Return the mistake in a body's links that explains the inertial difference of this body.
+    """Return the mistake in a body's links that explains the body's inertial difference, or None.
 
-    Two mistakes are tested: one file lacks links, or the mass of one link differs by a factor. The
-    result is None if no mistake explains the difference, if a mass is 0, or if the masses are
-    equal. If the body has a single link and only its mass differs, the factor must be a power of
-    ten. ``name`` is the joint that moves the body, or the base.
+    ``name`` is the joint that moves the body, or the base.
     """
     first, second = case.first.bodies[name], case.second.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
@@ -1018,10 +948,7 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
 
 
 def _list_subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
-    """Yield sets of links with a total mass within 3 % of ``mass`` [kg], small sets first.
-
-    Of more than `_MAX_SUBSET_LINKS` links only the heaviest are used.
-    """
+    """Yield sets of links with a total mass within 3 % of ``mass`` [kg], small sets first."""
     heaviest = sorted(links, key=lambda link: -link.body.mass)[:_MAX_SUBSET_LINKS]
     masses = np.array([link.body.mass for link in heaviest])
     choices = np.array(list(product((False, True), repeat=len(heaviest))))
@@ -1041,17 +968,9 @@ def _explains_difference(
 ) -> bool:
     """Return True if a tested mistake explains the inertial difference of a body.
 
-    After the mistake is removed, mass, CoM and inertia of both bodies must agree. Kinds of
-    differences that another cause explains need not agree. In addition, at most `_MAX_RESIDUAL` of
-    the difference may remain.
-
-    Args:
-        case: Both trees.
-        name: Joint that moves the body, or the base.
-        first: Body of one file, without the mistake.
-        second: Body of the other file.
-        removed: Moments that the mistake adds, shape (10,), as from `compute_moments`.
-        difference: Moments of the URDF's body minus those of the MJCF's body, shape (10,).
+    ``first`` is the body without the mistake. ``removed`` (by undoing the mistake) and
+    ``difference``
+    (URDF - MJCF) are moments, shape (10,), as from `compute_moments`.
     """
     explained_kinds = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
@@ -1070,9 +989,7 @@ def _explains_difference(
 def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
     """Compute divisors that make mass, first moments and inertia comparable, shape (10,).
 
-    The scale is 1 for the mass, L for the first moments, and L^2 for the inertia.
-    L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, and at
-    least 1e-6 m. trace(I), m and the distance are each the larger value of both bodies.
+    The divisors are 1, L (3 times) and L^2 (6 times), with a length L [m] of the bodies.
     """
     mass = max(abs(first.mass), abs(second.mass))
     inertia_trace = max(float(np.trace(body.inertia)) for body in (first, second))
@@ -1082,10 +999,7 @@ def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
 
 
 def _describe_lacking_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
-    """Create the message about the links that a file lacks, with masses [kg], by name pattern.
-
-    All ``mistakes`` are about the same file.
-    """
+    """Create the message about the links that a file lacks, with masses [kg], by name pattern."""
     links = {link.name: link.body.mass for mistake in mistakes for link in mistake.links}
     other = "URDF" if mistakes[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
@@ -1110,7 +1024,7 @@ def _describe_lacking_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
 
 
 def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
-    """Describe the links whose mass in the MJCF is that of the URDF times a common factor."""
+    """Create the message about links whose masses in the two files differ by a common factor."""
     factor = float(f"{mistakes[0].factor:.6g}")
     links = [
         diagnose(
@@ -1126,7 +1040,7 @@ def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
 
 
 def _is_scaling_by_ten(factor: float) -> bool:
-    """Return True if a factor is a positive power of ten other than 1, up to 1e-3 in the log10."""
+    """Return True if a factor is an integer power of ten other than 1, up to 1e-3 in the log10."""
     if factor <= 0:
         return False
     power = math.log10(factor)
@@ -1135,8 +1049,6 @@ def _is_scaling_by_ten(factor: float) -> bool:
 
 def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
     """Group names by a common prefix that ends with a separator, or a suffix that begins with one.
-
-    The largest group is first. Names without a common part form a group each.
 
     Returns:
         {``*_rotor``, ``sensor_*``, or the complete name: names}.
@@ -1159,18 +1071,13 @@ def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 _MIN_FOREIGN_MASS_CHANGE = 0.1
-"""Smallest relative difference between the masses of a body in both files at which
-`find_foreign_inertials` reports the inertial of another body. CoM and inertia must differ as well.
-Chosen, not tuned.
+"""Smallest relative difference between the masses of a body in both files at which an inertial of
+another body is suspected. Chosen, not tuned.
 """
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
-    """Find bodies with the inertial of another body: mass, CoM and inertia all differ.
-
-    The mass must differ by at least 10 %, and no cause found before may explain one of the
-    differences.
-    """
+    """Find bodies with the inertial of another body: mass, CoM and inertia all differ."""
     kinds = ("mass", "com", "inertia")
     foreign = []
     for name, first in case.first.bodies.items():
@@ -1212,9 +1119,7 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although all bodies have the same poses.
 
     At zero angles all bodies have the same poses in both files. Nevertheless CoM, children and
-    frames differ, since they are expressed in the frame of the joint. Only joints with different
-    positions are tested. If more than `_MAX_MOVED_JOINTS` joints have different positions, nothing
-    is searched.
+    frames differ, since they are expressed in the frame of the joint.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
@@ -1238,12 +1143,9 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
 def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
     """Return a copy of a tree in which a joint has the placement and axis of another tree.
 
-    With all joint positions at zero, the bodies have the same poses as before.
-
-    Args:
-        values: Tree; not modified.
-        other: Tree with the same joint, in the same frame of the parent.
-        name: Joint.
+    With all joint positions at zero, the bodies have the same poses as before. In both trees the
+    frame
+    of the parent must be the same.
     """
     old_joint, new_joint = values.joints[name], other.joints[name]
     shift = new_joint.placement.actInv(old_joint.placement)
@@ -1255,10 +1157,7 @@ def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> M
 
 
 def _measure_axis_offset(first_joint: TreeJoint, second_joint: TreeJoint) -> tuple[float, float]:
-    """Compute the distance [m] and the angle [rad] between the axes of two joints.
-
-    Both joints are expressed in the frame of the parent, at zero angles. The sign of an axis is
-    ignored.
+    """Compute the distance [m] and the angle [rad] between two joint axes, in the parent's frame.
     """
     first, second = (
         first_joint.rotation @ first_joint.axis,

@@ -193,9 +193,7 @@ def list_mass_shares(
 ) -> tuple[Diagnostic, ...]:
     """List the masses of the links that form a body with different inertials, a message per file.
 
-    If several links with mass are fixed to the body, the message lists the mass of each link,
-    heaviest first. There is no message for other kinds of differences, or if neither file has
-    several links with mass.
+    Empty for other kinds of differences, or if neither file has several links with mass.
 
     Args:
         difference: Difference.
@@ -230,11 +228,7 @@ def list_mass_shares(
 
 
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """List deviations between two engines that evaluate the same model, above `ENGINE_RTOL`.
-
-    A deviation on the MJCF is omitted if the found differences do not explain the whole deviation
-    between URDF and MJCF. In this case the two engines may have received different models.
-    """
+    """List deviations above `ENGINE_RTOL` between two engines that evaluate the same model."""
     return tuple(
         diagnose(
             "engines-deviate",
@@ -296,9 +290,7 @@ the body instead of the largest magnitude in all rows."""
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows of a compared quantity, in an evaluation by any engine.
 
-    The labels are bodies, joints, degrees of freedom or contact points, depending on the quantity.
-    The label of a body is the joint that moves the body, or the name of the base. All other
-    quantities have a single label, such as ``com`` or ``IMU``.
+    The label of a body is the joint that moves the body, or the name of the base.
 
     Args:
         robot: Robot.
@@ -347,8 +339,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `COMPARED_QUANTITIES`. Quantities of feet and of the IMU
-        are absent if the robot has no feet or no IMU.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
     """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
@@ -396,9 +387,8 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Collect the inertial quantities of n bodies in the frame of the inertias: {name: values}.
-
-    The quantities are masses, (n,) [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2].
+    """Collect masses, (n,) [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2]: {name:
+    values}.
     """
     return {
         "body masses": [body.mass for body in bodies],
@@ -424,9 +414,7 @@ def evaluate_in_mujoco(
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `COMPARED_QUANTITIES`. Quantities of feet are absent if
-        the robot has no feet; those of the IMU, if ``model`` has no gyro or accelerometer at the
-        robot's IMU.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.from_model(model, robot.joint_names)
@@ -481,18 +469,9 @@ def _evaluate_at_rest(
     base: str,
     dofs: NDArray[np.int64],
 ) -> dict[str, ArrayLike]:
-    """Return body and joint parameters of a MuJoCo model, {quantity: values}.
+    """Return body and joint parameters of a MuJoCo model, {quantity: a row per body or joint}.
 
-    The result contains the quantities of `COMPARED_QUANTITIES` that do not depend on the state,
-    with a row per body, joint or degree of freedom.
-
-    Args:
-        robot: Robot, whose joint order is used.
-        model: Model.
-        data: Kinematics of the model at zero angles.
-        base: Name of the base body.
-        dofs: Indices of the joints' degrees of freedom in ``model``, in the joint order of the
-            robot.
+    ``data`` contains the kinematics at zero angles, ``dofs`` the joints' indices in ``qvel``.
     """
     joints = [model.joint(name).id for name in robot.joint_names]
     moving_bodies = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
@@ -524,8 +503,7 @@ def _lump_fixed_bodies(
         moving_bodies: Ids of the base and of the bodies with joints.
 
     Returns:
-        Mass [kg], CoM [m] and inertia [kg m^2] in the world frame, in the order of
-        ``moving_bodies``.
+        Inertias in the world frame, in the order of ``moving_bodies``.
     """
     total = {moving_body: pin.Inertia.Zero() for moving_body in moving_bodies}
     fixed = model.body_weldid[moving_bodies[0]] == 0
@@ -547,10 +525,7 @@ def _lump_fixed_bodies(
 
 
 def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
-    """Return the addresses in ``sensordata`` of the gyro and the accelerometer at a site.
-
-    None if the site lacks gyro or accelerometer, or if ``site`` is None.
-    """
+    """Return the addresses of gyro and accelerometer in ``sensordata``, None if one is missing."""
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
         found = [
@@ -567,12 +542,9 @@ def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int
 def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
     """Compute the foot positions by yourdfpy's forward kinematics of the URDF.
 
-    Args:
-        robot: Robot.
-        states: Configurations, of which there are n.
-
     Returns:
-        {"foot positions": positions of the feet and common frames in the world, shape (n, feet, 3)
+        {"foot positions": positions of the robot's contact points in the world, shape (states,
+        feet, 3)
         [m]}.
     """
     import yourdfpy  # slow to import
@@ -616,9 +588,9 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 
 DEFAULT_RTOL = 1e-9
-"""Default of the largest relative deviation between two evaluations that counts as agreement. The
-deviation is divided by the scale of the quantity: the largest absolute value in all rows, or in the
-same row, with a lower bound. Chosen, not tuned.
+"""Default of the largest deviation between two evaluations that counts as agreement, relative to
+the
+scale of the quantity. Chosen, not tuned.
 """
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
@@ -634,9 +606,9 @@ MJCF_MUJOCO = "MJCF in MuJoCo"
 """Name of the evaluation of the MJCF with MuJoCo, without the terms that a URDF cannot express."""
 
 MJCF_AS_IT_IS = "MJCF as it is"
-"""Name of the evaluation of the passive MJCF (`make_passive_model`: no contacts, limits, dry
-friction or servos) with MuJoCo. It includes the other terms that a URDF cannot express, for example
-springs. Couplings that both files contain are disabled."""
+"""Name of the evaluation of the passive MJCF (`make_passive_model`) with MuJoCo. It includes terms
+that a URDF cannot express, for example springs.
+"""
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 """Name of the evaluation of the URDF with yourdfpy (forward kinematics only)."""
@@ -743,9 +715,7 @@ def validate_state_request(count: int, seed: int) -> None:
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
     """Yield a note if a large robot is compared in MuJoCo only, and possibly at fewer states.
 
-    Args:
-        robot: Robot.
-        count: Requested number of states.
+    ``count`` is the requested number of states.
     """
     if is_large(robot):
         states = affordable_states(robot, count)
@@ -838,12 +808,8 @@ def _evaluate_all(
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
     """Evaluate both models in the engines that read them; a large robot in MuJoCo only.
 
-    Args:
-        robot: Robot.
-        states: Random states.
-        reduced: MuJoCo model of the MJCF without terms that a URDF cannot express.
-        full: MuJoCo model of the MJCF with terms that a URDF cannot express, without couplings that
-            the URDF has too. None to leave out this evaluation.
+    ``reduced`` is the MJCF without terms that a URDF cannot express; ``full`` contains these terms
+    (None: not evaluated).
 
     Returns:
         {evaluation name: values}, messages about evaluations that were left out, and the robot with
@@ -957,13 +923,7 @@ def _compare_evaluations(
 ) -> QuantityCheck:
     """Compare a quantity between the evaluations of each pair in `EDGE_NAMES`.
 
-    Args:
-        name: Quantity.
-        evaluations: {evaluation name: values}.
-        first: Evaluation from which the lower bound of the divisor of deviations is computed.
-        labels: Labels of the quantity's rows.
-        tolerance: Largest accepted relative deviation.
-        units: Units of the quantities of all joints together.
+    ``first`` is the evaluation from which the lower bound of the divisor of deviations is computed.
     """
     edges: dict[str, float] = {}
     least = _find_min_scale(name, first)
@@ -996,11 +956,7 @@ def _compare_evaluations(
 
 
 def _find_min_scale(name: str, evaluation: Evaluation) -> float:
-    """Return the lower bound of the scale by which deviations of the quantity ``name`` are divided.
-
-    The bound is in the unit of the quantity (`COMPARED_QUANTITIES`); smaller values are rounding
-    errors.
-    """
+    """Return the lower bound of the divisor of a quantity's deviations, in the quantity's unit."""
     if name in ("gravity", "bias forces"):  # of a free base, about a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
@@ -1012,8 +968,7 @@ def _compute_deviation(
     """Return the largest relative deviation of two arrays of equal shape, element by element.
 
     The absolute deviation is divided by a scale: the largest finite magnitude in both arrays, or in
-    the same row of both if ``per_row``; at least ``least``. Equal infinities have no deviation. The
-    deviation is infinite for any other pair with a number that is not finite.
+    the same row of both if ``per_row``; at least ``least``.
 
     Returns:
         Relative deviation; absolute deviation, scale and indices of the same element.
