@@ -125,8 +125,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
 
 
 def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Return the name of a joint of a Pinocchio model if it is a joint of the robot, else the base.
-    """
+    """Return the name of a Pinocchio joint if the joint belongs to the robot, else the base."""
     name = str(model.names[joint])
     return name if name in robot.joint_names else robot.base
 
@@ -469,8 +468,7 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
-    """Return the differences that remain after the lengths of one file are scaled to the other
-    file.
+    """Return the differences that remain after the lengths of one file are scaled by ``factor``.
 
     ``factor`` is length in the MJCF / length in the URDF. The larger numbers are scaled, so that
     the
@@ -870,8 +868,7 @@ class _LinkMistake:
 
 
 def find_link_mistakes(case: PatternCase) -> PatternFindings:
-    """Find links that one file lacks, or whose mass is scaled, as causes of inertial differences.
-    """
+    """Find links that a file lacks, or whose mass is scaled, as causes of inertial differences."""
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
         return
@@ -1157,8 +1154,7 @@ def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> M
 
 
 def _measure_axis_offset(first_joint: TreeJoint, second_joint: TreeJoint) -> tuple[float, float]:
-    """Compute the distance [m] and the angle [rad] between two joint axes, in the parent's frame.
-    """
+    """Compute distance [m] and angle [rad] between two joint axes, in the frame of the parent."""
     first, second = (
         first_joint.rotation @ first_joint.axis,
         second_joint.rotation @ second_joint.axis,

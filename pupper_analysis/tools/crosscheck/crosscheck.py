@@ -387,9 +387,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Collect masses, (n,) [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2]: {name:
-    values}.
-    """
+    """Collect masses [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2]: {name: values}."""
     return {
         "body masses": [body.mass for body in bodies],
         "body coms": [np.array(body.lever) for body in bodies],
