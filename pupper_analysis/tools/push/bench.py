@@ -47,31 +47,27 @@ compared with a fall, which takes about 0.3 s.
 """
 
 MAX_RESTING_SPEED = 0.01
-"""Largest speed of the base in the last ``_REST_DURATION`` with which a robot has recovered [m/s].
-The creep speed without a push is added to this bound. Chosen, not tuned.
+"""Largest speed of the base at the end of a simulation, above the creep speed without a push, with
+which a robot has recovered [m/s]. Chosen, not tuned.
 """
 
 _REST_DURATION = 0.5
 """Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
 _MIN_CHECK_INTERVAL = 0.5
-"""Simulated time between two tests whether a simulation can end early [s], at least the duration of
-the push. Before the requested time and the end, the time may be shorter. Measured on v3-long-leg:
+"""Simulated time between two tests whether a simulation can end early [s]. Measured on v3-long-leg:
 with half of this time, slow phases of a fall are mistaken for rest, and the limits must be searched
 again.
 """
 
 _SLOW_DURATION = 0.1
-"""Length [s] of the final part of a simulated interval. Before the requested time has elapsed, the
-eigenvalues of the linearised motion are computed only if all velocities in this part are at most
-`_MAX_SLOW_SPEED`. Chosen, not tuned.
+"""Length [s] of the final part of a simulated interval in which no velocity may exceed
+`_MAX_SLOW_SPEED` if the simulation is to end early. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02
-"""Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If no
-velocity is larger, the simulation of a push may end early, before the requested time. `_is_at_rest`
-lists the other conditions. One of them concerns the growing modes of the linearised motion, since a
-robot that almost tips can be slow for a while. Chosen, not tuned.
+"""Largest velocity [m/s, rad/s] of a degree of freedom with which the simulation of a push may end
+early. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004
@@ -79,33 +75,31 @@ _SAMPLE_TIME = 0.004
 
 _NUM_SAMPLES_NEAR_GROUND = 25
 """Number of successive samples whose contacts are searched after a part was found near the ground.
-Then the distance to the ground is computed again. Samples in which no part can reach the ground are
-skipped. Chosen, not tuned.
+Then the distance to the ground is computed again. Chosen, not tuned.
 """
 
 MAX_DURATION_RATIO = 10.0
 """Upper bound of the simulated time of a push, as a multiple of the requested time: 60 s by
-default. A simulation lasts longer than the requested time if the outcome is undecided. A robot that
-still moves at the upper bound has not recovered. Chosen, not tuned.
+default.
+Chosen, not tuned.
 """
 
 _MAX_REMAINING_RATIO = 0.1
-"""Largest predicted motion of the base, relative to the CoM height, with which a pushed robot
-counts as at rest. The motion in the remaining time is predicted from the speed, and multiplied by
-`_SPEED_FACTOR`. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from 0.07.
+"""Largest predicted motion of the base (with `_SPEED_FACTOR`), relative to the CoM height, with
+which
+a pushed robot counts as at rest. Measured on v3-long-leg: the robot returns from 0.03, and falls
+slowly from 0.07.
 """
 
 _SPEED_FACTOR = 1.5
-"""Safety factor on the predicted motion of the base in the remaining time. The motion is predicted
-from the speed, which may be small for a while during an oscillation. The product is compared with
-`_MAX_REMAINING_RATIO`. Chosen, not tuned.
+"""Safety factor on the predicted motion of the base in the remaining time, since the speed may be
+small for a while during an oscillation. Chosen, not tuned.
 """
 
 _STILL_RATIO = 0.01
-"""Fraction of the bound `_MAX_REMAINING_RATIO`, used at the end of the longest simulation. If the
-predicted motion of the base is at most this fraction of the bound, the robot counts as at rest.
-Growing modes are not tested in this case, and the speed need not decrease, because of rounding or
-creep. Chosen, not tuned.
+"""Fraction of `_MAX_REMAINING_RATIO` up to which the predicted motion counts as rest at the end of
+the
+longest simulation, without a test of growing modes. Chosen, not tuned.
 """
 
 _MAX_BATCH_VALUES = 2**25
@@ -185,10 +179,9 @@ class PushBench:
 
     @cached_property
     def creep_speed(self) -> float:
-        """Largest speed of the base in the last ``_REST_DURATION`` of a run without a push [m/s].
+        """Largest speed of the base at the end of a run without a push [m/s].
 
-        The speed of the base is the linear speed plus the angular speed times the CoM height. The
-        speed is not zero, because feet creep with MuJoCo's regularised friction.
+        The speed is not zero, because feet creep with MuJoCo's regularised friction.
         """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._measure_final_speed(states)
@@ -196,15 +189,13 @@ class PushBench:
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes for the full ``duration``, and return the failure of each push.
+        """Simulate pushes for ``duration`` or longer, and return the failure of each push.
 
-        A simulation ends earlier only if the push has failed. If the robot still moves after
-        ``duration``, the simulation continues until the robot rests or falls, for at most
+        If a robot still moves after ``duration``, the simulation continues, for at most
         ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
-            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
-                world frame), shape (n,).
+            directions: Index of each push's direction in ``axes``, shape (n,).
             impulses: Impulses along ``directions``, shape (n,) [N s].
 
         Returns:
@@ -217,19 +208,10 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate pushes until each outcome is decided, and return the failure of each push.
 
-        A simulation ends before ``duration`` in three cases:
-
-        - The simulation diverges.
-        - A body other than a foot touches the ground.
-        - The robot is at rest (``_is_at_rest``).
-
-        If the robot still moves after ``duration``, the simulation continues until the robot rests
-        or falls, for at most ``MAX_DURATION_RATIO`` times the duration. A slow fall does not count
-        as rest (``_will_rest``).
+        As `simulate_fully`, but a simulation also ends early if the robot is at rest.
 
         Args:
-            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
-                world frame), shape (n,).
+            directions: Index of each push's direction in ``axes``, shape (n,).
             impulses: Impulses along ``directions``, shape (n,) [N s].
 
         Returns:
@@ -240,14 +222,11 @@ class PushBench:
     def _simulate_intervals(
         self, directions: NDArray[np.int64], impulses: Array, *, may_rest: bool
     ) -> list[Diagnostic | None]:
-        """Simulate n pushes interval by interval until each outcome is decided.
+        """Simulate n pushes until each outcome is decided; return failures, None after a recovery.
 
-        Return the failure of each push; None if the robot recovers.
-
-        Args:
-            directions: Indices of the push directions in ``axes``, shape (n,).
-            impulses: Impulses of the pushes, shape (n,) [N s].
-            may_rest: Whether the simulation of a push ends early once the robot is at rest.
+        ``directions`` (n,) are indices of ``axes``, ``impulses`` (n,) are in N s. With
+        ``may_rest``, a
+        simulation also ends once the robot is at rest.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
@@ -286,8 +265,7 @@ class PushBench:
         """Simulate n pushes for the full duration, and yield the states of each push.
 
         Args:
-            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
-                world frame), shape (n,).
+            directions: Index of each push's direction in ``axes``, shape (n,).
             impulses: Impulses, shape (n,) [N s].
 
         Yields:
@@ -302,8 +280,7 @@ class PushBench:
     def _compute_push_forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
         """Compute the horizontal forces of n pushes, shape (n, 2) [N]: impulse / duration.
 
-        ``directions`` (n,) are indices of the push directions in ``axes``, ``impulses`` (n,) are
-        in N s.
+        ``directions`` (n,) are indices of ``axes``, ``impulses`` (n,) are in N s.
         """
         forces: Array = impulses[:, None] * self.axes[directions]
         return forces / (self.pulse_steps * self.timestep)
@@ -335,7 +312,7 @@ class PushBench:
             states: Full physics states of MuJoCo, shape (n, size): time, qpos, qvel, ...
 
         Returns:
-            Failure; a single diagnostic also for several failures. None if the robot recovers.
+            Failure, possibly a combination of several failures. None if the robot recovers.
         """
         early_failure = self._find_early_failure(states)
         if early_failure is not None and monitor.has_diverged(states, self.timestep):
@@ -346,9 +323,7 @@ class PushBench:
     def extend_until_rest(self, states: Array) -> Array:
         """Continue a simulation in which the robot still moves at the end, until rest or a fall.
 
-        The simulation is continued only if motion is the only failure. The continuation ends when
-        the robot rests, a body other than a foot touches the ground, the simulation diverges, or
-        another failure occurs. The total time is at most ``MAX_DURATION_RATIO`` times the duration.
+        The total time is at most ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             states: Full physics states of a simulation of ``duration``, shape (n, size).
@@ -370,12 +345,7 @@ class PushBench:
         return states
 
     def _find_early_failure(self, states: Array) -> Diagnostic | None:
-        """Return the failure that ends a simulation: divergence, or a body on the ground.
-
-        Contacts are searched every `_SAMPLE_TIME`. After each computation of the distance to the
-        ground, states in which no part can reach the ground are skipped (`ClearanceBounds`). None
-        without such a failure.
-        """
+        """Return the failure that ends a simulation (divergence, a body on the ground), or None."""
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
         samples = states[:: max(1, round(_SAMPLE_TIME / self.timestep))]
@@ -400,10 +370,9 @@ class PushBench:
         return None
 
     def _find_end_failures(self, states: Array) -> list[Diagnostic]:
-        """Return the failures at the end of a simulation: a fall, a base in motion, both or none.
+        """Return the failures at the end of a simulation: a fall, or a base in motion.
 
-        Args:
-            states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.
+        ``states`` (n, size) are the last states, for at least ``_REST_DURATION``.
         """
         failures = []
         if self.upright.has_fallen(states[-1]):
@@ -423,8 +392,8 @@ class PushBench:
     def _measure_final_speed(self, states: Array) -> float:
         """Return the largest speed [m/s] of the base in the last ``_REST_DURATION`` of the states.
 
-        The speed is the linear speed plus the angular speed times the CoM height. ``states`` are
-        full physics states of MuJoCo, shape (n, size).
+        The speed is the linear speed plus the angular speed times the CoM height. ``states``: (n,
+        size).
         """
         last = states[-self._num_rest_states :, 1 + self.drive.model.nq :]
         rates = last[:, self.robot.mj_convention.qvel_index[:6]]
@@ -434,18 +403,13 @@ class PushBench:
     def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
         """Return True if the base of a slow robot will move little, and no mode grows.
 
-        Motion: the predicted motion of the base, ``_SPEED_FACTOR`` v min(T, 1 / d), must be at most
-        ``_MAX_REMAINING_RATIO`` of the CoM height. Here v is the speed of the base, and T the
-        remaining time of the longest simulation, at least ``HOLD_DURATION``. The relative rate d at
-        which v decreases is 0 without a decrease. If the predicted motion is too large, v is
-        reduced by the creep speed without a push, and the motion is computed again.
-
-        Modes: no mode may grow within the longest simulation (`Mode.grows_within`) with both
-        finite-difference steps. Modes that grow only without dry friction are ignored. This test is
-        necessary, since a robot almost stops near a saddle point before the fall. Measured on
-        v3-long-leg: 0.1 mm/s after 14 s, and on the shanks after 35 s. At the end of the longest
-        simulation, modes are ignored if the speed decreases, or if the motion is at most
-        ``_STILL_RATIO`` of the bound.
+        The predicted motion is ``_SPEED_FACTOR`` v min(T, 1 / d), with the speed v, the relative
+        rate d at
+        which v decreases, and the remaining time T. Modes are tested, since a robot almost stops
+        near a
+        saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s after 14 s, and on the
+        shanks after
+        35 s.
 
         Args:
             states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.
@@ -473,15 +437,10 @@ class PushBench:
         )
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if a pushed robot is at rest at the end of the simulated states.
+        """Return True if a pushed robot is upright and at rest, and no mode of the motion grows.
 
-        All conditions must be met. The robot is upright, and not faster than `_MAX_SLOW_SPEED`
-        during the last `_SLOW_DURATION`. No mode of the motion, linearised at the last state, grows
-        within `HOLD_DURATION`, with or without dry friction. The predicted motion of the base is
-        small (`_will_rest`).
-
-        Args:
-            states: MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel, ...
+        ``states`` are MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel,
+        ...
         """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
@@ -539,7 +498,7 @@ class PushBench:
 
 
 def _is_only_motion(failures: list[Diagnostic]) -> bool:
-    """Return True if a pushed robot has no failure except that the base still moves at the end."""
+    """Return True if the only failure of a pushed robot is that the base still moves at the end."""
     return [failure.code for failure in failures] == ["not-at-rest"]
 
 
@@ -576,9 +535,8 @@ def make_push_bench(
         verification: Result of ``verify_stand`` with the same arguments; computed if None.
 
     Raises:
-        ConfigurationError: If an argument is out of range.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+        ConfigurationError: If an argument is out of range, for example.
+        ModelError: If the gains of a joint are unknown, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]

@@ -33,10 +33,7 @@ from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
 
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the largest pushes of a stance.
-
-    `build_document` calls this function for a `PushedStance`.
-    """
+    """Create the report of the largest pushes of a stance."""
     unpushed = pushed.recovery.failures_without_push
     number, *limit = _describe_weakest_push(pushed)
     answer = (text("it-does-not-stand-so"), number) if unpushed else (number,)
@@ -66,15 +63,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the command to suggest after a push study.
-
-    The first case that applies:
-
-    - The robot stays on the feet and torque limits are unknown: `audit`.
-    - The result passes: `best margin`, which finds a stance that tips at a larger push.
-    - A disagreement or fault in the files caused the failure: `crosscheck` or `audit`.
-    - Other failures: `stand`.
-    """
+    """Return the command to suggest after a push study."""
     if pushed.peak_torques is not None:
         return NextStep("audit")
     if pushed.passed:
@@ -83,14 +72,7 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield a text of the weakest direction [degrees] and impulse [N s], then the failure.
-
-    A single text is yielded in two cases:
-
-    - The robot falls without a push: the text contains the mass [kg].
-    - Torque limits are unknown: the text contains direction, impulse, and the largest torque of a
-      motor without a stated limit.
-    """
+    """Yield texts of the weakest push: direction [degrees] and impulse [N s], and the failure."""
     recovery = pushed.recovery
     if recovery.failures_without_push:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
@@ -122,12 +104,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield a text that compares the motor torques with the torque-speed regions of the motors.
-
-    The text names the motor that is outside of the region for the longest time. If no motor is
-    outside for more than `MAX_BEYOND_TIME`, the text names the motor with the largest utilisation.
-    Nothing is yielded without assigned motors, or if the robot falls without a push.
-    """
+    """Yield a text that compares motor torques with the torque-speed regions of the motors."""
     peaks, times = pushed.region_peaks, pushed.beyond_times
     if peaks is None or times is None:
         return
@@ -149,11 +126,7 @@ is infinite at the no-load speed. Chosen, not tuned.
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:
-    """Create the table of the largest pushes, a direction per row.
-
-    Columns: direction [degrees], impulse [N s], velocity step [m/s], estimated tipping impulse of a
-    rigid robot [N s], failure of a larger push.
-    """
+    """Create the table of the largest pushes, a direction per row."""
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -189,14 +162,12 @@ def _make_push_table(pushed: PushedStance) -> doc.Table:
 
 
 def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
-    """Create the plot of the largest survived impulses [N s] over the direction [degrees].
-
-    The plot has a line per robot.
+    """Create the plot of the largest survived impulses [N s] over the direction, a line per robot.
 
     Args:
         pushed: {name of the robot: largest pushes}.
-        rigid: Key of the robot for which the tipping estimate (rigid body) is also drawn, if all
-            values are finite.
+        rigid: Key of the robot for which the tipping estimate (rigid body) is also drawn, if
+            finite.
     """
     series = [
         _make_closed_series(
@@ -226,10 +197,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
 def _make_closed_series(
     name: doc.Words, directions: Array, values: Array, **options: Any
 ) -> doc.Series:
-    """Create a plot line of values over directions [rad]; the first value is repeated at 360 deg.
-
-    Both arrays have the shape (n,); ``options`` are passed to `Series`.
-    """
+    """Create a plot line, closed at 360 deg, of values (n,) over directions (n,) [rad]."""
     degrees = np.append(np.degrees(directions), 360.0)
     return doc.Series(name, degrees, np.append(values, values[0]), points=True, **options)
 
@@ -271,11 +239,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Create the report of a simulated push.
-
-    `build_document` calls this function for a `PushTrial`. The second argument, the robot, is part
-    of the common signature and not used.
-    """
+    """Create the report of a simulated push."""
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),

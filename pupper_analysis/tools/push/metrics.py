@@ -9,10 +9,7 @@ from pupper_analysis.tools.push.recovery import push_recovery, unknown_push_limi
 
 
 def _measure_weakest_push(design: Any) -> float:
-    """Compute the largest survived push in the weakest direction [N s], as a metric of a design.
-
-    NaN if the torque limit of a joint that may bear load is unknown.
-    """
+    """Compute the largest survived push in the weakest direction [N s]; NaN with unknown limits."""
     if unknown_push_limits(design.robot):
         return math.nan
     return push_recovery(design.robot, design.simulated_stand).weakest_impulse

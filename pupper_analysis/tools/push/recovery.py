@@ -132,8 +132,6 @@ def study_pushes(
 ) -> dict[str, PushedStance]:
     """Find the largest pushes from which robots in a stance recover (about 3 s for a Pupper).
 
-    The stands of all robots are solved before the first robot is pushed.
-
     Args:
         robots: Robots with different names.
         task: Task of all stands.
@@ -151,14 +149,11 @@ def study_pushes(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
-        NotSettlingError: If the penetration depths of the feet do not converge, for a robot without
-            closed loops.
-        ConfigurationError: If the task, or another argument, is invalid for a robot, the base is
-            fixed, or the stand contains a weld or grip.
+        NotSettlingError: If the penetration depths of the feet do not converge.
+        ConfigurationError: If the task or another argument is invalid for a robot, for example.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If a joint has no motor, or no position servo and kp and kd are not both given;
-            if the mass or inertia of a body is invalid; if the ground or a contact cannot be added;
-            or if a number of an assigned motor is unknown.
+        ModelError: If a robot cannot be simulated, or a number of an assigned motor is unknown, for
+            example.
     """
     stands = [solve_stand(robot, task) for robot in robots]
     return {
@@ -187,7 +182,7 @@ def _study_robot(
 ) -> PushedStance:
     """Find the largest pushes from which one robot recovers, and the verdict without a push.
 
-    Arguments and errors as in `study_pushes`; ``motors`` are those of this robot, {joint: motor}.
+    ``motors`` is {joint: motor}; the other arguments are those of `study_pushes`.
     """
     stand = solve_stand_as_simulated(robot, rigid_stand)
     verification = verify_stand(robot, stand, kp=kp, kd=kd, duration=HOLD_DURATION)
@@ -244,12 +239,7 @@ def _study_robot(
 
 
 def _find_effort_code(robot: Robot, unknown_limits: Sequence[str]) -> EffortCode:
-    """Find whether the torque limits of a robot are stated, zero or unknown.
-
-    Args:
-        robot: Robot.
-        unknown_limits: Joints whose torque limits are unknown.
-    """
+    """Find whether the torque limits of a robot are stated, zero or unknown."""
     if unknown_limits:
         return EffortCode.UNKNOWN
     if any(limit.without_torque for limit in list_driven_limits(robot)):
@@ -265,9 +255,6 @@ def _compare_with_regions(
     Returns:
         Largest ratio of torque to the torque that the motor can exert at the joint speed, shape
         (nu,), NaN without motor. Time beyond the region, shape (nu,) [s], 0 without motor.
-
-    Raises:
-        ModelError: If a number of a motor is unknown.
     """
     shares = compute_motor_utilisation(motors, robot.joint_names, samples.torques, samples.speeds)
     peaks: Array = shares.max(axis=0)
@@ -276,9 +263,8 @@ def _compare_with_regions(
 
 
 _REGION_RTOL = 1e-9
-"""Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
-as inside. The tolerance covers rounding if the simulation limits a torque to the largest torque of
-the motor. Chosen, not tuned.
+"""Relative tolerance of the edge of a torque-speed region. The tolerance covers rounding if the
+simulation limits a torque to the largest torque of the motor. Chosen, not tuned.
 """
 
 
@@ -296,9 +282,8 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Largest number of smaller pushes per direction that are simulated after the bisection. The pushes
-are equally spaced below the limit of the bisection, and show whether the robot also survives
-smaller pushes. Chosen, not tuned.
+"""Largest number of smaller pushes per direction that are simulated after the bisection, equally
+spaced below the limit of the bisection. Chosen, not tuned.
 """
 
 
@@ -397,10 +382,8 @@ def push_recovery(
       (`Mode.grows_within`). At the end of the longest simulation, modes are ignored if the base
       slows down or hardly moves.
 
-    A simulation ends early if another body touches the ground, if it diverges, or if the robot is
-    at rest and no mode grows within 12 s. The returned limits were simulated to the end. If the
-    robot is upright at the end but not at rest, the simulation continues until the robot rests or
-    falls, up to ten times as long.
+    If the robot is upright at the end but not at rest, the simulation continues, up to ten times as
+    long. The returned limits were simulated to the end.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, and then
     bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
@@ -413,8 +396,9 @@ def push_recovery(
         robot: The robot.
         stand: The stand.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
-        duration: Simulated time from the start of the push [s], 2 to 600. A simulation ends earlier
-            or continues, as described above, if its outcome is decided earlier or later.
+        duration: Simulated time from the start of the push [s], 2 to 600, if the outcome is not
+            decided
+            earlier or later.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
@@ -428,11 +412,11 @@ def push_recovery(
         a push, all impulses are 0, and ``failures_without_push`` contains the reasons.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the stand belongs to another robot,
-            contains a weld or grip, or has contacts that the robot cannot make, or the base is
-            fixed and the stand has feet.
+        ConfigurationError: If an argument is out of range, the stand does not suit the robot, or a
+            base
+            is fixed, for example.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground or a contact cannot be added.
+            both given, or if the ground or a contact cannot be added, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
@@ -542,18 +526,9 @@ def tipping_impulses(
 def _find_push_limits(
     bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
-    """Find the largest survived impulse in each of n directions by bisection.
+    """Find the largest survived impulse in each of n directions by bisection and checks.
 
-    A check then simulates up to `CHECKED_LEVELS` smaller impulses per direction, if the spacing is
-    larger than ``resolution``. If a smaller impulse fails, the limit is below this impulse. The
-    limits are finally simulated to the end (`confirm_limits`). If the robot fails without a push,
-    all limits are 0.
-
-    Args:
-        bench: Simulations of the stand.
-        estimate: Initial impulses, shape (n,) [N s]; infinite values are replaced by 1 N s, values
-            below ``resolution`` by ``resolution``.
-        resolution: Resolution of the impulses [N s].
+    ``estimate`` contains initial impulses, shape (n,) [N s]; infinite values are allowed.
 
     Returns:
         Largest survived impulses, shape (n,) [N s]; limits of the bisection before the check, shape
@@ -607,9 +582,7 @@ class _LimitSearch:
     def confirm_limits(self, initial: Array, resolution: float) -> None:
         """Simulate the survived pushes to the end; search again below each push that fails.
 
-        Args:
-            initial: Impulses at which the search started, shape (n,) [N s].
-            resolution: Tolerance of the largest survived impulses [N s].
+        ``initial`` impulses of the search: shape (n,) [N s]; ``resolution``: [N s].
         """
         unconfirmed = np.flatnonzero(self.survived > 0)
         while unconfirmed.size:
@@ -624,8 +597,7 @@ class _LimitSearch:
     def bisect_limits(self, initial: Array, resolution: float) -> None:
         """Find the largest survived push of each direction to within ``resolution`` [N s].
 
-        The impulse is doubled from ``initial``, shape (n,) [N s], until the push fails; then the
-        bracket from ``survived`` to ``failed`` is bisected.
+        ``initial`` impulses, shape (n,) [N s], are doubled until a push fails.
         """
         rounds = 0
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:

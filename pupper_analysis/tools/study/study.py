@@ -219,11 +219,7 @@ class Study:
         self._check_columns("minimise, maximise", [*self.minimise, *self.maximise])
 
     def _check_columns(self, argument: str, columns: Sequence[str]) -> None:
-        """Check that columns belong to metrics of the study, or to variables other than motors.
-
-        Raises:
-            ConfigurationError: If a column does not; the error names ``argument``.
-        """
+        """Check that columns belong to metrics of the study, or to variables other than motors."""
         measured = [metric.name for metric in self.metrics]
         numbers = [name for name in self.variables if not is_motor_variable(name)]
         for name in columns:
@@ -232,14 +228,7 @@ class Study:
                 raise ConfigurationError(argument, finding)
 
     def _choose_present_motor(self, present: str | Motor | None) -> Motor | None:
-        """Return the motor whose mass the files include; None if no motor is varied.
-
-        Raises:
-            ConfigurationError: If a motor is varied and no present motor is given, or if a present
-                motor is given and no motor is varied.
-            UnknownNameError: If no motor has the name.
-            ModelError: If the file of the motor is not valid, or the mass is unknown.
-        """
+        """Return the motor whose mass the files include; None if no motor is varied."""
         if bool(self.motors) != (present is not None):
             code = "present-motor-missing" if self.motors else "present-motor-unused"
             raise ConfigurationError("present_motor", diagnose(code))
@@ -256,14 +245,7 @@ class Study:
         return Variants(self.source.spec, whole=True)
 
     def _check_variables(self) -> None:
-        """Check the ranges and patterns of all variables against the robot and the stand task.
-
-        Raises:
-            ConfigurationError: If a value is out of range, a variable contradicts the task, or a
-                joint cannot have the motors that the variables assign.
-            UnknownNameError: If a pattern matches no joint, body or contact.
-            ModelError: If servo gains are varied, and the robot has no position servos.
-        """
+        """Check ranges and patterns of the variables against the robot and the stand task."""
         stance_variables = (name for name in self.variables if name in STANCE_VARIABLES)
         offset = next(
             (name for name in stance_variables if STANCE_VARIABLES[name][0].name == "offset"), None
@@ -305,11 +287,11 @@ class Study:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 hash (hexadecimal) of all data that determine the results of a given design.
+        """SHA-256 hash (hexadecimal) of the data that determine the results of a given design.
 
-        The hash identifies designs together with the variable values (`hash_designs`). For example,
-        the hash contains robot, stand task, payload position, metrics and package versions.
-        Variables and time limit are not contained.
+        The hash contains, for example, robot, stand task, payload position, metrics and package
+        versions,
+        but no variables and no time limit.
         """
         parts = {
             "robot": hash_description(self.base.description),
@@ -357,9 +339,9 @@ class Study:
     def to_dict(self) -> dict[str, Any]:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
-        ``time_limit`` is None for no time limit. `Study.of` cannot restore motors, whose numbers
-        are in separate files, and functions of the user. Data with motors or functions are only for
-        `read_study`.
+        ``time_limit`` is None for no time limit. Motors and functions of the user are represented
+        by name
+        only, so `Study.of` may be unable to restore them.
         """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
@@ -535,21 +517,13 @@ class Study:
 
 
 def _resolve_files(path: Path, word: str) -> str:
-    """Prepend the folder of the study file ``path`` to the file names in ``word``.
-
-    ``word`` contains names joined by ``+``. A name without a file in this folder is unchanged, for
-    example the name of a variant.
-    """
+    """Prepend the study file's folder to existing files in ``word``, names joined by ``+``."""
     parts = [(path.parent / part, part) for part in word.split("+")]
     return "+".join(str(file) if is_input(file) else part for file, part in parts)
 
 
 def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
-    """Prepend the folder of the study file to the files of motors.
-
-    The content ``data`` of the study file is changed in place: the present motor, and the values of
-    motor variables. A text without a file in this folder is unchanged.
-    """
+    """Prepend the study file's folder to the motor files in its content, in place."""
 
     def resolve(text: Any) -> Any:
         """Return the path of an existing file; otherwise the text."""

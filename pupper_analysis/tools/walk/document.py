@@ -36,8 +36,6 @@ from pupper_analysis.tools.walk.trace import TraceCheck
 def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
     """Create the report of the gaits of a policy: view, motors, runs, contract and torques.
 
-    `build_document` calls this function for a `Walk`.
-
     Args:
         walk: Result.
         robot: Robot of the result, for the 3-D view and notes; None if not available.
@@ -87,13 +85,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
-    """Return the command that the report proposes to run next: the first case that applies.
-
-    - ``walk --vary``: all runs track the command.
-    - ``walk --response``: a command of zero prevents a fall.
-    - ``gains``: other gains prevent a fall.
-    - ``walk --orders``: all other cases.
-    """
+    """Return the command that the report proposes to run next."""
     if all(gait.tracks for gait in walk.gaits):
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
     prevented = {test.quantity for test in walk.fall_tests if not test.falls}
@@ -112,10 +104,7 @@ def _describe_missing_steps(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
-    """Yield possible causes of a fall: zero or unknown torque limits, file errors, tested changes.
-
-    Other remarks about the files and the deployment follow.
-    """
+    """Yield texts of possible causes of a fall, such as unknown torque limits and file errors."""
     yield from _report_zero_torque_limits(walk)
     yield from _list_limit_warnings(walk)
     errors = [remark for remark in walk.remarks if remark.severity is Severity.ERROR]
@@ -135,15 +124,16 @@ def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MAX_SHOWN_CONFIGURATIONS = 75
-"""Number of recorded configurations at the end of a run that the 3-D view of the report shows: 3 s
-at 25 per second."""
+"""Largest number of recorded configurations at the end of a run that the 3-D view of the report
+shows:
+3 s at 25 per second.
+"""
 
 
 def _make_view(walk: Walk, robot: Robot | None) -> doc.SceneView:
     """Create the 3-D view of the first run: the first configuration, and the motion at the end.
 
-    The motion has the last `_MAX_SHOWN_CONFIGURATIONS` configurations. The horizontal position of
-    the base is set to zero.
+    The horizontal position of the base is set to zero.
     """
     gait, motions = walk.gaits[0], []
     for name, selection in (
@@ -158,13 +148,7 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.SceneView:
 
 
 def _list_figures(walk: Walk) -> Iterable[doc.Words]:
-    """Yield four texts with the key figures of a walk.
-
-    1. Velocity and command of the first run [m/s, rad/s].
-    2. Torque of the most loaded motor of all runs (`_describe_largest_torque`).
-    3. Power [W] and cost of transport [1] of the first run; smallest `Gait.margin` of all runs.
-    4. Duty factor of each foot in the first run: fraction of the time in contact [%].
-    """
+    """Yield four texts with key figures: velocity, largest torque, power and cost, duty factors."""
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
         "walk-speed-line",
@@ -187,11 +171,7 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield texts on the runs of a walk: tracking, falls, and bodies that touch the ground.
-
-    The first text states the number of runs that track the command, and the number of runs that
-    fall. For a single run this text is omitted. Feet are not listed as bodies.
-    """
+    """Yield texts on tracking, falls, and bodies that touch the ground."""
     gaits = walk.gaits
     if len(gaits) > 1:
         yield text(
@@ -205,11 +185,7 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _describe_largest_torque(walk: Walk) -> doc.Words:
-    """Return the text of the motor with the largest rms torque / torque limit.
-
-    The text states rms and peak torque [N m, N], and the time at the limit [%]. If a motor has no
-    finite positive limit, the divisor is the largest rms torque of all motors.
-    """
+    """Return the text of the motor with the largest rms torque / torque limit."""
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
     limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))
@@ -227,12 +203,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
-    """Yield a text that compares a motor with the torque-speed region of this motor.
-
-    The motor has the largest `Gait.region_peak` of all runs. If a motor is outside for more than
-    `MAX_BEYOND_FRACTION` of a run, the text is about the motor with the largest fraction of a run
-    outside. Nothing is yielded without assigned motors, or if all runs end at the first state.
-    """
+    """Yield a text that compares the most loaded motor with its torque-speed region."""
     peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
     if np.isnan(peaks).all():
         return
@@ -248,14 +219,14 @@ def _describe_region(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _report_zero_torque_limits(walk: Walk) -> Iterable[doc.Words]:
-    """Yield a warning on motors with a torque limit of zero; nothing without such motors."""
+    """Yield a warning on motors with a torque limit of zero, if any."""
     null = [joint for joint, limit in zip(walk.joints, walk.limits, strict=True) if limit <= 0]
     if null:
         yield text("walk-without-torque", joints=tuple(null))
 
 
 def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield a warning on used motors without a torque limit; nothing without such motors."""
+    """Yield a warning on used motors without a torque limit, if any."""
     peak = _max_over_runs(walk, "torque_peak")
     unknown = np.flatnonzero(np.isinf(walk.limits) & (peak > 0))
     if unknown.size:
@@ -276,21 +247,13 @@ division by zero in a run without torques. Chosen, not tuned.
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:
-    """Return the maximum over all runs of a quantity of each motor, shape (nu,).
-
-    ``name`` is an attribute of a run's gait with a value per motor, such as ``torque_peak``. Runs
-    in which the value is unknown (NaN) are left out.
-    """
+    """Return the maximum over all runs of a gait's attribute ``name``, shape (nu,), without NaN."""
     worst: Array = np.fmax.reduce([getattr(gait, name) for gait in walk.gaits])
     return worst
 
 
 def _make_motor_table(walk: Walk) -> doc.Table:
-    """Create the table of motors, with a row per joint and the worst value of all runs.
-
-    Columns: rms and peak torque, rms of the static torque in the first run, limit [N m, N for a
-    slide], time at the limit [%], largest speed [rad/s, m/s].
-    """
+    """Create the table of motors, with a row per joint and the worst value of all runs."""
     units = find_common_units(walk.torque_units)
     rms, peak, share, speed = (
         _max_over_runs(walk, name)
@@ -386,16 +349,13 @@ def _make_run_table(walk: Walk) -> doc.Table:
 
 
 _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
-"""{key: value without effect}. A key with this value is left out of the table if no file states it.
-"""
+"""{key: value without effect}. The table omits a key with this value that no file states."""
 
 
 def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of a policy contract: main keys with value, origin and source.
 
-    A key is left out if no file states the key, and the value is None or neutral
-    (`_NEUTRAL_VALUES`). Keys of unknown origin are not left out, since the values of the robot's
-    files apply. Position limits, signs and phases are not shown.
+    Keys without effect that no file states are omitted, for example.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(
@@ -452,7 +412,7 @@ tuned.
 def walk_torque_plot(walk: Walk) -> doc.LinePlot:
     """Create the plot of motor torques [N m, N for slides] in the last second of the first run.
 
-    The motors with the largest rms torques are drawn (`_NUM_DRAWN_MOTORS`).
+    The `_NUM_DRAWN_MOTORS` motors with the largest rms torques are drawn.
     """
     gait = walk.gaits[0]
     hardest = np.argsort(-gait.torque_rms, kind="stable")[:_NUM_DRAWN_MOTORS]
@@ -477,10 +437,7 @@ def walk_torque_plot(walk: Walk) -> doc.LinePlot:
 
 @build_document.register(TrackedIntervals)
 def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the intervals of varied quantities in which a policy tracks the command.
-
-    `build_document` calls this function for `TrackedIntervals`.
-    """
+    """Create the report of the intervals of quantities in which a policy tracks the command."""
     outside = [interval for interval in result.intervals if interval.inside is False]
     if not result.seeds:
         word = "walk-does-not-follow"
@@ -518,16 +475,7 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
     """Return the command line to suggest after a search for tracked intervals.
 
-    A tracked interval contains the values of a varied quantity with which the policy follows the
-    velocity command. The first case that applies:
-
-    - The policy follows the velocity command with no seed: ``walk --orders``.
-    - The result is not passed, a margin is narrow, or ``outside`` is True: ``walk`` with more
-      seeds.
-    - Otherwise: ``walk --response``.
-
-    ``outside`` is True if an interval that was measured on the real robot is not inside the tracked
-    interval.
+    ``outside``: an interval measured on the real robot is not inside the tracked interval.
     """
     omitted = ("--vary", "--fit")
     if not result.seeds:
@@ -538,10 +486,7 @@ def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> 
 
 
 def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield a warning for each criterion whose margin is narrow (`TrackedIntervals.narrow`).
-
-    The warning states the smallest margin and the spread over the seeds that track [%].
-    """
+    """Yield a warning for each criterion whose margin is narrow (`TrackedIntervals.narrow`)."""
     for name in result.narrow:
         margins = getattr(result, f"{name}_margins")[list(result.seeds)]
         yield text(
@@ -553,11 +498,7 @@ def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield a text of the smallest margins [%] of the unchanged robot for speed and turning.
-
-    A margin is 1 - error / tolerance of the tracked velocity. The minimum is over the seeds that
-    track the command. Without such a seed, nothing is yielded.
-    """
+    """Yield a text of the smallest margins [%] of the unchanged robot for speed and turning."""
     if result.seeds:
         speed, turning = (
             margins[list(result.seeds)].min()
@@ -571,12 +512,7 @@ def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
     """Return the text of the reasons why an interval ends, the most frequent reason first.
 
-    The interval contains the values of a quantity, such as the payload, at which the policy tracks
-    its command. The text is "-" if no seed has a reason.
-
-    Args:
-        failures: Criterion that the policy violates beyond an end of the interval, for each
-            simulated seed: ``falls``, ``speed`` or ``turning``. "" if no such value was found.
+    ``failures`` contains ``falls``, ``speed``, ``turning`` or "" (none) for each seed.
     """
     names = Counter(name for name in failures if name)
     words = [text(f"walk-ends-{name}") for name, _ in names.most_common()]
@@ -584,10 +520,7 @@ def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
 
 
 def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield texts of the largest payload [kg] and impulses [N s] with which all seeds track.
-
-    The text of the payload also states the largest mass without a fall.
-    """
+    """Yield texts of the largest payload [kg] and impulses [N s] with which all seeds track."""
     for interval in result.intervals:
         if interval.quantity == "payload":
             yield text(
@@ -652,14 +585,9 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
 def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
     """Create the cell of one end of an interval of values at which the policy tracks the command.
 
-    The cell is marked with ``*`` if the end is not the nominal value, and the tested range ended
-    before any seed had an untracked value.
-
-    Args:
-        interval: Interval.
-        tracked: End of the interval, in the unit of the quantity.
-        beyond: Nearest untracked value found beyond this end, shape (seeds,); NaN without such a
-            value.
+    The cell is marked with ``*`` if the range ended before an untracked value was found.
+    ``beyond``,
+    shape (seeds,), is the nearest untracked value, NaN without.
     """
     open_end = tracked != interval.nominal and bool(np.isnan(beyond).all())
     return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))
@@ -676,10 +604,7 @@ def _make_measured_cells(interval: TrackedInterval) -> tuple[doc.Cell, doc.Cell]
 
 @build_document.register(ResponseMap)
 def response_document(result: ResponseMap, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the achieved velocities for a grid of commands.
-
-    `build_document` calls this function for a `ResponseMap`.
-    """
+    """Create the report of the achieved velocities for a grid of commands."""
     zones = [axis for axis in result.axes if any(axis.dead_zone)]
     fallen = [axis for axis in result.axes if axis.fallen.any()]
     word = "walk-response-good" if result.passed else "walk-response-gaps"
@@ -766,10 +691,7 @@ def response_plot(axis: ResponseAxis) -> doc.LinePlot:
 
 @build_document.register(TraceCheck)
 def trace_document(result: TraceCheck, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the comparison of a policy's contract with a recorded trace.
-
-    `build_document` calls this function for a `TraceCheck`.
-    """
+    """Create the report of the comparison of a policy's contract with a recorded trace."""
     wrong = [check for check in result.checks if check.mistake not in ("", "unchecked")]
     terms = result.signal_checks
     agreeing = [check for check in terms if check.mistake == ""]
@@ -833,10 +755,7 @@ def trace_document(result: TraceCheck, robot: Robot | None = None) -> doc.Docume
 
 @build_document.register(Orders)
 def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a ranking of joint orders, signs, scales and histories of a policy.
-
-    `build_document` calls this function for `Orders`.
-    """
+    """Create the report of a ranking of joint orders, signs, scales and histories of a policy."""
     best, stated = result.candidates[0], result.candidates[result.stated]
     if not best.tracked:
         word, line = "walk-of-none", text("walk-none-tracks", count=len(result.candidates))
@@ -875,14 +794,7 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_step_after_orders(result: Orders) -> doc.NextStep:
-    """Return the next command after a ranking of interpretations of a policy.
-
-    - ``audit``: no interpretation walks.
-    - ``walk --init``: an interpretation other than the stated interpretation walks better. The
-      command writes a TOML file for the correction.
-    - ``walk --vary``: the stated interpretation walks best.
-    - ``walk --response``: the ranking is not determined.
-    """
+    """Return the next command after a ranking of interpretations of a policy."""
     if not result.candidates[0].tracked:
         return doc.NextStep("audit")
     if not result.passed:
@@ -910,11 +822,7 @@ interpretation. Chosen, not tuned.
 
 
 def _make_candidate_table(result: Orders) -> doc.Table:
-    """Create the table of the best interpretations of a policy, with the stated interpretation.
-
-    Columns: rank, change, tracked commands, falls, rms torque [N m], velocity error [1], cost
-    [N m].
-    """
+    """Create the table of the best interpretations of a policy, with the stated interpretation."""
     places = sorted({*range(min(_MAX_SHOWN_CANDIDATES, len(result.candidates))), result.stated})
     rows = []
     for place in places:

@@ -46,8 +46,7 @@ DEFAULT_SEEDS = 5
 NUM_HALVINGS = 5
 """Number of bisections between a value with which the policy follows the velocity command, and a
 value with which it does not. Derived: five bisections locate the end of the interval to 1/32 of the
-distance from the nominal value to the bound of the range. If the quantity is a factor, the
-logarithms are bisected.
+distance from the nominal value to the bound of the range (in the logarithm for a factor).
 """
 
 QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
@@ -71,10 +70,7 @@ class VariedQuantity:
     apply: QuantitySetter | None
 
     def compute_midpoint(self, first: float, second: float) -> float:
-        """Return the midpoint of two values of the quantity, for a bisection.
-
-        The midpoint is the geometric mean for a factor (unit "x"), otherwise the arithmetic mean.
-        """
+        """Return the midpoint of two values: geometric mean for a factor, else arithmetic mean."""
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
 
@@ -128,11 +124,9 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Multiply the lengths of the legs by ``value``, in ``model``; sizes and masses are unchanged.
+    """Multiply the lengths of the legs beyond their first body by ``value``, in ``model``.
 
-    The changed bodies are the bodies between the base and a foot, with the body of the foot, but
-    without the first body after the base. ``value`` multiplies the positions of the changed bodies,
-    and of the CoMs, geoms and sites on these bodies.
+    Sizes and masses are unchanged.
     """
     base, bodies_beyond = _get_base_id(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
@@ -210,28 +204,19 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Interval in which the policy tracks the command with all seeds: (lower, upper) end.
-
-        The ends are in the unit of the quantity. The interval is the intersection of the intervals
-        of all seeds.
-        """
+        """Interval in which the policy tracks the command with all seeds: (lower, upper) end."""
         return float(self.least.max()), float(self.most.min())
 
     @property
     def upright(self) -> tuple[float, float]:
-        """Interval in which the robot falls with no seed: (lower, upper) end.
-
-        The ends are in the unit of the quantity. The interval is the intersection of the intervals
-        of all seeds.
-        """
+        """Interval in which the robot falls with no seed: (lower, upper) end."""
         return float(self.upright_least.max()), float(self.upright_most.min())
 
     @property
     def inside(self) -> bool | None:
         """Whether all seeds track the command in the complete measured interval.
 
-        ``measured`` is the interval of the quantity on the real robot, from a fit. None without a
-        measured interval.
+        None without a measured interval.
         """
         if self.measured is None:
             return None
@@ -360,14 +345,9 @@ def _make_interval(
     outcomes: Mapping[tuple[str, float, int], Tracking],
     measured: tuple[float, float] | None,
 ) -> TrackedInterval:
-    """Create the intervals of a quantity from the brackets of all seeds.
+    """Create the result of a quantity from the brackets and outcomes of all seeds.
 
-    Args:
-        name: Quantity.
-        seeds: Seeds with which the unchanged robot tracks.
-        brackets: {quantity, side, seed, criterion: nearest satisfied and violated value}.
-        outcomes: {quantity, value, seed: outcome of the run}.
-        measured: Measured interval of the quantity; None without.
+    ``brackets`` contain the nearest satisfied and violated value.
     """
 
     def collect(side: int, criterion: str, end: int) -> Array:
@@ -409,14 +389,7 @@ def _make_interval(
 def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketKey, list[float]]:
     """Return the initial bracket [satisfied, violated] of each quantity, side, seed and criterion.
 
-    A bracket contains two values of the quantity. The first value satisfies the criterion; the
-    initial value is the nominal value. The second value violates the criterion; the initial value
-    is the bound of the range, which is not yet simulated. If the bound is the nominal value, there
-    is nothing to search, and the second value is NaN.
-
-    Args:
-        names: Names of `VARIED_QUANTITIES`.
-        seeds: Seeds with which the unchanged robot tracks.
+    The values are the nominal value and the bound of the range; NaN instead of an equal bound.
     """
     brackets: dict[_BracketKey, list[float]] = {}
     for name in names:
@@ -434,10 +407,7 @@ def _select_trial_values(
 ) -> dict[_BracketKey, float]:
     """Return, for each unfinished bracket, the value of the quantity to simulate next.
 
-    Args:
-        brackets: Brackets [satisfied, violated]; finished if the second value is NaN.
-        halve: Return the midpoint of the bracket (`VariedQuantity.compute_midpoint`) instead of the
-            second value.
+    The value is the midpoint of the bracket if ``halve``, else its violated end.
     """
     return {
         key: VARIED_QUANTITIES[key[0]].compute_midpoint(satisfied, violated) if halve else violated
@@ -467,7 +437,6 @@ def tracked_intervals(
     not tracked at the bound, the range between a tracked and an untracked value is bisected
     `NUM_HALVINGS` times. The range between a value without and a value with a fall is bisected in
     the same way. If tracked and untracked values alternate, the bisection finds a single boundary.
-    The result does not depend on the number of workers.
 
     Args:
         robot: Robot.
@@ -479,13 +448,13 @@ def tracked_intervals(
             limit.
         seconds: Duration of each run [s], 3 to 600.
         measured: {quantity: interval of the real robot, (lower, upper)}, as from
-            `read_measured_intervals`. Entries of other quantities than ``quantities`` are ignored.
+            `read_measured_intervals`.
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is invalid or out of range, ``measured`` contains none of
-            the quantities, the base is fixed, the robot has no feet, or the policy acts more than
-            once per time step.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
+            feet,
+            for example.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)
@@ -577,8 +546,7 @@ def read_measured_intervals(
       joints.
     - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
 
-    Other parameters of the fit are ignored. A parameter is also ignored if the interval or the
-    stated value is not finite, or if the stated mass or gain is not positive.
+    Other parameters, and intervals that are not finite, are ignored.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.
@@ -589,8 +557,8 @@ def read_measured_intervals(
         {quantity: (lower end, upper end)}, not empty.
 
     Raises:
-        ModelError: If the file cannot be read, is not the result of a fit, or contains no quantity
-            that can be varied.
+        ModelError: If the file cannot be read, or contains no quantity that can be varied, for
+            example.
     """
     try:
         data = orjson.loads(read_input(Path(path), MAX_TEXT_BYTES))
@@ -626,10 +594,7 @@ def read_measured_intervals(
 
 
 def _find_estimates(data: Any) -> list[Any]:
-    """Return the estimates in the JSON of a fit, unchecked; empty without a list of estimates.
-
-    The key of the list is ``estimates`` or, in ``fit.json``, ``parameters``.
-    """
+    """Return the estimates in the JSON of a fit, unchecked; empty without a list of estimates."""
     for key in ("estimates", "parameters"):
         rows = data.get(key) if isinstance(data, dict) else None
         if isinstance(rows, list):

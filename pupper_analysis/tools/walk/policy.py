@@ -142,11 +142,9 @@ SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
 def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Separate the words of a command line into words that name a robot, and files of a policy.
 
-    Files of a policy, deployment or trainer are recognised by the suffix. Such a file may be
-    ``FILE:NAME`` to select a configuration.
-
-    Args:
-        words: Words of the command.
+    Files of a policy, deployment or trainer are recognised by the suffix, also in ``FILE:NAME``,
+    which
+    selects a configuration.
 
     Returns:
         Words that name a robot; the other words.
@@ -162,16 +160,11 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
 def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
     """Select the policy among the typed files; return the policy file and the other sources.
 
-    If neither ``policy`` nor ``sources`` names a policy, the only ONNX file in the folder of the
-    first source is used. The folder ``exported`` beside this folder is searched as well, as in
-    unitree_rl_lab.
+    If no file is typed as the policy, ONNX files near the first source are considered.
 
     Args:
         policy: File of the option ``--policy``; None without.
         sources: Files of a policy, deployment or trainer.
-
-    Returns:
-        File of the policy; other sources, in the order of ``sources``.
 
     Raises:
         ConfigurationError: If there are several policies, or no policy.
@@ -210,7 +203,7 @@ def read_statements(
 
 
 def _find_toml_line(text: str, key: str) -> int:
-    """Return the number, from 1, of the line that states a key of a flat TOML file; 0 without."""
+    """Return the number, from 1, of the line that states a key of a flat TOML file, or 0."""
     match = re.search(rf"^[ \t]*[\"']?{re.escape(key)}[\"']?[ \t]*=", text, re.MULTILINE)
     return 0 if match is None else text.count("\n", 0, match.end()) + 1
 
@@ -219,8 +212,7 @@ def _find_toml_line(text: str, key: str) -> int:
 def refuse_malformed(path: Path) -> Iterator[None]:
     """Context manager that converts Python errors of a malformed policy file into a ModelError.
 
-    The readers check the values that the format uses. This function converts the other errors that
-    a malformed file may cause. Therefore such a file is not reported as a defect of the package.
+    Therefore such a file is not reported as a defect of the package.
 
     Raises:
         ModelError: If the block raises a Python error that a malformed file may cause, such as
@@ -242,12 +234,7 @@ def refuse_malformed(path: Path) -> Iterator[None]:
 
 
 def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
-    """Return the network of a policy file, and {contract key: value} that the file states.
-
-    Raises:
-        MissingPackageError: If the policy is TorchScript and torch is not installed.
-        ModelError: If the file cannot be read, or contains a network that is not supported.
-    """
+    """Return the network of a policy file, and {contract key: value} that the file states."""
     with refuse_malformed(path):
         if path.suffix == ".json":
             values = read_rtneural(path)
@@ -308,8 +295,7 @@ class _WeightFiles:
         """Return the bytes of a tensor's weights in another file.
 
         Raises:
-            ModelError: If the entries are not valid, or the file is not below the folder of the
-                ONNX file, cannot be read, or is too short.
+            ModelError: If the file is missing or too short, for example.
             ValueError: If ``offset`` or ``length`` is not a whole number.
         """
         entries = [gather_fields(entry) for entry in tensor.get(_EXTERNAL_DATA_FIELD, ())]
@@ -342,13 +328,7 @@ class _WeightFiles:
 def _read_tensor(
     path: Path, data: int | memoryview, weight_files: _WeightFiles | None = None
 ) -> tuple[str, Array]:
-    """Return the name and the numbers of an ONNX tensor (protobuf message), shape as stated.
-
-    Raises:
-        ModelError: If the tensor is too large, has a negative dimension, an unsupported type or a
-            number of elements that does not fit the shape, or if a file of weights cannot be read.
-            The error names the file.
-    """
+    """Return the name and the numbers of an ONNX tensor (protobuf message), shape as stated."""
     tensor = gather_fields(data)
     name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
     kind = tensor.get(2, [0])[0]
@@ -392,8 +372,8 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
         file: Content of the file.
 
     Raises:
-        ModelError: If the file contains no network, an operator that is not supported, or a size
-            that does not fit, or if a file of weights cannot be read.
+        ModelError: If the file contains no network or an operator that is not supported, for
+            example.
     """
     weight_files = _WeightFiles(path)
     with refuse_malformed(path):
@@ -403,22 +383,12 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
 
 _ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
 """Names of the action output in networks of rl_games, skrl and other trainers. The names select the
-action if a network without states has several outputs. Other outputs, such as standard deviation
-and value, are ignored.
+action if a network without states has several outputs, such as standard deviation and value.
 """
 
 
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
-    """Build the network of an ONNX graph.
-
-    The first input is the observation, and the first output is the action. Further inputs and
-    outputs are recurrent states. If a network with a single input has several outputs, the output
-    named in `_ACTION_NAMES` is the action.
-
-    Raises:
-        ModelError: If the numbers of inputs and (remaining) outputs differ, an operator is not
-            supported, or a size does not fit.
-    """
+    """Build the network of an ONNX graph: observation and states to action and states."""
     graph = file.graph
     constants = dict(_read_tensor(path, message, weight_files) for message in graph.get(5, ()))
     inputs, outputs = list(file.inputs.items()), list(file.outputs)
@@ -455,15 +425,7 @@ def _build_node(
 ) -> NetworkOperation:
     """Return a node of an ONNX graph as an operation with named inputs and outputs.
 
-    Args:
-        path: File, for messages.
-        node: ONNX node (protobuf message).
-        number: Number of the node, which names a node without a name.
-        constants: {name: value}; the value of a Constant is added.
-        weight_files: Files of weights beside the file.
-
-    Raises:
-        ModelError: If the operator is not supported, or a tensor of the node cannot be read.
+    The value of a Constant is added to ``constants``. ``number`` names a node without a name.
     """
     kind = get_text(node, 4)
     name = get_text(node, 3) or f"layer {number} ({kind})"
@@ -535,8 +497,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
         values: Content of the file.
 
     Raises:
-        ModelError: If there is no layer, or a layer has an unknown type or activation, unsuitable
-            weights or a size that does not fit. The message names the layer.
+        ModelError: If a layer has an unknown type or unsuitable weights, for example.
     """
     layers = values["layers"]
     if not layers:
@@ -595,16 +556,7 @@ def _read_word(
 ) -> str:
     """Return the text that a layer of a policy file states for a key, such as an activation.
 
-    Args:
-        path: The file, for messages.
-        name: The layer's name, for messages.
-        layer: The layer as read.
-        key: The key.
-        valid_words: Valid words.
-        default: Word for a missing key, null, or an empty text; "" if the key is required.
-
-    Raises:
-        ModelError: If the layer is not an object, or the value is not a valid word.
+    ``default`` is the word for a missing key; "" if the key is required.
     """
     value = layer.get(key) if isinstance(layer, dict) else layer
     if isinstance(layer, dict) and default and (value is None or value == ""):
@@ -619,11 +571,7 @@ def _read_word(
 
 
 def _read_weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
-    """Return the ``count`` weight arrays of a layer: matrices, and at last the biases.
-
-    Raises:
-        ModelError: If the file at ``path`` states other arrays for the layer ``name``.
-    """
+    """Return the ``count`` weight arrays of a layer: matrices, and at last the biases."""
     stated = layer.get("weights")
     problem = ModelError(path, diagnose("layer-weights", layer=name, count=count))
     if not isinstance(stated, list) or len(stated) != count:
@@ -655,13 +603,9 @@ Larger files are refused."""
 
 
 def _list_tensor_attributes(module: Any) -> list[str]:
-    """List the tensors, except parameters, that a TorchScript module reads or assigns.
+    """List the buffers and tensor attributes of a TorchScript module by path, without parameters.
 
-    These are buffers and plain attributes. TorchScript lists only buffers by itself, so that the
-    attributes are found in the graph of ``forward``.
-
-    Returns:
-        Path of each tensor in the module, such as ``memory.hidden_state``.
+    TorchScript lists only buffers by itself; attributes are found in the graph of ``forward``.
     """
 
     def find_path(value: Any) -> str:
@@ -724,10 +668,9 @@ class _ScriptedModule:
     def find_states(self, size: int) -> dict[str, int]:
         """Find the recurrent states of the module: {tensor: number of elements}.
 
-        A state is a tensor that starts with zeros, is no parameter, and changes in an evaluation.
-
-        Args:
-            size: Number of elements of the observation.
+        A state is a tensor that starts with zeros, is no parameter, and changes in an evaluation of
+        an
+        observation with ``size`` elements.
 
         Raises:
             ValueError: If the module cannot be evaluated for this size.
@@ -775,15 +718,9 @@ class _ScriptedModule:
 def build_torchscript_network(path: Path) -> Network:
     """Build the network of a TorchScript file, evaluated by torch.
 
-    Args:
-        path: TorchScript file.
-
     Raises:
         MissingPackageError: If torch is not installed.
-        ModelError: If the file cannot be read, is too large or contains no network, or if the
-            network can be evaluated for none of the observation sizes that weights and states
-            suggest. Also if the network keeps a state that is no tensor, or a state that does not
-            start with zeros.
+        ModelError: If the file cannot be read, or the network cannot be evaluated, for example.
     """
     torch, module = _load_torchscript(path)
     weights = dict(module.named_parameters())
@@ -818,12 +755,7 @@ def build_torchscript_network(path: Path) -> Network:
 
 
 def _load_torchscript(path: Path) -> tuple[Any, Any]:
-    """Load a TorchScript file; return the module ``torch``, and the network in evaluation mode.
-
-    Raises:
-        MissingPackageError: If torch is not installed.
-        ModelError: If the file is too large, or cannot be read.
-    """
+    """Load a TorchScript file; return the module ``torch``, and the network in evaluation mode."""
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)
     except InputError as error:
@@ -843,18 +775,7 @@ def _load_torchscript(path: Path) -> tuple[Any, Any]:
 def _assemble_torchscript(
     path: Path, scripted: _ScriptedModule, constants: Mapping[str, Array], size: int
 ) -> Network:
-    """Assemble the network that evaluates a scripted module for observations of a size.
-
-    Args:
-        path: TorchScript file, for errors.
-        scripted: Module.
-        constants: {name: weights} of the module.
-        size: Number of observations.
-
-    Raises:
-        ModelError: If a weight is not finite, for example.
-        ValueError: If the module cannot be evaluated for this size.
-    """
+    """Assemble the network that evaluates a scripted module for observations of a ``size``."""
     states = scripted.find_states(size)
     names = tuple(f"{name} next" for name in states)
     node = NetworkOperation(
@@ -871,11 +792,7 @@ def _assemble_torchscript(
 
 
 def _check_memory(path: Path, network: Network, size: int) -> None:
-    """Check that a network keeps no state besides its memory.
-
-    Raises:
-        ModelError: If an evaluation changes the next result for equal observations and memory.
-    """
+    """Check that a network keeps no state besides its memory, else raise a ModelError."""
     zeros, ones = np.zeros((1, size)), np.ones((1, size))
     start = network.initial_memory(1)
     before = network.forward(zeros, start)[0]

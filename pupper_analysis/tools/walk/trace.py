@@ -45,10 +45,8 @@ MAX_DELAY_SAMPLES = 10
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
 the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about the
-mean) + `MATCH_ATOL`. Explanations of a difference omit deviations of a factor from 1 up to
-`MATCH_RTOL`, and offsets up to `MATCH_ATOL`. `MATCH_ATOL` also decides which signals count as
-constant. Chosen, not tuned: above the noise of encoders and float32 logs, below the effect of a
-wrong sign, scale, order or delay.
+mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
+effect of a wrong sign, scale, order or delay.
 """
 
 MAX_RATE_DEVIATION = 0.1
@@ -89,9 +87,8 @@ _NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4, "commands"
 """{array of a trace: number of columns}, for arrays whose size does not depend on the robot."""
 
 _NUM_UNKNOWN_SAMPLES = {"last-action": 1, "second-last-action": 2}
-"""{term: number of samples at the start of a trace that are not compared}. At the start the term
-contains actions before the trace, which are unknown. A trace may begin while the policy already
-runs.
+"""{term: number of samples at the start of a trace that are not compared}, since the term contains
+unknown actions before the trace.
 """
 
 _MAX_MAGNITUDE = 1e30
@@ -141,11 +138,9 @@ def read_trace(path: str | Path) -> Trace:
     ``angular_velocity``, ``gravity`` and ``quaternion``.
 
     Raises:
-        ModelError: If the file cannot be read, ``time``, ``observations`` or ``actions`` is
-            missing, an array has an invalid shape, or the magnitude of a number is not at most
-            `_MAX_MAGNITUDE`. Also if the norm of a quaternion differs from 1 by more than
-            `MAX_NORM_DEVIATION`, times do not ascend, or there are fewer than `MIN_SAMPLES`
-            samples. An error in a line of a CSV file contains the line.
+        ModelError: If the file cannot be read, lacks a required array, or contains invalid numbers,
+            for
+            example. An error in a line of a CSV file contains the line.
     """
     path, lines = Path(path), list[int]()
     try:
@@ -197,13 +192,9 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Read the known arrays of an npz file, {array: values}, and the joint names.
+    """Read the known arrays of an npz file, {array: values}, and the joint names, if stated.
 
-    Known are ``time`` and the keys of `_SIGNALS`. The names are empty if not stated. Nothing is
-    unpickled.
-
-    Raises:
-        ModelError: If the file cannot be read.
+    Nothing is unpickled.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
@@ -221,16 +212,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...], list[int]]:
     """Read a CSV file: {array: values}, the joint names, and the line number of each sample.
 
-    The joint names are those of the columns ``q_JOINT``; empty if the columns are numbered, or
-    absent. Numbered columns of a signal are sorted by their numbers. Separators are commas,
-    semicolons or tabs. Blank lines are left out, and comments: lines below the names that start
-    with ``#``. Only columns of signals and of the time must have distinct names.
-
-    Raises:
-        ModelError: If the file is no table of numbers, a used column is repeated, or signals
-            have different joints. Also if ``time`` is missing, or the columns of another signal
-            are not numbered consecutively.
-        InputError: If the text cannot be decoded.
+    The joint names are those of the columns ``q_JOINT``, empty if these are numbered.
     """
     lines = [
         (line, text)
@@ -281,19 +263,12 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _is_number(name: str) -> bool:
-    """Return True if a text is the number of a CSV column, such as 12 in ``obs_12``.
-
-    The text must consist of one to nine digits.
-    """
+    """Return True if a text is the number of a CSV column, such as 12 in ``obs_12``."""
     return name.isdecimal() and len(name) <= 9
 
 
 def _parse_numbers(place: Place, names: Sequence[str], cells: Sequence[str]) -> list[float]:
-    """Return the numbers of a line of a CSV file.
-
-    Raises:
-        ModelError: If the line has another number of cells than the header, or a cell is no number.
-    """
+    """Return the numbers of a line of a CSV file."""
     if len(cells) != len(names):
         problem = diagnose("trace-cells", cells=len(cells), columns=len(names))
         raise make_file_error(place, problem)
@@ -378,9 +353,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         trace: Trace of this policy.
 
     Raises:
-        ModelError: If the trace has another number of observations or actions than the network,
-            lacks a joint of the policy, or has not exactly a column per joint. Also if the policy
-            names no joints and has another number of joints than the robot.
+        ModelError: If the trace does not fit the policy or the robot, for example.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, observations = policy.contract, trace.arrays["observations"]
@@ -424,7 +397,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
 
 
 def _describe_delay(detail: str, period: float) -> str:
-    """Return ``detail``, a text such as "3 samples", with the duration of the delay [ms] appended.
+    """Append the duration of a delay [ms] to ``detail``, a text such as "3 samples".
 
     ``period`` is the time between samples [s].
     """
@@ -445,7 +418,7 @@ def _check_network(policy: Policy, trace: Trace) -> TermCheck:
 
 
 def _check_rate(contract: PolicyContract, trace: Trace) -> TermCheck:
-    """Compare the rate of the contract with the rate of the samples; ``detail`` is the ratio."""
+    """Compare the rate of the contract with the rate of the samples."""
     ratio = 1 / (trace.period * contract.rate)
     is_wrong = abs(ratio - 1) > MAX_RATE_DEVIATION
     mistake, detail = ("scale", f"x {ratio:.4g}") if is_wrong else ("", "")
@@ -455,13 +428,8 @@ def _check_rate(contract: PolicyContract, trace: Trace) -> TermCheck:
 def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array]:
     """Convert recorded signals to units and order of the contract: {term or ``targets``: signal}.
 
-    A signal has the shape (n, size), before clip and scale of the term. Terms without a recorded
-    signal are missing. Actions before the trace are unknown, and replaced by zeros.
-
-    Raises:
-        ModelError: If the trace lacks a joint of the policy, or a column per joint, or the policy
-            names no joints and the number of joints differs.
-        UnknownNameError: If the policy names a joint that the robot does not have.
+    A signal has the shape (n, size), before clip and scale of the term. Unknown actions before the
+    trace are replaced by zeros.
     """
     contract, arrays = policy.contract, trace.arrays
     columns = list(trace.joints or robot.joint_names)
@@ -517,8 +485,7 @@ def _extract_frame(contract: PolicyContract, observations: Array, *, newest: boo
 def _measure_difference(seen: Array, expected: Array) -> float:
     """Return the rms difference of two signals (n, size), relative to the expected signal [1].
 
-    The divisor is the rms of ``expected`` about the mean, plus `MATCH_ATOL` / `MATCH_RTOL`. The
-    result is at most `MATCH_RTOL` if both signals agree within the tolerances.
+    The divisor is the rms of ``expected`` about the mean, plus `MATCH_ATOL` / `MATCH_RTOL`.
     """
     difference = float(np.sqrt(np.mean((seen - expected) ** 2)))
     size = float(np.sqrt(np.mean((expected - expected.mean(axis=0)) ** 2)))
@@ -526,10 +493,7 @@ def _measure_difference(seen: Array, expected: Array) -> float:
 
 
 def _agrees(seen: Array, expected: Array) -> bool:
-    """Return True if each column of two signals (n, size) agrees within the tolerances.
-
-    The criterion is `_measure_difference` of at most `MATCH_RTOL`.
-    """
+    """Return True if each column of two signals (n, size) agrees within the tolerances."""
     return all(
         _measure_difference(seen[:, [column]], expected[:, [column]]) <= MATCH_RTOL
         for column in range(seen.shape[1])
@@ -539,8 +503,7 @@ def _agrees(seen: Array, expected: Array) -> bool:
 def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Array]]:
     """Yield delays from -2 to `MAX_DELAY_SAMPLES`, the shortest first, with shifted signals.
 
-    A delay is positive if ``seen`` is later than ``expected``. The signals are cut to the samples
-    that both have after the shift.
+    A delay is positive if ``seen`` is later than ``expected``.
     """
     for delay in sorted(range(-2, MAX_DELAY_SAMPLES + 1), key=abs):
         count = len(seen) - abs(delay)
@@ -553,15 +516,10 @@ def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Arr
 def _explain_difference(
     seen: Array, expected: Array, names: Sequence[str]
 ) -> tuple[float, str, str]:
-    """Return the relative error, and the mistake and detail that explain a difference.
+    """Return relative error, mistake and detail of the difference of two signals, (n, size) each.
 
     The mistake is "" if both signals agree, and "unexplained" if no known mistake explains the
-    difference.
-
-    Args:
-        seen: Recorded elements, shape (n, size).
-        expected: Elements as the contract defines them, shape (n, size).
-        names: Names of the elements.
+    difference. ``names`` are the names of the elements.
     """
     error = _measure_difference(seen, expected)
     if _agrees(seen, expected):
@@ -584,11 +542,7 @@ def _explain_difference(
 
 
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Test whether inverted signs of elements explain a difference: ("sign", names), or None.
-
-    ``seen`` and ``expected``, shape (n, size) each, are the recorded elements, and the elements as
-    the contract defines them.
-    """
+    """Test whether inverted signs of elements explain a difference: ("sign", names), or None."""
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
     if (signs > 0).all() or not _agrees(seen, signs * expected):
         return None
@@ -597,12 +551,7 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 
 
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Test whether factors of elements explain a difference: ("scale", factors as text), or None.
-
-    Also None if the magnitude of a factor is below 1e-3. The factors are ``seen`` (recorded
-    elements) / ``expected`` (elements as the contract defines them). Both have the shape (n,
-    size).
-    """
+    """Test whether factors of elements explain a difference: ("scale", factor text), or None."""
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
     factors = np.where(squares > len(seen) * MATCH_ATOL**2, factors, 1.0)
@@ -619,11 +568,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 
 
 def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Test whether a permutation of elements explains a difference: ("order", moved), or None.
-
-    At most six moved elements are named. ``seen`` and ``expected``, shape (n, size) each, are the
-    recorded elements, and the elements as the contract defines them.
-    """
+    """Test whether a permutation of elements explains a difference: ("order", moved), or None."""
     from scipy.optimize import linear_sum_assignment
 
     costs = np.array(
@@ -642,12 +587,7 @@ def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tup
 
 
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
-    """Return the elements with a nonzero mean difference seen - expected, as text.
-
-    The text contains the differences of at most six elements. A difference up to `MATCH_ATOL`
-    counts as 0. ``seen`` and ``expected``, shape (n, size) each, are the recorded elements, and the
-    elements as the contract defines them.
-    """
+    """Return the elements with a nonzero mean difference seen - expected, as text (six at most)."""
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
     return ", ".join(f"{names[index]} {offsets[index]:+.4g}" for index in changed[:6])
@@ -660,17 +600,10 @@ def _search_elsewhere(
     first: int,
     found: tuple[float, str, str],
 ) -> tuple[float, str, str]:
-    """Return another explanation if a term is elsewhere in the observation, or frames are reversed.
+    """Explain a difference by another place of the term in the observation, or reversed frames.
 
-    The result has the entries of `_explain_difference`. Without another explanation, the result is
-    ``found``.
-
-    Args:
-        contract: Contract of the policy.
-        observations: Recorded observations, shape (n, inputs).
-        expected: Elements of the term, shape (n, size).
-        first: Stated index of the first element in a frame.
-        found: Error, mistake and detail of the term at the stated place.
+    ``expected`` (n, size) are the elements of the term; ``first`` is the stated index of the first
+    element. Without such an explanation the result is ``found``: error, mistake and detail.
     """
     size = expected.shape[1]
     if float(np.ptp(expected, axis=0).max(initial=0.0)) <= 2 * MATCH_ATOL:
