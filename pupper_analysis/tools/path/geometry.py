@@ -39,10 +39,8 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Names of stance constraints whose task fields are not interpolated number by number.
-`interpolate_task` sets these fields separately, for example from the solved stances of a segment;
-the support margin is only checked. Fields with a value per joint, foot or link are also set
-separately.
+"""Names of stance constraints whose task fields `interpolate_task` does not interpolate number by
+number, but sets separately.
 """
 
 UNLOADED_HEIGHT = 1e-12
@@ -72,10 +70,9 @@ class PathStance:
     def margin(self, feet: Sequence[str]) -> float:
         """Compute the horizontal distance [m] from the CoM to the edge of a support polygon.
 
-        The distance is positive inside the polygon.
-
-        Args:
-            feet: Contact points; the centres of their spheres span the polygon.
+        The distance is positive inside the polygon, which the centres of the contact points
+        ``feet``
+        span.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
@@ -120,10 +117,7 @@ def solve_segments(
         A segment between each two successive stances; the solved stands.
 
     Raises:
-        ConfigurationError: If stances have different grounds, mix points and ``"inside"`` as
-            ``com``, move a foot that carries load, or tilt or rotate a loaded sole on a leg with
-            fewer than six joints. Also if stances have fewer than three contact points in common,
-            a foot lands while another lifts, or no stand can satisfy a task.
+        ConfigurationError: If a stance cannot follow the previous stance, for example.
         StanceUnreachableError: If a stance is out of reach. The error contains the number of the
             stance.
         UnknownNameError: If a task names a foot or joint that the robot does not have.
@@ -178,12 +172,7 @@ foot counts as moved. Smaller differences are errors of solved stands. Chosen, n
 def _describe_moved_foot(
     robot: Robot, start: PathStance, end: PathStance, point: str, where: Diagnostic
 ) -> Diagnostic:
-    """Return the message that a loaded contact point has different positions in two stances.
-
-    If the distance is at most 2 `MAX_SOLE_ERROR`, and the leg has fewer than six joints, the
-    message names the leg as cause: the sole is tilted or rotated in one of the stances
-    (`relax_foot_orientation`).
-    """
+    """Return the message that a loaded contact point has different positions in two stances."""
     foot = robot.foot_of(point)
     moved = float(np.linalg.norm(end.feet[point] - start.feet[point]))
     joints = count_joints_of_short_legs(robot).get(foot)
@@ -218,9 +207,7 @@ def interpolate_task(
         away: {contact point: displacement by rolling in the world frame, shape (3,) [m]}.
 
     Raises:
-        StaticsInfeasibleError: If the CoM margin in the support polygon is smaller than the
-            required margin, interpolated between both tasks, by more than 1e-9 m, or smaller than
-            1e-6 m.
+        StaticsInfeasibleError: If the CoM margin in the support polygon is too small.
     """
     first, last = segment.start.task, segment.end.task
 
@@ -361,8 +348,7 @@ class Geometry:
     def describe_sample(self, index: int) -> Diagnostic:
         """Return the part of an error message with the time [s] and the two stances of a sample.
 
-        ``index`` is the index of the sample in ``places``. The two stances are the previous and the
-        next stance of the sample.
+        ``index`` is the index of the sample in ``places``.
         """
         return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
@@ -405,8 +391,8 @@ def path_geometry(
         rolling: Feet roll without slipping. If False, the centres of the foot spheres stay.
 
     Raises:
-        ConfigurationError: If a stance cannot follow the previous stance, a joint jumps, or no
-            stand can satisfy a task.
+        ConfigurationError: If a stance cannot follow the previous stance, or a joint jumps, for
+            example.
         NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
@@ -450,12 +436,9 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
-    """Return the part of an error message with the time [s] and the two stances around a sample.
+    """Return the part of an error message with the time [s] and the two stances of a sample.
 
-    Args:
-        index: Index of the sample in the path, from 0.
-        per_segment: Number of samples per segment.
-        duration: Duration of a segment [s].
+    ``index`` counts samples of the path; ``duration`` of a segment in s.
     """
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment
@@ -535,15 +518,13 @@ def _differentiate(
 ) -> tuple[Array, Array]:
     """Compute the derivatives dq/ds and d2q/ds2 of a path's configuration, shape (nv,) each.
 
-    The coordinates are those of ``qvel``; s is the path parameter ``share``, from 0 to 1 in a
-    segment. On a path the constraints c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds
-    and J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints
-    for the velocity dq/ds and zero acceleration. If the constraints leave motions free, the
-    minimum-norm solution is returned (m and rad mixed).
-
-    Constraints: the contact points of loaded feet do not move (if ``rolling``), or the centres of
-    their spheres do not move. Swing feet, the height of the base, the horizontal CoM position,
-    roll, pitch, yaw, and joints of a posture are linear in s.
+    The coordinates are those of ``qvel``; s is the path parameter ``share``. On a path the
+    constraints
+    c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and J d2q/ds2 = d2w/ds2 - (dJ/ds)
+    dq/ds.
+    The last term is the acceleration of the constraints for the velocity dq/ds and zero
+    acceleration.
+    If the constraints leave motions free, the minimum-norm solution is returned (m and rad mixed).
     """
     start, end = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (start, end)])

@@ -70,19 +70,20 @@ millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
 """Upper bound of kd x time step / joint inertia [1], from which `_select_timestep` computes the
-time step (at least `MIN_TIMESTEP`). An implicit integrator adds kd x time step to the inertia of a
-joint. Chosen as the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured if A1
-squats to 80 % of its height in 0.4 s: the torque error is 9 % with a ratio of 0.5, and 3 % with
-0.07."""
+time step, since an implicit integrator adds kd x time step to the inertia of a joint. Chosen as the
+ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured if A1 squats to 80 % of its
+height in 0.4 s: the torque error is 9 % with a ratio of 0.5, and 3 % with 0.07.
+"""
 
 MIN_TIMESTEP = 1e-5
-"""Lower bound of the default time step [s], unless the model's is smaller. A path of 1 s then takes
-1 or 2 s to simulate. Chosen, not tuned."""
+"""Lower bound of the time step [s] that is computed from joint inertia and servo damping. A path of
+1
+s then takes 1 or 2 s to simulate. Chosen, not tuned.
+"""
 
 _STEP_ROUNDING = 1e-6
-"""Tolerance [1] of the number of time steps in a duration: a duration that is shorter than a whole
-number of steps by at most this fraction of a step has this number of steps (rounding). Chosen, not
-tuned.
+"""Rounding tolerance [time steps] when the number of whole time steps in a duration is computed.
+Chosen, not tuned.
 """
 
 
@@ -130,8 +131,7 @@ def path_commands(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the path belongs to another robot.
-        ModelError: If a joint has no motor or no position servo (``model_with_servos``), or if the
-            ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor or no position servo, for example.
     """
     from scipy.interpolate import CubicSpline
 
@@ -174,16 +174,10 @@ def path_commands(
 def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     """Adapt a path for rigid ground to MuJoCo's soft ground, by extending the legs.
 
-    The base keeps its path. Each leg is extended by the penetration of its foot under the delayed
-    contact force (``_compute_depths``). The torques are those of the extended legs, with joint
-    resistance for their motion. Measured torque error if the Pupper variants v3, v3-heavy,
-    v3-long-leg and original lift a foot by 20 mm in 4 s: 5 to 13 % with commands for rigid ground,
-    2 to 3 % with extended legs. Creep of rolling feet and the inertia of sinking legs are not
-    modelled.
-
-    Args:
-        robot: Robot on the ground of the path.
-        path: Path for rigid ground.
+    Measured torque error if the Pupper variants v3, v3-heavy, v3-long-leg and original lift a foot
+    by
+    20 mm in 4 s: 5 to 13 % with commands for rigid ground, 2 to 3 % with extended legs. Creep of
+    rolling feet and the inertia of sinking legs are not modelled.
 
     Returns:
         Configurations, shape (n, nq), and motor torques, shape (n, nu) [N m, or N for a slide].
@@ -241,9 +235,10 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
     """Compute the penetration of a foot, shape (n,) [m], under time-varying loads, shape (n,) [N].
 
     MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with the force f, penetration r,
-    impedance d, regularisation R, and stiffness k and damping b of the ground law. If the load is
-    linear in ``time``, shape (n,) [s], the depth follows with a delay: at time t it is the static
-    depth for the load at t - b / (k d). The delay is about 50 ms for Pupper v3.
+    impedance d, regularisation R, and stiffness k and damping b of the ground law. For a load that
+    is
+    linear in ``time``, shape (n,) [s], the depth at time t is the static depth for the load at
+    t - b / (k d). The delay is about 50 ms for Pupper v3.
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))
@@ -252,11 +247,7 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
 
 
 def _select_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
-    """Select a time step [s] for which implicit servo damping adds little to joint inertias.
-
-    The result is the smallest of three values: the time step of the model; `MAX_TIMESTEP`; and, but
-    at least `MIN_TIMESTEP`, `_MAX_ADDED_INERTIA` times the smallest ratio of joint inertia to kd.
-    """
+    """Select a time step [s] for which implicit servo damping adds little to joint inertias."""
     inertia = np.diag(Configuration(robot, first.qpos).mass_matrix())[robot.nv - robot.nu :]
     damped = drive.kd > 0
     shortest_decay = float(np.min(inertia[damped] / drive.kd[damped], initial=math.inf))
@@ -311,9 +302,8 @@ def study_path(
             only.
 
     Returns:
-        Stand at the end, path, tracking and verdict. The verdict passes only if the simulation
-        tracks the path (`PathTracking.passed`), and the final stand is stable: no mode of the
-        linearised dynamics grows within 12 s (`modes_growing_within`).
+        Stand at the end, path, tracking and verdict. The verdict requires a tracked path, and a
+        stable final stand: no mode of the linearised dynamics grows within 12 s.
 
     Raises:
         StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
@@ -321,9 +311,7 @@ def study_path(
         NoEquilibriumError: If the rolling displacement of the feet does not converge.
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If the task or another argument is invalid for the robot.
-        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
-            given; if a number of a motor is unknown; if the mass or inertia of a body is invalid;
-            or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, or a number of a motor is unknown, for example.
         UnknownNameError: If the task names a foot, joint or contact that the robot does not have.
     """
     stand = solve_stand(robot, task)
@@ -360,9 +348,7 @@ def study_path(
 def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
     """Return the stances of a path to a stand, from the nominal base pose and CoM position.
 
-    The first stance has the default base pose and CoM position, and the foot positions of the
-    stand. If the stand lifts a foot, a second stance has the base pose and CoM position of the
-    stand, with all feet on the ground. The last stance is the stand.
+    If the stand lifts a foot, a stance with all feet on the ground is in between.
     """
     task = stand.task
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
@@ -393,15 +379,14 @@ Chosen, not tuned.
 
 MIN_LOADED_FRACTION = 0.05
 """Planned load of a foot, divided by the robot's weight [1], above which the foot must touch the
-ground in the simulation. A foot with a negative planned load must touch the ground, too. Chosen,
-not tuned.
+ground in the simulation. Chosen, not tuned.
 """
 
 _NUM_CHECKED_STATES = 400
-"""Target number of simulated states whose contacts are checked. The interval between two checked
-states is at least 1 ms and at most 20 ms, so paths below 0.4 s have fewer checks, and paths above 8
-s more. On an infeasible path, a foot loses contact for a few percent of the duration: several
-checked states."""
+"""Approximate number of simulated states whose contacts are checked, for paths of a few seconds. On
+an
+infeasible path, a foot loses contact for a few percent of the duration: several checked states.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,12 +533,6 @@ def track_path(
 def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Compute the simulated torques by the servo law, shape (n, nu) [N m, or N for a slide].
 
-    The damping acts on the velocity that MuJoCo's integrator uses (`integrate_servo_damping`).
-
-    Args:
-        plan: Commands of the path.
-        states: Full physics states of MuJoCo at the end of each step, shape (n, size).
-
     Returns:
         Torques; mask, shape (n, nu), True if the motor saturates.
     """
@@ -574,18 +553,11 @@ def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, NDArray[
 def _compare_torques(
     plan: PathCommands, torques: Array, is_saturated: NDArray[np.bool_]
 ) -> tuple[list[Diagnostic], float]:
-    """Compare the simulated torques with the planned torques: saturated motors and largest error.
+    """Describe saturated motors, and compute the largest torque error |simulated - planned| [1].
 
-    The error is |simulated torque - planned torque of the extended legs| / largest planned torque
-    of the path on rigid ground [1], over all joints and time steps.
-
-    Args:
-        plan: Commands of the path.
-        torques: Simulated torques, shape (n, nu) [N m, or N for a slide].
-        is_saturated: Mask of the saturated motors, same shape.
-
-    Returns:
-        A diagnostic per saturated motor, and the largest error [1].
+    The error is relative to the largest planned torque of the path on rigid ground.
+    ``is_saturated`` is
+    the mask of the saturated motors, shape (n, nu).
     """
     robot, events = plan.robot, []
     for column in np.flatnonzero(is_saturated.any(axis=0)):

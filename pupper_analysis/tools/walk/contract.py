@@ -74,9 +74,9 @@ _TERM_ALIASES = {
     "last_last_act": "second-last-action",
     "feet_contacts": "contacts",
 }
-"""{name of a term in training libraries: term of `TERM_SIZES`}. The libraries are for example Isaac
-Lab, mjlab and Unitree's environments. `OBSERVATION_ALIASES` contains the names that most libraries
-use.
+"""{name of a term in training libraries, such as Isaac Lab, mjlab and Unitree's environments: term
+of
+`TERM_SIZES`}.
 """
 
 
@@ -246,8 +246,7 @@ _KEY_OF_QUANTITY = {
 def convert_source_statements(source: JointSource) -> dict[str, Any]:
     """Convert the statements of a source, such as a policy file, to entries of a policy contract.
 
-    A policy contract defines the observation and the action of a policy: joint order, gains, scales
-    and rates. The result is {key: value}, with the keys and units of the contract's TOML file.
+    The result is {key: value}, with the keys and units of the contract's TOML file.
     """
     values: dict[str, Any] = {}
     for statement in source.statements:
@@ -275,10 +274,9 @@ def convert_source_statements(source: JointSource) -> dict[str, Any]:
 def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
     """Return the contract that Pupper's neural_controller implies for an RTNeural JSON.
 
-    The observation of a time step (frame) follows ``neural_controller.cpp``: angular velocity,
-    gravity, command, commanded up direction in the base frame, joint positions, last action. With
-    twelve joints a frame has 36 elements, or 33 without the up direction. The newest frame is the
-    first. Elements are clipped to magnitudes of at most 100. The policy acts every 20 ms.
+    The observation follows ``neural_controller.cpp``: angular velocity, gravity, command, commanded
+    up
+    direction (if the size permits), joint positions, last action.
 
     Args:
         values: Content of the JSON. The result is empty if ``values`` has no
@@ -324,15 +322,13 @@ class _MergedValues:
     joints: int
 
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
-        """Return the value of a contract key as a vector, shape (size,).
+        """Return the value of a contract key as a vector, shape (size,); None for a missing key.
 
-        A number, or a list of one number, is repeated for each element. `fallback` replaces each
-        element of a missing key. None if the key is missing and `fallback` is None. The default of
-        `size` is the number of joints.
+        `fallback`, if any, replaces a missing key. The default of `size` is the number of joints.
 
         Raises:
-            ModelError: If the value is neither a number nor a list of one or `size` numbers. Also
-                if an element is not finite; limits may be infinite.
+            ModelError: If the value is neither a number nor a list of one or `size` numbers, for
+                example.
         """
         value = self.values.get(key, fallback)
         if value is None:
@@ -350,8 +346,6 @@ class _MergedValues:
 
     def number(self, key: str, fallback: float | None, low: float, high: float) -> float:
         """Return the value of a key of the policy's contract as a number from `low` to `high`.
-
-        `fallback` replaces a missing key.
 
         Raises:
             ModelError: If the key is missing and `fallback` is None, or the value is no number or
@@ -402,8 +396,7 @@ def make_contract(
         outputs: Number of outputs of the network.
 
     Raises:
-        ModelError: If a key is unknown or not valid, a required key is missing, or a size does not
-            fit the network.
+        ModelError: If a key is unknown or missing, or a size does not fit the network, for example.
     """
     values, places, origins = _merge_statements(statements)
     merged = _MergedValues(values, places, path, outputs)
@@ -466,9 +459,6 @@ def _merge_statements(
 
     Returns:
         {key: value}; {key: file, or file with the place of the value}; {key: origin of the value}.
-
-    Raises:
-        ModelError: If a key is unknown.
     """
     values: dict[str, Any] = {}
     places: dict[str, str] = {}
@@ -487,11 +477,7 @@ def _merge_statements(
 def _require_vector(
     merged: _MergedValues, key: str, default: float | None, size: int | None = None
 ) -> Array:
-    """Return the vector of a contract key (`_MergedValues.vector`); refuse a missing key.
-
-    Raises:
-        ModelError: If the key is missing and has no ``default``, or the value is not valid.
-    """
+    """Return the vector of a contract key (`_MergedValues.vector`); refuse a missing key."""
     vector = merged.vector(key, default, size)
     if vector is None:
         raise merged.make_error(key, diagnose("contract-lacks", key=key))
@@ -508,12 +494,7 @@ def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
 
 
 def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:
-    """Return a contract in which the number of feet follows from the size of the observation.
-
-    The number of feet is ``inputs`` of the network, minus the elements of all other terms, divided
-    by the number of frames of the contacts: rounded down, at least 1. Without contacts in the
-    observation, the contract is unchanged.
-    """
+    """Return a contract whose number of observed feet fits the ``inputs`` of the network."""
     contacts = [term for term in contract.terms if term.name == "contacts"]
     if not contacts:
         return contract
@@ -522,12 +503,7 @@ def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract
 
 
 def _check_observation(merged: _MergedValues, contract: PolicyContract, inputs: int) -> None:
-    """Check the layout of the observation, and compare the size with the network.
-
-    Raises:
-        ModelError: If terms have different numbers of frames in a layout by frame, or the size is
-            not ``inputs``.
-    """
+    """Check the layout of the observation, and compare the size with the network's ``inputs``."""
     if contract.layout == BY_FRAME and not contract.has_one_history:
         found = sorted(set(map(contract.count_frames, contract.terms)))
         raise merged.make_error("layout", diagnose("histories-differ", found=found))
@@ -551,11 +527,7 @@ def _check_observation(merged: _MergedValues, contract: PolicyContract, inputs: 
 def _check_ranges(
     merged: _MergedValues, lower: Array, upper: Array, effort: Array | None, signs: Array
 ) -> None:
-    """Check position limits, torque limits and signs of a policy contract, shape (n,) each.
-
-    Raises:
-        ModelError: Unless lower <= upper [rad], efforts [N m] are positive, and signs are 1 or -1.
-    """
+    """Check position limits, torque limits and signs of a policy contract, shape (n,) each."""
     if (crossed := np.flatnonzero(lower > upper)).size:
         low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
         raise merged.make_error(
@@ -571,11 +543,7 @@ def _check_ranges(
 
 
 def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
-    """Return the joint names in the order of the policy; empty if no file states names.
-
-    Raises:
-        ModelError: If the value is not a list of distinct names, a name per output of the network.
-    """
+    """Return the joint names in the order of the policy; empty if no file states names."""
     joints = merged.values.get("joints", ())
     is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
     if not is_list or not all(isinstance(joint, str) for joint in joints):
@@ -589,13 +557,7 @@ def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
 
 
 def _read_history(merged: _MergedValues) -> tuple[int, bool]:
-    """Return the number of frames of an observation, and True if the newest frame is the first.
-
-    By default a single frame, and the newest frame last.
-
-    Raises:
-        ModelError: If a value is not valid.
-    """
+    """Return the number of frames of an observation, and True if the newest frame is the first."""
     history = merged.number("history", 1, 1, 1000)
     if history % 1:
         raise merged.make_error("history", diagnose("whole-number-needed", given=str(history)))
@@ -607,13 +569,7 @@ def _read_history(merged: _MergedValues) -> tuple[int, bool]:
 
 
 def _read_terms(merged: _MergedValues) -> tuple[ObservationTerm, ...]:
-    """Return the terms of an observation, from the contract key ``observation``.
-
-    Each entry is the name of a term, or a table with ``term``, ``scale``, ``clip`` and ``history``.
-
-    Raises:
-        ModelError: If the key is missing or empty, a term is unknown, or a value is not valid.
-    """
+    """Return the terms of an observation, from the contract key ``observation``."""
     entries = merged.values.get("observation")
     if not isinstance(entries, list) or not entries:
         raise merged.make_error("observation", diagnose("contract-lacks", key="observation"))
@@ -647,13 +603,7 @@ def _read_terms(merged: _MergedValues) -> tuple[ObservationTerm, ...]:
 
 
 def _read_clip(merged: _MergedValues, name: str, bounds: Any) -> tuple[float, float]:
-    """Return the lower and upper bound of a term's elements before scaling.
-
-    ``name`` is the term, for messages.
-
-    Raises:
-        ModelError: If ``bounds`` are not two numbers, or lower >= upper.
-    """
+    """Return the lower and upper bound of a term's elements before scaling."""
     try:
         numbers = real_array("clip", bounds)
     except ConfigurationError as error:
@@ -671,9 +621,8 @@ _UNSTATED_ORIGINS = dict.fromkeys(
     ),
     Origin.ASSUMED,
 )
-"""Origins of keys that no file states. The keys listed here have a neutral value, such as a latency
-of 0. The origin of other unstated keys is ``unknown``. Unstated gains and torque limits are taken
-from the robot's files.
+"""{key: origin} of contract keys that no file states, and that then have a neutral value, such as a
+latency of 0.
 """
 
 
@@ -688,8 +637,7 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
         outputs: Number of outputs of the network.
 
     Returns:
-        Values of the contract keys, with the place and the origin of each value. The place is the
-        file, with the line if known, or the name of a known layout.
+        Values of the contract keys, with the place and the origin of each value.
     """
     values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
 
@@ -811,17 +759,9 @@ _SCALES_OF_TERMS = {
 def _put_known_layout(
     deployment: Deployment, inputs: int, joints: int, put: Callable[..., None]
 ) -> None:
-    """Infer the observation from the network's number of inputs: first known layout of this size.
+    """Infer the observation from the network's number of ``inputs``: a known layout of this size.
 
-    The known layouts are `KNOWN_LAYOUTS`. The function passes the observation, and the gait
-    frequency if it is not 0, to ``put``. ``put`` is not called if the files do not contain scales
-    as in legged_gym, or if no layout has this size.
-
-    Args:
-        deployment: Numbers of a deployment.
-        inputs: Number of inputs of the network.
-        joints: Number of joints.
-        put: Function that states a key: value, place and origin.
+    ``put`` is the function that states a key: value, place and origin.
     """
     scales = {
         term: deployment.facts[f"observation {name}", ""]

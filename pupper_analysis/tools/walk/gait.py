@@ -52,15 +52,13 @@ second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
 """Relative and absolute [m/s] tolerance of the error of the mean horizontal velocity. A run tracks
-the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`. If v is not 0, the
-tolerance is at most (1 - `MIN_FOLLOWED_FRACTION`) v. Chosen: Pupper's public policy reaches 0.93 of
-the command. `SPEED_ATOL` is also the speed up to which the cost of transport is unknown, and the
-smallest divisor of the relative error in `orders`.
+the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`, and half of v if v is
+not 0 (`MIN_FOLLOWED_FRACTION`). Chosen: Pupper's public policy reaches 0.93 of the command.
 """
 
 TURN_ATOL = 0.1
-"""Absolute tolerance of the error of the turning rate [rad/s]. The formula is the formula of
-`SPEED_ATOL`, with the turning rate in place of the speed. Chosen, not tuned.
+"""Absolute tolerance of the error of the turning rate [rad/s], like `SPEED_ATOL` for the speed.
+Chosen, not tuned.
 """
 
 MIN_FOLLOWED_FRACTION = 0.5
@@ -73,15 +71,13 @@ LIMIT_FRACTION = 0.99
 """Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
 MAX_BEYOND_FRACTION = 0.01
-"""Largest fraction of the time in which a motor may be outside of its torque-speed region. If the
-fraction is larger, the walk does not pass. The bound permits single time steps after an impact.
-Chosen, not tuned.
+"""Largest fraction of the time in which a motor may be outside of its torque-speed region in a walk
+that passes. The bound permits single time steps after an impact. Chosen, not tuned.
 """
 
 _REGION_RTOL = 1e-9
-"""Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
-as inside. The tolerance covers rounding if the simulation limits a torque to the largest torque of
-the motor. Chosen, not tuned.
+"""Relative tolerance of the edge of a torque-speed region. The tolerance covers rounding if the
+simulation limits a torque to the largest torque of the motor. Chosen, not tuned.
 """
 
 _MAX_COMMAND = 100.0
@@ -234,7 +230,7 @@ class Walk(Result):
     def beyond_region(self) -> Array:
         """Largest fraction of a run in which each motor is outside of the torque-speed region.
 
-        Shape (nu,); NaN for a joint without assigned motor, and if all runs end at the first state.
+        Shape (nu,); NaN for a joint without assigned motor, for example.
         """
         largest: Array = np.fmax.reduce([gait.beyond_region for gait in self.gaits])
         return largest
@@ -259,10 +255,7 @@ class Walk(Result):
 
 
 def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """List the errors and assumptions of a robot's files that affect a walk.
-
-    If links have no stated mass, the first remark names the links.
-    """
+    """List the errors and assumptions of a robot's files that affect a walk."""
     masses = describe_missing_masses(robot)
     return (*(() if masses is None else (masses,)), *list_file_remarks(robot))
 
@@ -356,14 +349,14 @@ def simulate_walk(
             0.05 m/s and 0.05 rad/s in each component of the base velocity.
         seconds: Duration of each run [s], 3 to 600.
         warm_up: Duration of the warm-up [s].
-        workers: Number of threads; by default the number of cores. The result does not depend on
-            this number.
+        workers: Number of threads; by default the number of cores.
         motors: {joint: motor}. The torques are compared with the torque-speed regions of
             ``motors``. The simulation does not limit torques by ``motors``.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the policy acts more than once per time step.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
+            feet,
+            for example.
         ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
@@ -455,17 +448,14 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
     """Decide whether a run tracks the velocity command, from the motion after the warm-up.
 
     The run tracks if the robot does not fall, and the errors of the mean velocity and of the mean
-    turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`).
+    turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`). A run without
+    two
+    finite states after the warm-up counts as a fall.
 
     Args:
         stage: Robot, policy and model of the simulation.
         run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
-
-    Returns:
-        Mean velocity forward and to the left [m/s], mean turning rate [rad/s], margins and
-        tracking. The run counts as a fall if fewer than two states follow the warm-up, or a state
-        is not finite. Then the velocities are zero, and the margins are -infinite.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -506,9 +496,6 @@ def measure_gait(
     stage: Stage, run: PolicyRun, warm_up: float, motors: Mapping[str, Motor] | None = None
 ) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
-
-    If the robot falls during the warm-up, only the last step is evaluated. If the run has a single
-    state, torques, power and joint speeds are unknown (NaN).
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -584,9 +571,7 @@ def measure_gait(
 def _compute_base_deviations(stage: Stage, states: Array) -> tuple[float, float, float]:
     """Compute the standard deviations of roll [rad], pitch [rad] and height [m] of the base.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        states: Full physics states of MuJoCo, shape (n, size).
+    ``states`` are full physics states of MuJoCo, shape (n, size).
     """
     columns = 1 + stage.robot.mj_convention.qpos_index
     rotations = rotations_from_quaternions(states[:, columns[3:7]])
@@ -609,12 +594,9 @@ def _compute_run_energy(
 ) -> MotorEnergy | None:
     """Compute the electrical energy of the motors in n steps; None without motors or steps.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        torques: Torques at the start of each step, shape (n, nu) [N m, N for slides].
-        states: Full physics states of MuJoCo, shape (n + 1, size); the energy is computed up to the
-            first state that is not finite.
-        motors: {joint: motor}.
+    ``torques`` are those at the start of each step, shape (n, nu) [N m, N for slides]; ``states``
+    have
+    the shape (n + 1, size).
     """
     finite = np.isfinite(states).all(axis=1)
     count = len(states) if finite.all() else int(np.argmin(finite))
@@ -719,16 +701,11 @@ def _compute_static_torques(
 ) -> Array:
     """Return the motor torques of a static pose, shape (nu,) [N m, N for slides].
 
-    The contact forces are vertical and carry the weight. The fractions n of the weight at the
-    points p follow from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1, where
-    c is the horizontal position of the CoM. Without points, no contact force is included.
-
-    Args:
-        stage: Robot, policy and model of the simulation.
-        model: MuJoCo model.
-        data: MuJoCo data of the pose.
-        points: Contact points in the world frame, shape (n, 3) [m].
-        bodies: Id of the body of each contact point, shape (n,).
+    The contact forces are vertical and carry the weight. Their fractions n at the ``points`` p,
+    shape
+    (m, 3) [m], follow from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1,
+    where
+    c is the horizontal position of the CoM. ``bodies``, shape (m,), are the bodies of the points.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

@@ -155,10 +155,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     states no gains, the gains of the robot's files are used.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, the policy acts more than
-            once per time step, or the contract states an effort below `MIN_EFFORT`.
-        ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
-            neither policy nor robot has gains, or the number of joints or of observed feet differs.
+        ConfigurationError: If the base is fixed or the robot has no feet, for example.
+        ModelError: If policy and robot do not fit, or gains are missing, for example.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     robot.check_floating()
@@ -214,9 +212,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
 def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArray) -> Robot:
     """Apply the torque limits of a policy's contract to a robot.
 
-    A finite limit of a TOML file replaces the limit of the robot's files. A limit of another
-    source, for example a deployment, replaces the robot's limit only if it is lower, since both
-    limits apply to the motor. An infinite limit changes nothing.
+    A limit of a TOML file replaces the limit of the robot's files; a limit of another source only
+    lowers it, since both limits apply to the motor.
 
     Args:
         robot: Robot.
@@ -246,8 +243,7 @@ def replace_efforts(
     Args:
         robot: Robot.
         policy: Policy.
-        efforts: {joint of the robot: limit [N m]}. If empty, robot and policy are returned
-            unchanged.
+        efforts: {joint of the robot: limit [N m, N for slides]}.
 
     Returns:
         Robot; policy.
@@ -306,8 +302,7 @@ def simulate_cases(
             ``stage``.
         duration: Simulated time of each run without a fall [s].
         warm_up: Initial time in which tilt and height loss are not recorded [s].
-        workers: Number of threads; by default the number of cores. The results do not depend on
-            this number.
+        workers: Number of threads; by default the number of cores.
     """
     batches = [cases[start : start + _BATCH_SIZE] for start in range(0, len(cases), _BATCH_SIZE)]
     # Fewer batches than workers: use smaller batches.
@@ -420,11 +415,7 @@ def _simulate_batch(
 ) -> list[PolicyRun]:
     """Simulate several cases in the same time steps, each until a fall or the end.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        cases: Cases, for example commands and pushes.
-        duration: Duration of each run without a fall [s].
-        warm_up: Time at the start of which tilt and height loss are not recorded [s].
+    In the initial ``warm_up`` [s], tilt and height loss are not recorded.
     """
     count = len(cases)
     ticks = max(1, round(duration / (stage.substeps * stage.timestep)))
@@ -494,10 +485,7 @@ def raise_upright(upright: StandReference, lift: float) -> StandReference:
 
 
 def _make_start_state(stage: Stage, case: Case) -> Array:
-    """Return the initial MuJoCo state of a case (mjSTATE_FULLPHYSICS), shape (size,).
-
-    The seed of the case determines random deviations from the default pose; none for seed 0.
-    """
+    """Return the initial MuJoCo state of a case (mjSTATE_FULLPHYSICS), shape (size,)."""
     data, robot = mujoco.MjData(case.model), stage.robot
     qpos, qvel = stage.default.copy(), np.zeros(robot.nv)
     qpos[2] += case.lift
@@ -525,9 +513,9 @@ def _compute_controls(stage: Stage, actions: Array) -> Array:
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Return the tilt of the base [rad] and the height loss of the reference point [m].
 
-    Both are relative to the policy's default pose, without the additional initial height
-    `Case.lift`; a loss is positive downwards. The reference point is fixed to the base, at the CoM
-    of the default pose (`StandReference`).
+    Both are relative to the policy's default pose; a loss is positive downwards. The reference
+    point is
+    fixed to the base, at the CoM of the default pose (`StandReference`).
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -606,12 +594,8 @@ class Observer:
     def _make_frame(self, states: Array, active: IntArray, tick: int) -> Array:
         """Return the newest observation frame of n runs, shape (n, frame size).
 
-        Each term is clipped and scaled; the clip of the whole observation is not yet applied.
-
-        Args:
-            states: MuJoCo states of the n runs, a row per run.
-            active: Indices of the n runs among all runs, shape (n,).
-            tick: Number of the control step, from which the phase is computed.
+        ``active`` are the indices of the n runs among all runs; ``tick`` is the number of the
+        action.
         """
         stage, contract = self._stage, self._contract
         convention, joints = stage.robot.mj_convention, stage.joints
@@ -648,13 +632,6 @@ class Observer:
         self, states: Array, active: IntArray, base_rotations: Array
     ) -> dict[str, Array]:
         """Return the accelerometer at the origin of the base, and the contacts of the feet.
-
-        Accelerations and contacts follow from MuJoCo's forward dynamics.
-
-        Args:
-            states: MuJoCo states of n runs, shape (n, size).
-            active: Indices of the n runs among all runs, shape (n,).
-            base_rotations: Orientations of the base, shape (n, 3, 3).
 
         Returns:
             {"accelerometer": acceleration minus gravity in the base frame, shape (n, 3) [m/s^2];
