@@ -255,9 +255,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         Text, mesh files, additions, losses and repairs.
 
     Raises:
-        ModelError: If no joint moves, if MuJoCo cannot represent the robot, or if the robot cannot
-            be built with the feet that ``options`` name. Also if the URDF cannot be converted, for
-            example because of an invalid inertial without `MjcfOptions.repair_inertia`.
+        ModelError: If MuJoCo cannot represent the robot, or an inertial is invalid, for example.
     """
     free = None if options.fixed_base is None else not options.fixed_base
     bare = ConvertedMjcf.from_urdf(urdf, output, options, free=free)
@@ -291,11 +289,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 
 
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
-    """List the parts of a URDF that the new MJCF does not contain, with their counts.
-
-    The parts are finite, nonzero velocity limits, textures, children of ``<robot>`` with other tags
-    than `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
-    """
+    """List the parts of a URDF that the new MJCF does not contain, with their counts."""
     losses = []
     for are_slides in (False, True):
         speeds = [
@@ -328,14 +322,9 @@ def _add_stand(
 ) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
     """Add ground, feet, servos and start pose to a new MJCF, so that the robot stands.
 
-    The additions are those that `load_robot` determines for the same robot.
-
     Returns:
         Notes; the reason if the robot does not stand, otherwise None; the joints whose feet were
         replaced by balls.
-
-    Raises:
-        ModelError: If the robot cannot be built with the feet that the caller named.
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:
@@ -374,8 +363,7 @@ def _limit_servos_without_torque(
 ) -> tuple[Addition, ...]:
     """Give servos of joints with an effort limit of zero a range of `WRITTEN_ZERO_EFFORT`.
 
-    Without a range, such a servo is unlimited in MuJoCo. Servos of joints with a negative limit get
-    no range.
+    Without a range, such a servo is unlimited in MuJoCo.
     """
     null = {limit.joint for limit in robot.efforts if limit.code is EffortCode.ZERO}
     limits = (-WRITTEN_ZERO_EFFORT, WRITTEN_ZERO_EFFORT)
@@ -401,7 +389,7 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
     """Convert the start pose that is added to a new file to the coordinates of this file.
 
     If the origin of the base frame is below the feet, `load_robot` may move the frame. The new file
-    keeps the original frame, so qpos is converted. Other additions are returned unchanged.
+    keeps the original frame.
     """
     if not isinstance(addition, StartKeyframe):
         return addition
@@ -412,11 +400,7 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
 
 
 def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
-    """Add the additions of a loaded robot with a fixed base, such as servos, to the new MJCF.
-
-    Floor and start keyframe are left out. The result contains the notes of the additions. If the
-    robot has no joint, it contains a note that nothing moves.
-    """
+    """Add the additions of a fixed-base robot, such as servos, to the new MJCF; return notes."""
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
         return [diagnose("nothing-moves")]
@@ -436,8 +420,7 @@ def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list
 def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | None:
     """Load a legged robot, whose URDF fixes it to the link "world", with a free base.
 
-    None if the caller specifies whether the base is fixed, the root link has another name, or the
-    robot has no stand (for example, an arm).
+    None for other robots, for example an arm.
     """
     if options.fixed_base is not None or bare.bodies.root != WORLD_LINK:
         return None
@@ -472,8 +455,7 @@ micrometre. Chosen, not tuned."""
 def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
     """Add an IMU at the link with the shortest name that contains "imu", else at the base.
 
-    Returns:
-        Note about the addition.
+    The result is a note about the addition.
     """
     named = sorted(
         (name for name in bodies.frames if "imu" in name.lower()),
@@ -487,13 +469,7 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
     """Raise the base so that no collision shape is below the ground at zero joint positions.
 
     Otherwise, in a simulation that does not start from the keyframe, contact forces would throw the
-    robot upward. The base is raised at least to the height of the base in the keyframe. The height
-    is rounded to a micrometre.
-
-    Args:
-        mjcf: New MJCF, with a keyframe if present.
-        bodies: Bodies of the URDF.
-        model: Compiled model of the new MJCF so far.
+    robot upward. ``model`` is the compiled new MJCF so far.
     """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -522,9 +498,9 @@ _DEFAULT_ATTRIBUTES = {
 def put_defaults(root: etree._Element) -> None:
     """Move common attribute values of an MJCF into its main default class; ``root`` is changed.
 
-    `_DEFAULT_ATTRIBUTES` lists the tags and attributes. A value is moved if there are at least two
-    elements with the tag, all of these elements have the attribute, and more than half of them have
-    this value.
+    A value is common if more than half of the elements have it. `_DEFAULT_ATTRIBUTES` lists the
+    tags
+    and attributes.
     """
     top = root.find("default")
     assert top is not None
@@ -543,10 +519,7 @@ def put_defaults(root: etree._Element) -> None:
 def _find_common_values(
     elements: Sequence[etree._Element], attributes: Sequence[str]
 ) -> dict[str, str]:
-    """Return {attribute: value} of the values that more than half of the elements have.
-
-    An attribute is left out if any element lacks it.
-    """
+    """Return {attribute: value} of the values that more than half of the elements have."""
     common = {}
     for name in attributes:
         values = Counter(element.get(name) for element in elements)
@@ -582,9 +555,7 @@ def draft_urdf(file: MjcfFile, output: Path) -> ConversionDraft:
 def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
     """List elements and values of an MJCF that the URDF does not contain.
 
-    Args:
-        model: Compiled model of the MJCF.
-        robot: Ids of the bodies that become links.
+    ``robot`` contains the ids of the bodies that become links.
     """
     moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
@@ -628,14 +599,9 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
 
 
 def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
-    """Report contact parameters and options of an MJCF that are lost in a URDF.
+    """Report contact parameters and options of an MJCF, other than defaults, that a URDF loses.
 
-    Values are reported if they differ from MuJoCo's defaults. Geoms that cannot collide are
-    ignored.
-
-    Args:
-        model: Compiled model of the MJCF.
-        robot: Ids of the bodies that become links.
+    ``robot`` contains the ids of the bodies that become links.
     """
     geoms = [
         geom
@@ -659,16 +625,9 @@ def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> 
 def _find_changed_values(
     model: mujoco.MjModel, tag: str, rows: Iterable[int]
 ) -> dict[str, list[ParameterValues]]:
-    """Find attribute values of geoms or options that differ from MuJoCo's defaults.
+    """Find values of geoms or options that differ from MuJoCo's defaults: {attribute: values}.
 
-    Args:
-        model: Compiled model.
-        tag: ``geom`` or ``option``.
-        rows: Ids of geoms; ``[0]`` for options.
-
-    Returns:
-        {attribute: values that differ from the default}; attributes without such a value are left
-        out.
+    ``rows`` are ids of geoms; ``[0]`` for options.
     """
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"

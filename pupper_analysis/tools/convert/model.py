@@ -231,16 +231,7 @@ def _draft_other_format(
 ) -> ConversionDraft:
     """Draft the MJCF of a URDF, or the URDF of an MJCF; nothing is written.
 
-    Args:
-        file: Source.
-        output: Path of the new file.
-        options: Options of a new MJCF.
-        name: Name of the source, for errors.
-
-    Raises:
-        ConfigurationError: If options are passed for a new URDF, or an option is out of range.
-        ModelError: For example, if the other format cannot represent the robot, the source cannot
-            be simulated, or the URDF has no joint of ``options.armature``.
+    ``options`` are those of a new MJCF; ``name`` is the name of the source, for errors.
     """
     if isinstance(file, UrdfFile):
         check_armatures(file, dict(options.armature or {}))
@@ -257,8 +248,7 @@ def _read_converted_pair(
 ) -> tuple[UrdfFile, MjcfFile]:
     """Return URDF and MJCF of a conversion: the source, and the new file as read from ``output``.
 
-    If the new file is an MJCF, the returned URDF is that of the draft. In this URDF, impossible
-    inertials may be repaired.
+    With a new MJCF, impossible inertials may be repaired in the returned URDF.
     """
     if isinstance(file, MjcfFile):
         return read_urdf(output), file
@@ -270,9 +260,7 @@ def _list_changed_servos(
 ) -> Iterator[Diagnostic]:
     """Yield a note if the servos of a new MJCF differ from the servos of the variant's own MJCF.
 
-    Args:
-        variant: Variant whose URDF was converted; None for another source.
-        robot: Robot of the new MJCF; None if the new file has no robot.
+    ``variant`` is None for another source, ``robot`` if the new file has no robot.
     """
     if variant is None or robot is None:
         return
@@ -299,10 +287,7 @@ def _check_output(output: Path, *, force: bool) -> None:
 def _put_impossible_first(
     failures: Iterable[Diagnostic], remarks: Iterable[Diagnostic]
 ) -> tuple[Diagnostic, ...]:
-    """Put remarks about impossible inertials, as possible causes, before the failures.
-
-    Without failures, the result is empty.
-    """
+    """Put remarks about impossible inertials, as possible causes, before the failures, if any."""
     found = tuple(failures)
     return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
 
@@ -310,11 +295,7 @@ def _put_impossible_first(
 def _make_converted_robot(
     draft: ConversionDraft, urdf: UrdfFile, mjcf: MjcfFile, feet: Feet | None
 ) -> Robot:
-    """Return the robot of source and new file, with a free base if the MJCF has one.
-
-    The base of the robot is fixed if the base of the MJCF is fixed, or if the robot of a new URDF
-    cannot be prepared with a free base, for example without feet.
-    """
+    """Return the robot of source and new file, with a free base if possible."""
     if draft.urdf is None:
         with contextlib.suppress(ModelError):
             return make_robot(urdf, mjcf, feet=feet)
@@ -338,11 +319,7 @@ def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
 
 
 def _list_disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
-    """Yield the differences between source and new file that the notes do not explain.
-
-    The notes explain repaired inertials, and feet whose meshes were replaced by balls. The
-    objections of the comparison (reasons against agreement that are no differences) come last.
-    """
+    """Yield the differences between source and new file that the notes do not explain."""
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
         mended = difference.kind in INERTIAL_KINDS and difference.element in repaired

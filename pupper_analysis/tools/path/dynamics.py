@@ -147,10 +147,9 @@ def inverse_dynamics(
 
 
 def _mean_ground_point(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the mean contact position, (3,) [m], and the mean normal as a unit vector, (3,).
+    """Return the mean contact position, (3,) [m], and mean unit normal, (3,), in the world frame.
 
-    Both are expressed in the world frame. ``normals`` contains the unit normal of the ground at
-    each contact point. Without contact points: the origin and the unit vector upwards.
+    Without contact points: the origin and the unit vector upwards.
     """
     robot = config.robot
     points = [

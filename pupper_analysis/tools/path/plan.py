@@ -45,10 +45,10 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Lower bound of the fraction [1] of the load that a path assigns to the solution with the
-remaining feet alone, while another foot is being unloaded. Fractions up to this bound count as 0.
-With such fractions, the zero-moment point would be close to the edge of the support polygon, and
-rolling friction would decide whether the remaining feet can carry the load. Chosen, not tuned.
+"""Fraction [1] of the load on the solution with the remaining feet alone, while another foot is
+being
+unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point would be
+close to the edge of the support polygon. Chosen, not tuned.
 """
 
 
@@ -60,13 +60,12 @@ def compute_path_sample(
 ) -> dict[str, Array]:
     """Compute torques, contact forces and margins of a sample of a path, as in `StancePath`.
 
-    The forces have minimum tangential components.
-
-    If fewer feet carry load in the previous or next segment of the path, the forces are a weighted
-    mean of the solutions with all feet and with the fewer feet. The weights change along the path,
-    so that torques do not jump. The weight of the fewer feet is 0 if the zero-moment point is
-    outside of their support polygon; weights up to `MIN_FADED_LOAD` count as 0. Equilibrium is
-    linear in the forces, so the mean satisfies the equilibrium.
+    The forces have minimum tangential components. If fewer feet carry load in the previous or next
+    segment, the forces are a weighted mean of the solutions with all feet and with the fewer feet.
+    The
+    weights change along the path, so that torques do not jump. Equilibrium is linear in the forces,
+    so
+    the mean satisfies the equilibrium.
 
     Args:
         robot: Robot.
@@ -105,9 +104,7 @@ def compute_path_sample(
     def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
         """Return the weighted mean vector of each contact point over solutions, shape (feet, 3).
 
-        Args:
-            tables: {contact point: vector (3,)} of each solution, in the order of ``parts``, which
-                contains the weights. Missing contact points count as zero.
+        ``tables``: {contact point: vector (3,)} of each solution; the weights are in ``parts``.
         """
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
         rows = [[share * table.get(foot, zero_force) for foot in feet] for share, table in weighted]
@@ -143,14 +140,11 @@ def compute_path_sample(
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
     """Find the segments before and after a path sample in which fewer feet carry load.
 
-    Near the stance between the sample's segment and such a segment, the load moves gradually to or
-    from the remaining feet.
-
     Returns:
-        For each such segment (previous, then next): the loaded feet, a subset of the feet at the
-        sample ``place``; nearness of the sample to the stance between both segments, from 0 (other
-        end of the sample's segment) to 1 (at the stance); CoM margin [m] of this stance on the
-        subset alone.
+        For each such segment (previous, then next): the loaded feet; nearness of the sample to the
+        stance between both segments, from 0 (other end of the sample's segment) to 1 (at the
+        stance);
+        CoM margin [m] of this stance on these feet alone.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [
@@ -164,8 +158,9 @@ def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, fl
 
 
 MAX_PATH_SAMPLES = 20_000
-"""Upper bound of the number of samples of a path, which bounds time and memory. Rounding up to
-equal segments may add one sample per segment, and one at the end. Chosen, not tuned."""
+"""Approximate upper bound of the number of samples of a path, which bounds time and memory. Chosen,
+not tuned.
+"""
 
 MIN_SAMPLES_PER_SEGMENT = 16
 """Lower bound of the number of samples per segment. With the minimum-jerk law, the largest sampled
@@ -333,10 +328,9 @@ def stance_path(
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors.
 
     Raises:
-        ConfigurationError: If an argument is out of range; if the robot cannot stand, or has loops,
-            couplings, welds or grips; if a task has contacts or an offset; or if the stances cannot
-            follow each other: for example, a loaded foot moves, fewer than three contact points
-            carry load, or a joint jumps.
+        ConfigurationError: If an argument is out of range, the robot has loops, or the stances
+            cannot
+            follow each other, for example.
         NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
@@ -416,7 +410,7 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 _ZERO_ATOL = 1e-9
 """Largest torque [N m, or N for a slide] or speed [rad/s, m/s] that counts as zero at a joint whose
-limit is zero (rounding). A larger value has an infinite utilisation. Chosen, not tuned.
+limit is zero (rounding). Chosen, not tuned.
 """
 
 
@@ -426,12 +420,7 @@ shorter paths overflow. Chosen, not tuned."""
 
 
 def _count_samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Return the number of samples per segment, from the duration [s] and the minimum rate [Hz].
-
-    Raises:
-        ConfigurationError: If there are fewer than two stances, a number is not finite and
-            positive, the path is shorter than `MIN_DURATION`, or has too many samples.
-    """
+    """Return the number of samples per segment, from the duration [s] and the minimum rate [Hz]."""
     if len(stances) < 2:
         raise ConfigurationError("stances", diagnose("path-of-one-stance"))
     for name, value in (("seconds", seconds), ("rate", rate)):

@@ -113,10 +113,7 @@ def from_record(record: dict[str, Any]) -> Diagnostic:
 
 
 def _encode_value(value: Value) -> Any:
-    """Encode a value of a diagnostic as JSON data.
-
-    A diagnostic, quantity, vector, phrase or term becomes {name of the type: encoded data}.
-    """
+    """Encode a value of a diagnostic as JSON data."""
     if isinstance(value, tuple):
         return [_encode_value(item) for item in value]
     if isinstance(value, Diagnostic):
@@ -164,15 +161,14 @@ _FILE_OPTIONS = (
 
 
 def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
-    """Load the robot of a study from files, and remove the visual geoms of the MJCF.
+    """Load the robot of a study from files, and remove visual geoms of the MJCF.
 
     Args:
         arguments: The files, as ``models`` (a sequence of paths) or as ``urdf``, ``mjcf`` or both;
             and other arguments of `load_robot`.
 
     Raises:
-        ConfigurationError: If no file is given, an option is unknown, the base is fixed, or the
-            robot has no contact points.
+        ConfigurationError: If no file is given, or the robot has no feet to stand on, for example.
         ModelError: If no robot can be made of the files.
     """
     options = dict(arguments)
@@ -205,7 +201,7 @@ class Variants(ScalableVariant):
         Raises:
             VariantError: If a scale is not a finite positive number, or the scaled variant is not
                 valid.
-            ModelError: If a base file is missing or damaged.
+            ModelError: If a base file is missing or damaged, for example.
         """
         spec = self.with_scales(scales)
         described = describe_variant(spec)
@@ -215,10 +211,7 @@ class Variants(ScalableVariant):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the base and the scale factors of the variant as plain data, {name: value}.
-
-        A study variable may replace a scale factor.
-        """
+        """Return the base and the scale factors of the variant as plain data, {name: value}."""
         return {"base": self.spec.base, **self.scales}
 
 
@@ -237,8 +230,7 @@ def make_robot_source(robot: Any) -> RobotSource:
             scale factors or file options, or contains files and options (`load_file_source`).
 
     Raises:
-        ConfigurationError: If the argument has none of the supported forms, or an unknown key, or
-            as for `load_file_source`.
+        ConfigurationError: If the argument has none of the supported forms, for example.
         VariantError: If the named variant does not exist, or a scale is not valid.
         ModelError: If the files of the robot cannot be used.
     """
@@ -268,9 +260,9 @@ def make_robot_source(robot: Any) -> RobotSource:
 def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
-    The hash depends on the URDF text, the MJCF with the content of its mesh files, the contact
-    points, the feet and the nominal pose, and not on the folder of the MJCF. Other attributes, for
-    example ``efforts`` and ``mimics``, are not included.
+    The hash depends on the content of URDF, MJCF and mesh files and, for example, the feet, but not
+    on
+    the folder of the MJCF. Attributes such as ``efforts`` and ``mimics`` are not included.
     """
     parts = {
         "urdf": description.urdf,
@@ -337,14 +329,12 @@ ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not fi
 joint or body names: payload, friction, and the gains of all servos."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
-"""{variable of the stance or of the whole robot: field that defines unit and range}. Variables with
-a pattern of joint or body names are not included.
-"""
+"""{variable of the stance or of the whole robot: field that defines unit and range}."""
 
 MAX_CACHED_ROBOTS = 8
-"""Maximum number of entries in each cache: scaled robots, robots, and stands. A few entries are
-sufficient: in a product of lists, successive designs mostly differ only in the last variable.
-Chosen, not tuned.
+"""Maximum number of entries in each cache of a builder. A few entries are sufficient: in a product
+of
+lists, successive designs mostly differ only in the last variable. Chosen, not tuned.
 """
 
 
@@ -386,7 +376,6 @@ class DesignBuilder:
 
         Raises:
             PupperAnalysisError: If the robot cannot be built or the stance cannot be solved.
-                `classify_failure` returns the kind of the failure.
         """
         gains = {name: value for name, value in numbers.items() if is_servo_variable(name)}
         stance = {
@@ -439,11 +428,7 @@ class DesignBuilder:
         return with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
 
     def _build_robot(self, numbers: Mapping[str, float]) -> Robot:
-        """Build the robot of a design, from the variable values that change the model.
-
-        ``numbers`` are the values of the variables, {name: value}: scales, patterns (names with a
-        colon), motors, ``friction``, and ``payload`` [kg].
-        """
+        """Build the robot of a design, from {variable that changes the model: value}."""
         scales = {name: value for name, value in numbers.items() if name in self.source.scales}
         factors = {
             name: value
@@ -480,8 +465,7 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
 
     Args:
         task: Stand task.
-        numbers: {variable: value in the unit of the field}; variables that are not stance variables
-            are ignored.
+        numbers: {variable: value in the unit of the field}; other variables are ignored.
 
     Raises:
         ConfigurationError: If a value is out of range, or contradicts another value of the task.
@@ -532,8 +516,7 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 def check_variable_range(name: str, low: float, high: float) -> None:
     """Check the smallest and largest value of a variable (``low``, ``high``) against the bounds.
 
-    Some values are not checked here: infinite bounds of a distribution, motors, and values of
-    `ADDITIVE_KINDS`, whose bounds depend on the robot.
+    Infinite bounds of a distribution, for example, are not checked.
 
     Raises:
         ConfigurationError: If a finite value is out of bounds.
@@ -570,8 +553,7 @@ STAND_FAILURES = (
     NotSettlingError,
 )
 """Errors that mean that the robot of a design cannot stand in the stance. After such an error, a
-metric has the value `Metric.fallen`, if defined. After other errors, the value of the metric is
-unknown.
+metric has the value `Metric.fallen`, if defined.
 """
 
 
@@ -600,12 +582,8 @@ def measure_design(
 ) -> DesignRow:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
-    Errors do not leave this function. The row records the first failure:
-
-    - If the design cannot be built, no metric is evaluated.
-    - If a metric fails, the other metrics are still evaluated.
-    - If the error is in `STAND_FAILURES` and the metric defines a value ``fallen``, this value is
-      recorded. Otherwise the value is missing.
+    Errors of the design or of metrics do not leave this function; the row records the first
+    failure.
 
     Args:
         builder: Builder of the study's designs.
@@ -643,12 +621,7 @@ the record of a diagnostic (JSON)."""
 
 
 def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
-    """Return the table columns that describe why a design failed, except ``failed_metric``.
-
-    Args:
-        kind: Kind of the failure.
-        reason: Message.
-    """
+    """Return the table columns that describe why a design failed, except ``failed_metric``."""
     record = orjson.dumps(to_record(reason)).decode()
     return {"failure": kind, "reason": str(reason), "diagnostic": record}
 
@@ -656,8 +629,7 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
-    If a metric raises an error in `STAND_FAILURES` and defines a value ``fallen``, the result
-    contains this value. Other metrics that raise an error of this package are left out.
+    Metrics that fail are left out, or have the value ``fallen`` if the robot cannot stand.
     """
     row: dict[str, float] = {}
     for metric in metrics:
@@ -670,22 +642,14 @@ def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, fl
 
 
 def _make_columns(name: str, measured: Any) -> DesignRow:
-    """Return the table columns with the result of a metric: {column: number}.
-
-    The column is ``NAME``. If the metric returns a mapping, there is a column ``NAME.KEY`` per
-    key.
-    """
+    """Return the table columns with the result of a metric: {``NAME`` or ``NAME.KEY``: number}."""
     if isinstance(measured, Mapping):
         return {f"{name}.{key}": _to_float(name, value) for key, value in measured.items()}
     return {name: _to_float(name, measured)}
 
 
 def _to_float(name: str, value: Any) -> float:
-    """Return the value that the metric ``name`` measured as a float: 1 for True, 0 for False.
-
-    Raises:
-        ConfigurationError: If the value cannot be converted.
-    """
+    """Return the value that the metric ``name`` measured as a float: 1 for True, 0 for False."""
     try:
         return float(value)
     except (TypeError, ValueError) as error:

@@ -95,8 +95,7 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
         factor: Factor on the length of the link.
 
     Raises:
-        ConfigurationError: If the joint is ``""`` (the base), the number of joints and feet at the
-            end of the link is not 1, or the length is below `_MIN_LINK_LENGTH`.
+        ConfigurationError: If the link has no unique end or no length, for example.
     """
     urdf = UrdfTree.of(robot.description.urdf)
     name = f"length:{joint}" if joint else "length"
@@ -169,8 +168,7 @@ def stretch_links(
         a fixed base, or without feet.
 
     Raises:
-        ConfigurationError: If a link is the base, has no length, or has several ends or no end
-            (next joint or foot).
+        ConfigurationError: If a link has no unique end or no length, for example.
         ModelError: If no axis of a mesh is along the stretch.
     """
     urdf, mjcf = trees
@@ -266,11 +264,7 @@ def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
     """Scale the size of a URDF shape by factors along the axes of the shape, shape (3,).
 
-    The size of a sphere is not changed, nor is the radius of a cylinder or capsule. If the stretch
-    is along none of the axes, ``factors`` is None, and the size is unchanged.
-
-    Raises:
-        ModelError: If the shape is a mesh and ``factors`` is None.
+    ``factors`` is None if the stretch is along none of the axes; a mesh is then refused.
     """
     attributes: dict[object, tuple[str, Callable[[Array], Array]]] = {
         "box": ("size", lambda factors: factors),
@@ -332,17 +326,9 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    The size of spheres and ellipsoids, and the radius of cylinders and capsules, are not changed.
-    If a geom has ``fromto``, both ends are moved.
-
-    Args:
-        geom: Geom.
-        matrix: A, shape (3, 3).
-        shift: b, shape (3,) [m].
-        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along the geom's axes)]}.
-
-    Raises:
-        ModelError: If the geom is a mesh, and the stretch is along no axis of the mesh.
+    ``matrix`` is A, ``shift`` is b. Mesh geoms are appended to ``meshes``: {mesh name: [(geom,
+    factors
+    along the geom's axes)]}.
     """
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)
@@ -370,14 +356,9 @@ def _stretch_geom(
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Scale the mesh assets of an MJCF, in place.
+    """Scale the mesh assets of an MJCF in place; add an asset for each different stretch.
 
-    If the geoms of a mesh need different stretches, or if some are not stretched, an additional
-    asset is created for each stretch.
-
-    Args:
-        spec: MJCF.
-        meshes: {mesh name: [(geom, stretch factors along the mesh axes, shape (3,))]}.
+    ``meshes`` is {mesh name: [(geom, stretch factors along the mesh axes, shape (3,))]}.
     """
     for name, users in meshes.items():
         mesh = spec.mesh(name)
@@ -398,13 +379,10 @@ def _stretch_meshes(
 
 
 def _keep_ground_clearance(robot: Robot, spec: mujoco.MjSpec) -> float:
-    """Raise the base of a stretched robot, in all poses, so that the ground clearance is unchanged.
-
-    ``spec``, the stretched MJCF, is changed: position of the base body, and keyframes.
+    """Raise the base of a stretched robot in ``spec``, in all poses, to keep the ground clearance.
 
     Returns:
-        New base height of the nominal stand [m]. For a fixed base or a robot without feet, nothing
-        is changed, and the old height is returned.
+        New base height of the nominal stand [m].
     """
     description = robot.description
     before, after = robot.mj_model, compile_spec(spec.copy(), description.mjcf_source)

@@ -81,10 +81,7 @@ class Design:
     def compute_once(self, function: Callable[[Design], T]) -> T:
         """Return ``function(self)``, evaluated at the first call and then cached.
 
-        Metrics of other tools can share a result in this way. An exception is not cached.
-
-        Args:
-            function: Function of a design; the key of the cache.
+        Metrics of other tools can share a result in this way. ``function`` is the key of the cache.
         """
         if function not in self._results:
             self._results[function] = function(self)
@@ -230,16 +227,11 @@ def text_key(metric: str) -> str:
 
 
 def _check_stand(design: Design) -> bool:
-    """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
+    """Return True if the robot stays up without feed-forward, else raise a NotStandingError.
 
-    If `Design.own_servos` is True, the simulation of the unmodified MJCF from the keyframe must not
-    fail either. If a mode grows in the linearised step but not in simulation, the growth
-    is ignored. The verdict of `judge_stand` must then pass as well.
-
-    Raises:
-        NotStandingError: If the robot falls, a deviation grows, the verdict does not pass, or the
-            unmodified MJCF fails; the error contains the reasons.
-        PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
+    No deviation may grow within 12 s. If `Design.own_servos` is True, the simulation of the
+    unmodified
+    MJCF from the keyframe must not fail either.
     """
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:
@@ -269,16 +261,9 @@ SET_DOWN_DURATION = 5.0
 def survives_set_down(design: Design) -> bool:
     """Return True if the robot stands after a drop from the height `SET_DOWN_HEIGHT`.
 
-    The servos hold the positions of the stand, without feed-forward. The base starts at rest. The
-    simulation lasts `SET_DOWN_DURATION`. All conditions must be met:
-
-    - The robot falls in no checked state (`StandReference.has_fallen`).
-    - The robot has not collapsed in the last state (`StandReference.has_collapsed`).
-    - The simulation does not diverge.
-
-    Args:
-        design: Design. Without an equilibrium in which the robot stays up, nothing is simulated,
-            and an error is raised.
+    The servos hold the positions of the stand, without feed-forward, for `SET_DOWN_DURATION`. The
+    robot
+    must not fall (`StandReference.has_fallen`) or collapse (`StandReference.has_collapsed`).
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
@@ -301,8 +286,8 @@ def survives_set_down(design: Design) -> bool:
 
 
 _NUM_SET_DOWN_CHECKS = 50
-"""Smallest number of simulated states that `survives_set_down` checks for a fall. A simulation with
-fewer states is checked at each state. Chosen, not tuned.
+"""Approximate number of simulated states that `survives_set_down` checks for a fall. Chosen, not
+tuned.
 """
 
 
@@ -312,10 +297,7 @@ def _find_peak(values: NDArray[np.float64]) -> float:
 
 
 def _max_friction_utilisation(design: Design) -> float:
-    """Return the largest ratio tangential force / (friction coefficient x normal force) of a foot.
-
-    The forces are the contact forces of `Design.statics`.
-    """
+    """Return the largest ratio tangential force / (friction coefficient x normal force) of feet."""
     return max(design.statics.friction_utilisation.values())
 
 
@@ -374,8 +356,7 @@ def make_metric(requested: str | MetricFunction) -> Metric:
             define the function.
 
     Raises:
-        ConfigurationError: If the name is unknown, a file is missing or not needed, or the argument
-            is no function of two arguments, cannot be pickled or has the name of a metric.
+        ConfigurationError: If the name is unknown, or the function cannot be pickled, for example.
         ModelError: If the file cannot be used.
     """
     if isinstance(requested, str):
@@ -404,14 +385,7 @@ def make_metric(requested: str | MetricFunction) -> Metric:
 
 
 def _bind_file(metric: Metric, requested: str) -> Metric:
-    """Return a metric whose function uses the file in ``requested``, if the metric needs a file.
-
-    ``requested`` is ``NAME``, or ``NAME:FILE`` for a metric that needs a file.
-
-    Raises:
-        ConfigurationError: If a required file is not named, or a file is named for another metric.
-        ModelError: If the file cannot be used.
-    """
+    """Return a metric that uses the file in ``requested``, ``NAME`` or ``NAME:FILE``."""
     _, colon, file = requested.partition(":")
     if metric.of_file is None:
         if colon:
@@ -424,13 +398,11 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Prepend a folder to the file of a requested metric ``METRIC:FILE``.
-
-    Absolute paths, and requests other than a metric with a required file, are returned unchanged.
+    """Prepend a folder to the relative file of a requested metric ``METRIC:FILE``.
 
     Args:
         folder: Folder to which the path is relative.
-        requested: Metric as requested in a study file.
+        requested: Metric as requested in a study file; returned unchanged if it names no file.
     """
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
@@ -482,11 +454,9 @@ def format_metric(metric: Metric) -> str:
 def fingerprint_metric(metric: Metric) -> str:
     """Return a text that identifies a metric in the hash of a study.
 
-    - For a function of the user: the fingerprint of the function.
-    - For a named metric: the name.
-    - For a named metric with a file, such as a policy: the name and the hash of the file.
-
-    If the meaning of a named metric changes, `METRICS_REVISION` is increased instead.
+    The text depends on the source of a user's function, and on the content of a file that the
+    metric
+    uses. If the meaning of a named metric changes, `METRICS_REVISION` is increased instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

@@ -72,7 +72,7 @@ the URDF's link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS, "motor")
 """Kinds of variables of a study whose values are offsets, positions or motors, not factors on
-numbers of the files. `check_variable_range` does not check bounds of ``ADDITIVE_KINDS``.
+numbers of the files.
 """
 
 BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
@@ -113,13 +113,10 @@ class VariablePattern:
 def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
     """Find the joints that a variable pattern selects, by name or by the body that the joint moves.
 
-    A pattern of `BODY_VARIABLE_KINDS` matches the link name in the URDF, the body name in the MJCF,
-    or the joint name. A pattern of another kind matches the joint name. If a name equals the
-    pattern, only this name matches (`match_names`).
-
     Args:
         robot: Robot.
-        pattern: Parsed name of the variable.
+        pattern: Parsed name of the variable. Patterns of `BODY_VARIABLE_KINDS` also match names of
+            links and bodies.
 
     Returns:
         Joint names; ``""`` for the base.
@@ -142,11 +139,7 @@ def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """List the names that a pattern may match for a kind of variable: {joint: names}.
-
-    A variable of ``BODY_VARIABLE_KINDS`` selects the body that the joint moves: the names of link,
-    body and joint match. The joint "" means the base. For other kinds the joint's name matches.
-    """
+    """List the names that a pattern of a variable ``kind`` may match: {joint, "" base: names}."""
     if kind not in BODY_VARIABLE_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
@@ -164,8 +157,8 @@ def map_joint_bodies(robot: Robot) -> dict[str, str]:
 
 
 _RESULT_RTOL = 1e-9
-"""Tolerance for rounding with which `_check_result` compares the changed robot with the request:
-relative for masses, plus 1e-15 kg, and absolute [m] for centres of mass. Chosen, not tuned.
+"""Relative tolerance of masses, and absolute tolerance [m] of centres of mass, in the check of a
+changed robot (rounding). Chosen, not tuned.
 """
 
 
@@ -182,8 +175,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
             ``com_z`` is an offset [m] in the axes of the URDF's link.
 
     Raises:
-        ConfigurationError: If a value is out of range, a stretched link is the base, has no length,
-            or has several ends or no end, or the CoM of a fixed base would be moved.
+        ConfigurationError: If a value is out of range, or a link cannot be stretched, for example.
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a model cannot be built, or does not have the requested masses and centres of
             mass.
@@ -233,16 +225,7 @@ def _add_offsets(
 ) -> None:
     """Add an offset [m] of the CoM to the offsets of all matching bodies, in place.
 
-    Args:
-        offsets: {joint that moves the body, "" for the base: offset of the body's CoM (3,) [m]}.
-        robot: Robot.
-        name: Name of the variable, for messages.
-        pattern: Pattern that selects the bodies and the axis.
-        offset: Offset along this axis [m].
-
-    Raises:
-        ConfigurationError: If the offset is not finite, or a fixed base matches.
-        UnknownNameError: If the pattern matches nothing.
+    ``offsets`` is {joint that moves the body, "" for the base: offset of the body's CoM, (3,) [m]}.
     """
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
@@ -255,20 +238,10 @@ def _add_offsets(
 def _scale_value(
     tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot
 ) -> None:
-    """Scale a mass, inertia or joint parameter in a file, in place.
+    """Scale a mass, inertia or joint parameter in the URDF or MJCF ``tree``, in place.
 
-    Args:
-        tree: Tree of the URDF or the MJCF.
-        link: Link whose mass or inertia is scaled, with the links fixed to the link; used only for
-            the kinds ``mass`` and ``inertia``.
-        kind: ``mass``, ``inertia``, or the kind of a joint parameter.
-        joint: Joint whose parameter is scaled, for all other kinds.
-        factor: Factor.
-        robot: Robot of the files, for error messages.
-
-    Raises:
-        ModelError: If the tree cannot scale the mass or inertia, because MuJoCo computes the value
-            from the geoms.
+    The value belongs to ``link`` (with fixed links) for the kinds ``mass`` and ``inertia``, else to
+    ``joint``.
     """
     if kind not in BODY_VARIABLE_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
@@ -286,15 +259,9 @@ def _check_result(
 ) -> None:
     """Check that a changed robot has the requested masses and CoMs, in both engines.
 
-    Args:
-        before: Robot before the change.
-        after: Changed robot.
-        masses: {joint: factor on the mass of the body that the joint moves}; ``""`` is the base.
-        offsets: {joint: offset of the centre of mass, shape (3,) [m], in the axes of the URDF's
-            link}.
-
-    Raises:
-        ModelError: If a mass or a centre of mass differs from the request.
+    ``masses`` is {joint: factor on the mass of the moved body}, ``offsets`` is {joint: CoM offset,
+    (3,)
+    [m], in the axes of the URDF's link}; ``""`` is the base.
     """
     config, bodies = Configuration(before, before.neutral()), map_joint_bodies(before)
     links = UrdfTree.of(before.description.urdf).moved_links
@@ -408,9 +375,8 @@ def with_gains(
 def without_visuals(description: Description) -> Description:
     """Return a copy of a description without unneeded visual geoms, unused meshes and textures.
 
-    Only the MJCF is changed. The dynamics and the contacts are unchanged: a visual geom that
-    contributes to the mass of a body, or is the frame of a foot, is kept. Models with many meshes
-    compile several times faster.
+    The dynamics and the contacts are unchanged. Models with many meshes compile several times
+    faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}
