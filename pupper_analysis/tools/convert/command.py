@@ -149,9 +149,7 @@ tuned."""
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
     """Parse the texts ``[JOINTS=]KGM2`` of ``--armature`` to {joint: armature [kg m^2, kg]}.
 
-    The last text that matches a joint applies. JOINTS is a name or a pattern (`match_names`);
-    without JOINTS the value applies to all joints. A pattern that matches no joint raises a
-    ConfigurationError.
+    JOINTS is a name or a pattern (`match_names`); without JOINTS the value applies to all joints.
     """
     values = {}
     for text in texts:

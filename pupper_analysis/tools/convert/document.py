@@ -21,10 +21,7 @@ from pupper_analysis.tools.convert.model import Conversion
 
 @build_document.register(Conversion)
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
-    """Create the report of a conversion: verdict of the checks, and what was not converted.
-
-    `build_document` calls this function for a `Conversion`.
-    """
+    """Create the report of a conversion: verdict of the checks, and what was not converted."""
     blocks = []
     if conversion.not_converted:
         left = tuple(map(doc.diagnostic_text, conversion.not_converted))
@@ -54,12 +51,7 @@ def _is_servo_note(note: Diagnostic) -> bool:
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
-    """Return the command to suggest next.
-
-    ``crosscheck`` if the new file disagrees with the source; ``audit`` after another failure.
-    Otherwise the new file is simulated: ``stand`` for a robot with a free base and feet, else
-    ``hold``.
-    """
+    """Return the command to suggest next."""
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
     if not conversion.passed:
@@ -71,7 +63,7 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
 
 
 def _get_verdict_key(conversion: Conversion) -> str:
-    """Return the key of the verdict in the catalogue of texts, for example "agree" or "FAILED"."""
+    """Return the key of the verdict in the catalogue of texts."""
     if not conversion.agree:
         return "disagree"
     if not conversion.passed:
@@ -124,10 +116,8 @@ mode: dry friction stops the motion. Chosen, not tuned.
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    Nothing is yielded without a successful run from the keyframe, if the robot does not stand, or
-    if no mode oscillates. The least damped mode should decay to 1/e within the simulated time t:
-    2 pi f z t >= 1, with damping ratio z and frequency f. If this mode does not, and more than
-    `MAX_REST_FRACTION` of the nudge is left after t, a warning states its decay time [s].
+    The least damped mode should decay to 1/e within the simulated time t: 2 pi f z t >= 1, with
+    damping ratio z and frequency f.
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:

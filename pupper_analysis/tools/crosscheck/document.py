@@ -63,17 +63,16 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 _MAX_PRINTED_SHARE = 1.005
 """Largest printed ratio of the effect of a single difference to the effect of all differences
-together. A ratio between 1 and this value is printed as 100 %. Larger ratios occur if differences
-cancel, and are omitted in the message. Chosen, not tuned.
+together. Larger ratios occur if differences cancel, and are omitted. Chosen, not tuned.
 """
 
 
 def describe_effects(difference: Difference) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
-    An effect is the deviation of a quantity that this single difference causes. The message states
-    the deviation relative to the scale of the quantity. The message also states the share in the
-    deviation that all differences cause together, unless above `_MAX_PRINTED_SHARE`.
+    An effect is the deviation of a quantity that this single difference causes, relative to the
+    scale
+    of the quantity. The share is its part in the deviation that all differences cause together.
     """
     if not difference.effects:
         return diagnose("no-effect")
@@ -95,8 +94,7 @@ def describe_effects(difference: Difference) -> Diagnostic:
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
     """Create annotations for CI services from the comparison of a URDF with an MJCF.
 
-    Each cause, each difference, each part of the robot in a single file, each unmatched joint and
-    each other reason against agreement has an annotation. A warning is added if joints are guessed.
+    For example, each cause and each difference has an annotation.
     """
     urdf, mjcf = comparison.urdf, comparison.mjcf
     annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]
@@ -151,10 +149,7 @@ def _describe_guesses(comparison: Comparison) -> Diagnostic:
 def _make_annotation(
     kind: str, title: str, finding: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
-    """Create an annotation for a CI service at ``place``, ``file:line``.
-
-    The place in the other file, ``other``, is appended to the message.
-    """
+    """Create an annotation for a CI service at ``place``, ``file:line``; ``other`` is appended."""
     message = str(finding) if other is None else f"{finding} [{other}]"
     rule = f"crosscheck/{kind}"
     about = describe_kind(kind)
@@ -179,10 +174,7 @@ all. Chosen, not tuned."""
 
 @build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
-    """Create the report of the comparison of a URDF and an MJCF: differences and causes.
-
-    `build_document` calls this function for a `Comparison`.
-    """
+    """Create the report of the comparison of a URDF and an MJCF: differences and causes."""
     agree, same = comparison.agree, comparison.same_robot
     messages = (*list_matching_notes(comparison), *comparison.check.notes)
     notes: list[doc.Words] = list(map(doc.diagnostic_text, messages))
@@ -218,11 +210,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """Return a text with the number of differences and the largest deviation that they cause.
-
-    For files that agree without differences, the text states the largest deviation of the
-    evaluations instead.
-    """
+    """Return a text with the number of differences and the largest deviation of a quantity."""
     count = len(comparison.differences)
     if not count and comparison.agree:
         check = comparison.check
@@ -248,11 +236,7 @@ def _format_file_name(path: str) -> doc.Name:
 
 
 def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
-    """Yield the blocks of the document, with causes and differences in the order of urgency.
-
-    The blocks are files, parts in a single file, causes and groups of differences with quoted
-    lines, the table of all differences, other objections, and the table of quantities.
-    """
+    """Yield the blocks of the document, with causes and differences in the order of urgency."""
     causes, groups = comparison.causes, comparison.unexplained_differences
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(label, file=doc.Name(file)) for label, file in files.items())
@@ -323,11 +307,7 @@ def _format_effects(difference: Difference) -> doc.Text:
 
 
 def _tabulate_differences(comparison: Comparison) -> doc.Table:
-    """Create the table of all differences, a row each, the most urgent first.
-
-    The columns are, for example, kind, element, values in both files, largest relative effect on
-    the dynamics [%], and lines.
-    """
+    """Create the table of all differences, a row each, the most urgent first."""
     rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
         effect = difference.relative_effects[1]
@@ -372,7 +352,7 @@ def _shorten_place(place: str | None) -> str:
 def _make_value_cell(value: object, other: object) -> doc.Cell:
     """Create a cell with a differing value of one file; a dash if the file has no value.
 
-    ``other`` is the value of the other file; numbers get as many digits as show the difference.
+    ``other`` is the value of the other file; the digits show the difference.
     """
     if isinstance(value, float | int):
         compared = float(other) if isinstance(other, float | int) else float(value)
@@ -381,10 +361,7 @@ def _make_value_cell(value: object, other: object) -> doc.Cell:
 
 
 def _describe_explained(comparison: Comparison) -> Iterable[doc.Words]:
-    """Yield the percentage of the deviation between both files that the listed differences explain.
-
-    Nothing is yielded without differences.
-    """
+    """Yield the percentage of the deviation between both files that the differences explain."""
     if not comparison.differences:
         return
     explained = text(
@@ -406,10 +383,7 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
 
 @draw_result.register(Comparison)
 def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Plot the largest relative deviation of each quantity between models and between engines.
-
-    The deviations are on a logarithmic axis, with the tolerance; zeros are left out.
-    """
+    """Plot the largest relative deviation of each quantity between models and between engines."""
     from pupper_analysis.present.figures.drawing import SERIES_COLOURS
 
     check = comparison.check
@@ -439,11 +413,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 
 
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
-    """Create the table of relative deviations: a row per quantity, a column per compared pair.
-
-    A pair consists of two evaluations, for example of the same model in two engines. Pairs without
-    evaluation are left out, and the pair `EXTRAS_EDGE` if all deviations are 0.
-    """
+    """Create the table of relative deviations: a row per quantity, a column per compared pair."""
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [side for side in every if any(side in q.edge_deviations for q in check.quantities)]

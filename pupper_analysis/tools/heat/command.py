@@ -108,10 +108,7 @@ def command(
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
-    """Read the motors that the robot's MJCF states as `dcmotor` actuators: {joint: motor}.
-
-    The result is empty if the MJCF has no such actuator, was made from the URDF, or is no file.
-    """
+    """Read the motors that the robot's MJCF states as `dcmotor` actuators: {joint: motor}."""
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.motors.dcmotor import list_dcmotors
 

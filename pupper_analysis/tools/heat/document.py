@@ -29,8 +29,9 @@ _LIMIT_TEMPERATURE = "limit_temperature"
 """Name of the largest permitted temperature of the winding in `MotorHeat.unknown`."""
 
 _EXAMPLE_LIMIT = 100.0
-"""Example of a limit temperature [degC]. If the data of a motor lack the limit, the report proposes
-``heat --limit`` with this value; the user replaces the value. Chosen, not tuned.
+"""Example of a limit temperature [degC] in the command that the report proposes if the data of a
+motor
+lack the limit. Chosen, not tuned.
 """
 
 
@@ -69,13 +70,7 @@ def _select_verdict(study: HeatStudy) -> str:
 
 
 def _select_next_step(study: HeatStudy) -> NextStep:
-    """Return the command that the report proposes to run next.
-
-    - ``best``: a motor is too weak or overheats.
-    - ``payload``: the study passes.
-    - ``heat`` with an example of ``--limit``: only the limit temperature is unknown.
-    - ``stand``: all other cases.
-    """
+    """Return the command that the report proposes to run next."""
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
     lacking = {number for motor in study.motors if motor.torque for number in motor.unknown}
@@ -91,19 +86,7 @@ def _format_minutes(seconds: float) -> str:
 
 
 def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
-    """State the result of the motor that the report names first (`HeatStudy.first`).
-
-    The first text is the result; the second text names the joint, its torque and, if known, its
-    loss. The result depends on the first condition that is met:
-
-    - The motor is too weak: the largest torque of the motor, with the joint, in a single text.
-    - The final temperature is unknown, or finite with an unknown limit, and the continuous torque
-      is known: comparison of the torque with the continuous torque. The second text then names the
-      joint and the motor only.
-    - The winding reaches the limit: the time until then.
-    - The final temperature is finite: the final temperature.
-    - Otherwise: the temperature rises without bound.
-    """
+    """Describe the result of a motor, such as the time to the limit, and the motor itself."""
     time, final = motor.time_to_limit, motor.steady_temperature
     torque = f"{abs(motor.torque):.2f}"
     if motor.too_weak and motor.largest_torque is not None:
@@ -141,11 +124,7 @@ def _format_duration(time: float) -> str:
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the texts on unknown motor numbers, and on joints without motor.
-
-    Each type of motor with a nonzero torque and unknown numbers has one text. A single text names
-    at most four joints without motor.
-    """
+    """Yield the texts on unknown motor numbers, and on joints without motor."""
     lacking: dict[str, tuple[str, ...]] = {}
     for motor in study.motors:
         if motor.unknown and motor.torque:
@@ -164,11 +143,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
 
 
 def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the copper loss of all motors, and current and time of the battery if known and finite.
-
-    If motors are too weak, the loss is unknown, and the number of weak motors is yielded instead.
-    Nothing is yielded if the loss of a motor is unknown for another reason.
-    """
+    """Yield the copper loss of all motors with the battery, and the number of motors too weak."""
     if study.weak:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
     if study.loss is None:
@@ -231,8 +206,7 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
     """Create the plot of the winding temperatures over time.
 
     Raises:
-        ConfigurationError: If no temperature of a loaded motor is known, or if all times of the
-            curves are zero.
+        ConfigurationError: If no temperature of a loaded motor is known, for example.
     """
     plots = list(_list_plots(study))
     if not plots:
@@ -241,11 +215,7 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
 
 
 def _list_plots(study: HeatStudy) -> Iterable[doc.LinePlot]:
-    """Yield the plot of the temperatures of the hottest motors, and of the limiting motor.
-
-    The limiting motor, `HeatStudy.first`, is drawn only if its temperature is known. Nothing is
-    yielded without a loaded motor with known temperatures.
-    """
+    """Yield the plot of the temperatures of the hottest and limiting motors, if known."""
     known = [
         index for index, motor in enumerate(study.motors) if motor.steady_temperature is not None
     ]

@@ -19,8 +19,7 @@ def heat_figure(study: HeatStudy, path: str | Path) -> None:
         path: PNG file that is written.
 
     Raises:
-        ConfigurationError: If no temperature of a loaded motor is known, or if all times of the
-            curves are zero.
+        ConfigurationError: If no temperature of a loaded motor is known, for example.
         OutputError: If the file cannot be written.
     """
     plots = heat_plots(study)

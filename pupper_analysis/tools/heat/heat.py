@@ -36,15 +36,15 @@ _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
 _SETTLED_FRACTION = 0.95
-"""Fraction [1] of the final temperature rise. The common end time of the curves is at least the
-time at which the temperature of a motor that stays below its limit has risen by this fraction, at
-most `_MAX_DURATION`. Chosen, not tuned.
+"""Fraction [1] of the final temperature rise up to which the temperature curve of a motor that
+stays
+below its limit is drawn. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Lowest and highest accepted temperature [degC], for the ambient temperature and the limit.
-Outside of this range, `_check_conditions` raises an error. Chosen, not tuned: the insulation of
-windings withstands at most 250 degC.
+"""Lowest and highest accepted temperature [degC] of the air and of the limit. Chosen, not tuned:
+the
+insulation of windings withstands at most 250 degC.
 """
 
 
@@ -97,8 +97,7 @@ class MotorHeat(Result):
     def loss(self) -> float | None:
         """Copper loss [W] at the final temperature; ``cold_loss`` if ``steady_loss`` is not finite.
 
-        ``cold_loss`` is also the result if ``steady_loss`` is None. None if the loss is unknown, or
-        if the motor cannot exert the torque.
+        None if the loss is unknown, or if the motor cannot exert the torque.
         """
         if self.steady_loss is None or math.isinf(self.steady_loss):
             return self.cold_loss
@@ -113,8 +112,9 @@ class MotorHeat(Result):
     def overheats(self) -> bool:
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
-        If ``time_to_limit`` is unknown, a torque above the continuous torque also counts as
-        overheating. False for a motor that cannot exert the torque.
+        A torque above the continuous torque also counts if ``time_to_limit`` is unknown. False for
+        a motor
+        that cannot exert the torque.
         """
         if self.too_weak:
             return False
@@ -161,15 +161,7 @@ class HeatStudy(Result):
 
     @property
     def first(self) -> MotorHeat:
-        """Motor that limits the stance: the first to overheat, or the closest to its limit.
-
-        The first criterion that applies selects the motor:
-
-        - A motor cannot exert the torque: the largest ratio of torque to largest torque.
-        - A motor overheats: the shortest time to the limit. Motors with an unknown time come last.
-        - No motor overheats: the smallest difference between limit and final temperature [degC].
-        - No difference is known: the largest ``cold_loss``.
-        """
+        """Motor that limits the stance: too weak, first to overheat, or closest to its limit."""
 
         def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
             """Return a sort key of a motor: smallest for the motor that limits the stance."""
@@ -278,11 +270,7 @@ def study_heat(
 def _check_conditions(
     ambient: float | None, limit: float | None, battery_energy: float | None
 ) -> None:
-    """Raise a ConfigurationError if a temperature or the battery is out of range.
-
-    ``ambient`` and ``limit`` must be within `TEMPERATURE_RANGE` [degC], the limit above the ambient
-    temperature, and ``battery_energy`` [J] positive and finite. None is accepted for each.
-    """
+    """Raise a ConfigurationError if a temperature [degC] or the battery [J] is out of range."""
     low, high = TEMPERATURE_RANGE
     for name, value in (("ambient", ambient), ("limit", limit)):
         if value is not None and not low <= value <= high:
@@ -378,19 +366,7 @@ def _choose_times(
 ) -> Array:
     """Return the times of the temperature curves [s], shape (n,), from 0 to the longest end time.
 
-    The end time of a motor is:
-
-    - the time to the temperature limit, if the winding reaches the limit;
-    - otherwise the time to `_SETTLED_FRACTION` of the final temperature rise;
-    - without a finite final temperature: total heat capacity times total thermal resistance.
-
-    The longest end time is limited to `_MAX_DURATION`. All times are 0 if no temperature of a
-    loaded motor is known.
-
-    Args:
-        heats: Heat of each motor.
-        motors: Motors, in the order of ``heats``.
-        ambient: Temperature of the air [degC]. None for the value in each motor's data.
+    The curve of a motor ends at the temperature limit, or close to the final temperature.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):

@@ -12,12 +12,7 @@ from pupper_analysis.tools.heat.heat import HeatStudy, study_heat
 
 
 def _compute_design_heat(design: Any) -> HeatStudy:
-    """Return the heat of the motors of a design of a study, in the stand of the design.
-
-    Raises:
-        ConfigurationError: If no motor is varied, or a driven joint has no motor.
-        ModelError: If the resistance of a winding is not positive at the ambient temperature.
-    """
+    """Return the heat of the motors of a design of a study, in the stand of the design."""
     _check_motors(design)
     study = study_heat(design.robot, design.stand, design.motors)
     if study.omitted:
@@ -32,11 +27,7 @@ def _check_motors(design: Any) -> None:
 
 
 def _measure_continuous_utilisation(design: Any) -> float:
-    """Return the largest |torque| / continuous torque [1] of the motors of a design.
-
-    Raises:
-        ModelError: If the continuous torque of a motor is unknown.
-    """
+    """Return the largest |torque| / continuous torque [1] of the motors of a design."""
     ratios = [0.0]
     for heat in design.compute_once(_compute_design_heat).motors:
         if heat.continuous_torque is None:
@@ -48,11 +39,7 @@ def _measure_continuous_utilisation(design: Any) -> float:
 
 
 def _measure_time_until_hot(design: Any) -> float:
-    """Return the time until a winding reaches the limit [s]; infinite if no winding does.
-
-    Raises:
-        ModelError: If a motor is too weak for the torque, or the time is unknown.
-    """
+    """Return the time until a winding reaches the limit [s]; infinite if no winding does."""
     times = [math.inf]
     for heat in design.compute_once(_compute_design_heat).motors:
         if heat.time_to_limit is None and heat.torque:
@@ -69,11 +56,7 @@ def _measure_time_until_hot(design: Any) -> float:
 
 
 def _measure_copper_loss(design: Any) -> float:
-    """Return the copper loss of all motors [W]; not a number if a motor is too weak.
-
-    Raises:
-        ModelError: If the torque per current or the resistance of a motor are unknown.
-    """
+    """Return the copper loss of all motors [W]; not a number if a motor is too weak."""
     study = design.compute_once(_compute_design_heat)
     for heat in study.motors:
         if heat.cold_loss is None and not heat.too_weak:
@@ -83,11 +66,7 @@ def _measure_copper_loss(design: Any) -> float:
 
 
 def _sum_numbers(design: Any, number: str) -> float:
-    """Return the sum of a motor field, such as ``mass`` [kg], over the motors of a design.
-
-    Raises:
-        ModelError: If the number of a motor is unknown.
-    """
+    """Return the sum of a motor field, such as ``mass`` [kg], over the motors of a design."""
     _check_motors(design)
     return math.fsum(motor.get(number) for motor in design.motors.values())
 

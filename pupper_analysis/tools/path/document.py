@@ -23,10 +23,7 @@ from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 @build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a planned path and its simulation, with an animated 3-D view.
-
-    `build_document` calls this function for a `PathThere`.
-    """
+    """Create the report of a planned path and its simulation, with an animated 3-D view."""
     path, tracking = there.path, there.tracking
     used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
@@ -79,10 +76,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_motor_regions(path: StancePath) -> list[doc.Words]:
-    """Return the text that names the motors whose torque-speed regions define the utilisation.
-
-    Empty without motors.
-    """
+    """Return the text that names the motors whose regions define the utilisation, if any."""
     names = dict.fromkeys(path.motors.values())
     return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []
 
@@ -111,19 +105,12 @@ def _make_plan_table(path: StancePath) -> doc.Table:
 
 
 def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
-    """Return the table row of a utilisation (value / limit) [1]: name, "%", percentage, format.
-
-    The list is empty for NaN (unknown limit).
-    """
+    """Return the table row of a utilisation (value / limit) [1], or no row for NaN."""
     return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 
 
 def _make_tracking_table(tracking: PathTracking) -> doc.Table:
-    """Create the table of the simulated path, with the largest value of each error.
-
-    Errors: torques [%], joint positions [degrees or mm], base height [mm], base orientation
-    [degrees], foot slip [mm].
-    """
+    """Create the table of the simulated path, with the largest value of each error."""
     joint_error = convert_to_display(tracking.joint_error, tracking.joint_error_unit)
     return _make_quantity_table(
         text("how-it-is-followed"),

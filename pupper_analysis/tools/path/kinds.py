@@ -8,11 +8,7 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_path_table(file: BinaryIO) -> bool:
-    """Return True if the first line of a CSV file is the header of a path table.
-
-    The header has the column "time (s)", then only joint positions ("q ...") and motor torques
-    ("tau ...").
-    """
+    """Return True if the first line of a CSV file is the header of a path table."""
     head, _, _ = file.read(NUM_HEAD_BYTES).partition(b"\n")
     columns = head.decode(errors="replace").split(",")
     return columns[0] == "time (s)" and all(

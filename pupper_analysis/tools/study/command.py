@@ -173,11 +173,7 @@ def command(
 def _write_designs(
     study: Study, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
 ) -> bool:
-    """Write designs as files below ``folder``, and print a report of each.
-
-    ``numbers`` are rows of the study's table, from 1. Returns True if the metrics of all written
-    files agree with the study.
-    """
+    """Write designs (rows ``numbers``, from 1) below ``folder``; True if the metrics agree."""
     from pupper_analysis.tools.study.document import written_document
     from pupper_analysis.tools.study.write import write_design
 

@@ -49,12 +49,7 @@ tuned."""
 
 @build_document.register(StudyOutcome)
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
-    """Create the report of a study of robot designs.
-
-    The report contains tables of metrics, failures, best designs, effects and designs.
-    `build_document` calls this function for a `StudyOutcome`. The second argument, the robot, is
-    part of the common signature and not used.
-    """
+    """Create the report of a study of robot designs."""
     failed = sum(group.designs for group in outcome.failures)
     count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     if outcome.failures:
@@ -95,12 +90,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
-    """Yield the number of designs that meet the requirements, and the best design.
-
-    The best design is named only for a single objective. If no design meets all requirements, the
-    text contains the number of designs that meet each single requirement. Without requirements,
-    nothing is yielded unless there are a single objective and a Pareto front.
-    """
+    """Yield the number of designs that meet the requirements, and the best design."""
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:
         return
@@ -138,10 +128,7 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
-    """Yield the range of the first metric that varies, and the variables of the extreme designs.
-
-    Nothing is yielded if no metric varies.
-    """
+    """Yield the range of the first metric that varies, and the variables of the extreme designs."""
     if not outcome.varying_metrics:
         return
     metric = outcome.varying_metrics[0]
@@ -164,10 +151,7 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _format_design(values: pd.Series[Any], units: Mapping[str, str]) -> str:
-    """Return the values of a row as ``name value unit``, separated by commas.
-
-    ``values`` maps columns of the study's table to values in the unit of the column (``units``).
-    """
+    """Return the values of a row as ``name value unit``, separated by commas."""
     shown = []
     for name, value in values.items():
         unit = units.get(str(name), "")
@@ -179,8 +163,7 @@ def _format_design(values: pd.Series[Any], units: Mapping[str, str]) -> str:
 def _find_shown_unit(column: str, units: Mapping[str, str]) -> tuple[float, str]:
     """Return the factor and the unit with which tables and plots of a study show a column.
 
-    Lengths of metrics in `METRICS` are in mm, angles in degrees, and utilisations in %. All other
-    columns keep their unit. ``units`` contains the unit of each column in the table.
+    ``units`` contains the unit of each column in the table.
     """
     unit = units.get(column, "")
     metric = METRICS.get(column.partition(".")[0])
@@ -265,10 +248,7 @@ def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of the Pareto front, preceded by a plot if there are two objectives.
-
-    No block is created without objectives or with an empty front.
-    """
+    """Create the table of the Pareto front, preceded by a plot if there are two objectives."""
     front, objectives = outcome.front, outcome.objectives
     if not objectives or front.empty:
         return []
@@ -295,10 +275,7 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of main effects; no block without main effects.
-
-    A main effect is the fraction of a metric's variance that a variable causes alone.
-    """
+    """Create the table of main effects; no block without main effects."""
     rows: list[tuple[doc.Cell, ...]] = []
     for summary in outcome.measured:
         measured = text("measured-of", count=summary.designs, whole=outcome.designs)
@@ -392,12 +369,7 @@ def _make_row_table(
 
 
 def format_duration(seconds: float) -> str:
-    """Format a duration [s] as text in s, min or h.
-
-    The duration is rounded to seconds. The unit is s below 120 s, min below 120 min, and otherwise
-    h. Minutes are rounded down; hours have a decimal. The text is "-" if the duration is not
-    finite.
-    """
+    """Format a duration [s] as text in s, min or h; "-" if not finite."""
     if not math.isfinite(seconds):
         return "-"
     rounded = round(seconds)
@@ -431,10 +403,7 @@ def metrics_document() -> doc.Document:
 
 
 def written_document(written: WrittenDesign, robot: Robot) -> doc.Document:
-    """Create the report of a design of a study of ``robot`` that was written to files.
-
-    A table compares the metrics that the study measured with the metrics of the written files.
-    """
+    """Create the report of a design of a study of ``robot`` that was written to files."""
     rows = tuple(
         (
             doc.Name(format_column_label(name, find_column_unit(name, robot))),

@@ -71,7 +71,7 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
         Variable; {code of the variable: motor}.
 
     Raises:
-        ConfigurationError: If the value is no list of texts or is empty, or a motor occurs twice.
+        ConfigurationError: If the value is no list of different motors.
         UnknownNameError: If no motor has the name.
         ModelError: If the file of a motor is not valid.
     """
@@ -94,8 +94,7 @@ def assign_motors(
 ) -> dict[str, Motor]:
     """Select the motor of each joint in a design, from the values of the motor variables.
 
-    A variable ``motor:PATTERN`` has priority over ``motor``. Two patterns must not select the same
-    joint.
+    A variable ``motor:PATTERN`` has priority over ``motor``.
 
     Args:
         robot: Robot of the design.
@@ -106,8 +105,9 @@ def assign_motors(
         {joint: motor}; empty without motor variables.
 
     Raises:
-        ConfigurationError: If a selected joint cannot have a motor, for example a slide, or if two
-            patterns select the same joint.
+        ConfigurationError: If a selected joint cannot have a motor, or if two patterns select the
+            same
+            joint.
         UnknownNameError: If a pattern matches no joint.
     """
     assigned: dict[str, Motor] = {}
@@ -137,8 +137,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     - Mass of the parent link, or of the heaviest link that is fixed to the parent link: the mass
       difference to the motor ``present`` is added as a point mass at the origin of the joint.
 
-    If the motor states no speed, gain, rotor inertia or gear ratio, the corresponding number of the
-    files is kept.
+    Numbers that the motor does not state are kept.
 
     Args:
         robot: Robot.
@@ -189,11 +188,6 @@ def _add_masses(
 
     A parent link may be a frame without mass, fixed to the body that contains the motor. Therefore
     the heaviest of the links that are fixed to each other gets the mass.
-
-    Args:
-        robot: Robot of the trees.
-        trees: Trees of the URDF and of the MJCF.
-        differences: {joint: mass [kg] that is added at the origin of the joint}.
     """
     urdf, mjcf = trees
     config, data = Configuration(robot, robot.neutral()), robot.compute_kinematics()
@@ -242,15 +236,7 @@ def _add_point_masses(
 ) -> pin.Inertia:
     """Return the inertia of a link with added point masses, in the same frame.
 
-    Args:
-        link: Name of the link, for messages.
-        inertia: Inertia without the point masses.
-        masses: (mass, position) of each point: mass [kg], which may be negative; position, shape
-            (3,) [m], in the frame of ``inertia``.
-
-    Raises:
-        ConfigurationError: If mass or principal moments are not positive, or the moments violate
-            the triangle inequality.
+    ``masses`` are (mass [kg], position (3,) [m]) of each point; a mass may be negative.
     """
     total = float(inertia.mass) + sum(mass for mass, _ in masses)
     problem = diagnose("motor-mass-negative", link=link, mass=Quantity(total, "kg"))

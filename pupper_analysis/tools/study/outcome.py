@@ -163,11 +163,11 @@ def study_outcome(
         study: Study. No design is evaluated.
         folder: Folder of the results.
         minimise: Columns that the Pareto front minimises. If ``minimise`` and ``maximise`` are both
-            empty, the objectives of the study are used. Without objectives there is no front.
+            empty, the objectives of the study are used.
         maximise: Columns that the Pareto front maximises.
 
     Raises:
-        ConfigurationError: If a column does not exist or is named twice, or no design is stored.
+        ConfigurationError: If a column does not exist, or no design is stored, for example.
         StudyError: If the folder contains no study, or a shard is damaged.
         MissingPackageError: If pandas is not installed.
     """
@@ -209,8 +209,8 @@ def study_outcome(
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
     """List the assumptions on which the simulated stands of a robot depend, as messages.
 
-    The messages state the result of a simulation of the published file from the keyframe. If this
-    package has added servos, a message describes the servos.
+    For example, the messages state the result of a simulation of the published file from the
+    keyframe.
     """
     messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
@@ -264,9 +264,7 @@ def compute_main_effects(
         sampled: True if the designs are samples, False for a full factorial.
 
     Returns:
-        {variable: fraction}. Zero if the metric or the variable has a single value, no design has a
-        value of the metric, or the estimate is negative. NaN if the samples have as many groups as
-        designs.
+        {variable: fraction}, at least 0. NaN if the samples have as many groups as designs.
     """
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)
@@ -306,11 +304,7 @@ def _summarise_metric(
 ) -> MetricSummary:
     """Compute the smallest, median and largest value of a metric, and the main effects.
 
-    Args:
-        table: Table of results, a row per design.
-        name: Column of the metric.
-        spread: Variables whose main effects are computed.
-        study: Study, for the unit of the metric and the sampling.
+    ``name`` is the column of the metric; ``spread`` are the variables of the main effects.
     """
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     main_effects = {} if "." in name else compute_main_effects(table, spread, name, sampled=sampled)
@@ -384,9 +378,7 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
         Rows of the front, sorted by the first objective, the best first.
 
     Raises:
-        ConfigurationError: If the table is no DataFrame, a column does not exist or contains
-            something other than numbers, an objective is neither ``"min"`` nor ``"max"``, or there
-            are no objectives.
+        ConfigurationError: If a column does not exist, or there are no objectives, for example.
     """
     if not hasattr(table, "columns"):
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
@@ -432,24 +424,19 @@ def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
-"""Sizes of the groups (cells) into which main effects divide the values of a sampled variable. If
-the variable has at most `MAX_VALUE_CELLS` distinct values, each value is a cell. Otherwise the
-cells are intervals of equal width. The number of cells is sqrt(n / `DESIGNS_PER_CELL`) for n
-designs, but at least `MIN_CELLS` and at most `MAX_VALUE_CELLS`. Chosen, not tuned.
+"""Sizes of the groups (cells) into which main effects divide the values of a sampled variable. A
+value is a cell; more than `MAX_VALUE_CELLS` values are divided into intervals, whose number is
+sqrt(n / `DESIGNS_PER_CELL`) for n designs, within `MIN_CELLS` and `MAX_VALUE_CELLS`. Chosen, not
+tuned.
 """
 
 ROUNDING_RTOL = 1e-9
-"""Relative tolerance of the difference of two values, relative to the larger magnitude. A range
-counts as 0 if both ends agree within this tolerance, which covers rounding. Chosen, not tuned.
+"""Relative tolerance up to which both ends of a range count as equal (rounding). Chosen, not tuned.
 """
 
 
 def _assign_cells(values: Array) -> Array:
-    """Return the group (cell) of each of n values, shape (n,): the value, or an interval's index.
-
-    Up to `MAX_VALUE_CELLS` different values are groups; more are grouped into intervals of equal
-    width.
-    """
+    """Return the group (cell) of each of n values, shape (n,): the value or an interval's index."""
     levels = np.unique(values)
     if len(levels) <= MAX_VALUE_CELLS:
         return values
@@ -463,7 +450,7 @@ def find_column_unit(column: str, robot: Robot) -> str:
     """Return the unit of a column of a study's table (metric or variable), for reports.
 
     The result is empty for ratios and factors. The unit of torques and stiffnesses depends on the
-    type of the joints: all joints of the robot, or the joint of a column ``METRIC.JOINT``.
+    type of the joints.
 
     Args:
         column: Column of the table.

@@ -78,8 +78,7 @@ class Requirement:
     def is_met(self, table: pd.DataFrame) -> NDArray[np.bool_]:
         """Return a mask of the rows of a study's table that meet the requirement, shape (rows,).
 
-        A row with a missing value does not meet the requirement. The mask is False without the
-        column.
+        A row with a missing value does not meet the requirement.
         """
         if self.column not in table:
             return np.zeros(len(table), bool)

@@ -255,22 +255,21 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Smallest intended processor time of a chunk of designs [s]. With many workers,
-`CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 2 % of this time.
+"""Smallest intended processor time of a chunk of designs [s]. Chosen, not tuned: sending a chunk
+takes
+about 2 % of this time.
 """
 
 MAX_CHUNK_SLOWDOWN = 4.0
-"""Largest intended elapsed time of a chunk, relative to the intended processor time. The limit
-applies if other processes use the machine, or if a metric waits, for example for another program.
-Without the limit, a chunk of designs that only wait would have `MAX_CHUNK_DESIGNS` designs. Chosen,
-not tuned.
+"""Largest intended elapsed time of a chunk, relative to the intended processor time, if other
+processes use the machine or a metric waits. Chosen, not tuned.
 """
 
 CHUNK_SECONDS_PER_WORKER = 0.01
-"""Intended processor time of a chunk, per worker of the cluster [s]. A chunk takes at least this
-value times the number of workers. Therefore at most 100 chunks per second reach the scheduler.
-Measured with 1,000 workers: a chunk needs 5.7 ms of processor time in Dask's scheduler, and 3.0 ms
-in this process (``benchmarks/studies.py scheduler``).
+"""Smallest intended processor time of a chunk, per worker of the cluster [s], so that at most about
+100 chunks per second reach the scheduler. Measured with 1,000 workers: a chunk needs 5.7 ms of
+processor time in Dask's scheduler, and 3.0 ms in this process (``benchmarks/studies.py
+scheduler``).
 """
 
 MAX_CHUNK_DESIGNS = 512
@@ -280,14 +279,13 @@ again; the bound limits this work. Chosen, not tuned.
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 """Bounds of the results that are not written yet: number of rows, and time [s] since the last
-shard. If either is reached, the rows are written to a shard (Parquet file). The time is smaller at
-the start (`FIRST_SHARD_SECONDS`). Chosen, not tuned.
+shard (Parquet file). Chosen, not tuned.
 """
 
 FIRST_SHARD_SECONDS = 0.5
-"""Initial time [s] between two shards (Parquet files) of results. A short time limits the loss if a
-run ends early. Later the time is a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a
-long run has few shards. A shard is written earlier if `SHARD_ROWS` rows are reached. Chosen, not
+"""Initial time [s] between two shards (Parquet files) of results, which limits the loss if a run
+ends
+early. Later the time grows up to `SHARD_SECONDS`, so that a long run has few shards. Chosen, not
 tuned.
 """
 
@@ -376,10 +374,8 @@ class _RecordingContext(multiprocessing.context.SpawnContext):
 def choose_chunk_size(progress: Progress, num_workers: int) -> int:
     """Choose the number of designs per chunk, 1 to `MAX_CHUNK_DESIGNS`, from the measured times.
 
-    The number is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS` of
-    processor time, or `CHUNK_SECONDS_PER_WORKER` times the number of workers if this is longer. The
-    elapsed time is at most `MAX_CHUNK_SLOWDOWN` times as long. Sizes from elapsed time alone would
-    become small on a machine with other load, and the cost per design would increase.
+    Sizes from elapsed time alone would become small on a machine with other load, and the cost per
+    design would increase.
 
     Args:
         progress: Progress of the run, with the times that workers have spent on designs.
@@ -547,8 +543,7 @@ class StudyRun:
             workers: Number of workers, or None.
 
         Raises:
-            StudyError: If stored results cannot be read, or the workers do not start, have other
-                package versions, lack a module, or are lost.
+            StudyError: If stored results cannot be read, or the workers are lost, for example.
             OutputError: If the results cannot be written.
         """
         pool = WorkerPool(executor, workers)
@@ -574,8 +569,8 @@ class StudyRun:
     ) -> Iterator[tuple[list[str], Array]]:
         """Yield the designs of each block without a stored result: hashes and variable values.
 
-        The designs are sorted by all variables except servo gains, so that neighbours share a
-        robot. A repeated design is yielded once. Variable values have the shape (n, variables).
+        The designs are sorted, so that neighbours share a robot. Variable values have the shape (n,
+        variables).
         """
         stored_keys = self.store.designs()
         for names, numbers in blocks:
@@ -600,9 +595,7 @@ class StudyRun:
     ) -> Iterator[Chunk]:
         """Yield the designs in chunks, each for a single worker, sized by the measured times.
 
-        Args:
-            blocks: (hashes of n designs, variable values, shape (n, variables)) of each block.
-            num_workers: Number of workers.
+        A block consists of the hashes of n designs and the variable values, shape (n, variables).
         """
         for names, numbers in blocks:
             start = 0
@@ -613,10 +606,7 @@ class StudyRun:
                 yield Chunk(self.work, tuple(names[part]), rows)
 
     def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
-        """Evaluate ``first`` and the chunks of ``source`` in the workers of ``pool``; store rows.
-
-        If a worker ended, each design of the chunk is evaluated again, separately.
-        """
+        """Evaluate ``first`` and the chunks of ``source`` in workers of ``pool``; store rows."""
         waiting: Chunk | None = first
         while waiting is not None or self._in_flight or self._suspects:
             if self._suspects:  # one at a time, to find the design that ends a worker
@@ -641,11 +631,7 @@ class StudyRun:
                 self._write_shard()
 
     def _submit_chunk(self, pool: WorkerPool, chunk: Chunk) -> None:
-        """Submit a chunk of designs to the workers; if the executor is broken, restart the workers.
-
-        Raises:
-            StudyError: If the executor is broken, and belongs to the caller.
-        """
+        """Submit a chunk of designs to the workers; restart broken workers."""
         try:
             self._in_flight[pool.submit(chunk)] = chunk, time.monotonic()
         except BrokenExecutor:
@@ -653,14 +639,7 @@ class StudyRun:
             self._restart_workers(pool, None)
 
     def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
-        """Store the rows of a finished chunk, or schedule the designs again if the worker ended.
-
-        Errors of this package that the evaluation raised are raised again.
-
-        Raises:
-            StudyError: If the executor of the caller is broken, or the evaluation failed for
-                another reason, for example a module that the workers lack.
-        """
+        """Store the rows of a finished chunk, or schedule the designs again if the worker ended."""
         chunk, start = self._in_flight.pop(future)
         try:
             outcome = future.result()
@@ -682,11 +661,7 @@ class StudyRun:
         self._store_rows(outcome.rows)
 
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
-        """Restart the workers; each unfinished design will be evaluated again, separately.
-
-        Raises:
-            StudyError: If the workers belong to an executor of the caller.
-        """
+        """Restart the workers; each unfinished design will be evaluated again, separately."""
         for chunk, _ in self._in_flight.values():
             self._suspects.extend(_split_singly(chunk))
         self._in_flight.clear()
@@ -695,14 +670,11 @@ class StudyRun:
         pool.renew()
 
     def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Schedule each design of a chunk separately after the worker ended unexpectedly.
+        """Schedule the designs of a chunk separately after the worker ended unexpectedly.
 
-        A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
-
-        Args:
-            pool: Workers.
-            chunk: Designs.
-            seconds: Time since the chunk was submitted [s].
+        A design that ends workers repeatedly is recorded as failed. ``seconds`` have passed since
+        the
+        chunk was submitted.
         """
         (name, *other_names) = chunk.names
         is_alone = not other_names and not self._in_flight

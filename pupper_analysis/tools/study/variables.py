@@ -31,8 +31,7 @@ tuned.
 def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:
     """Return the quantiles of a normal distribution at n probabilities, shape (n,).
 
-    ``mean`` and ``deviation`` (standard deviation) have the unit of the variable. Probabilities are
-    clipped to [`_MIN_PROBABILITY`, 1 - `_MIN_PROBABILITY`].
+    ``mean`` and ``deviation`` (standard deviation) have the unit of the variable.
     """
     from scipy.special import ndtri
 
@@ -109,10 +108,7 @@ class Variable:
         return {self.kind: list(self.numbers)}
 
     def code_of(self, value: Any) -> float:
-        """Convert a value of a study variable to the stored number, for motors the code.
-
-        The name of a motor is converted to the code of the motor.
-        """
+        """Convert a value of a study variable to the stored number, for motors the code."""
         if isinstance(value, str):
             return self.numbers[self.labels.index(value)]
         return float(value)
@@ -154,8 +150,8 @@ def values(numbers: Sequence[float]) -> Variable:
     """Create a variable of a study that takes the values of a list, in the unit of the variable.
 
     Raises:
-        ConfigurationError: If ``numbers`` is no sequence, is empty or too long (`MAX_LEVELS`), or a
-            value is no finite number or occurs twice.
+        ConfigurationError: If ``numbers`` is empty, or a value is not finite or occurs twice, for
+            example.
     """
     check_type("values", numbers, Sequence[float])
     listed = tuple(check_finite("values", value) for value in numbers)
@@ -261,20 +257,13 @@ def make_variable(name: str, requested: object) -> Variable:
 
 
 def _diagnose_grid(numbers: Any) -> Diagnostic:
-    """Return the message for a variable ``{grid: numbers}``, a form that does not exist.
-
-    The message asks whether a list of values or evenly spaced values are meant.
-    """
+    """Return the message for a variable ``{grid: numbers}``, a form that does not exist."""
     listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
     return diagnose("grid-is-ambiguous", listed=listed)
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return both bounds as floats, if finite and low < high.
-
-    Raises:
-        ConfigurationError: Otherwise; ``name`` is the kind of the variable, for the message.
-    """
+    """Return both bounds as floats; refuse bounds that are not finite or not ascending."""
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))

@@ -103,8 +103,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         folder: Folder of the results of the study.
 
     Raises:
-        ConfigurationError: If the row does not exist, the robot of the design cannot be built, or
-            the stance cannot be solved.
+        ConfigurationError: If the row does not exist, or the design cannot be built, for example.
         StudyError: If a shard is damaged.
         OutputError: If a file cannot be written, or exists with other content.
         ModelError: If no robot can be loaded from the written files.
@@ -161,10 +160,6 @@ def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tupl
 
     The second result is the robot of the design without payload. ``codes`` contains the value of
     each variable.
-
-    Raises:
-        ConfigurationError: If the robot of the design cannot be built, or the stance cannot be
-            solved.
     """
     builder = DesignBuilder(
         study.make_source_with_visuals(),
@@ -185,13 +180,8 @@ def _write_design_files(
 ) -> tuple[Path, Path, Path]:
     """Write the models of the robot without payload ``bare``, and the stance.
 
-    Files that exist with the same content are not written.
-
     Returns:
         Paths of the URDF, the MJCF and the stance.
-
-    Raises:
-        OutputError: If a file cannot be written, or exists with other content.
     """
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
     contents = dict(_make_files(bare.description, packages))
@@ -211,15 +201,7 @@ def _write_design_files(
 def _list_changed_metrics(
     number: int, measured: Mapping[str, float], remeasured: Mapping[str, float]
 ) -> Iterator[Diagnostic]:
-    """Yield a finding for each metric whose values differ by more than `_METRIC_RTOL`, relative.
-
-    Equal infinite values agree.
-
-    Args:
-        number: Row of the table.
-        measured: {metric: value in the table}.
-        remeasured: {metric: value with the written files}.
-    """
+    """Yield a finding for each metric whose values in table and files differ (`_METRIC_RTOL`)."""
     for name, value in remeasured.items():
         expected = measured[name]
         tolerance = _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
@@ -251,7 +233,7 @@ def format_place(point: FramePoint) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Return True if the value of a table cell is a number, which may be infinite; False for None.
+    """Return True if the value of a table cell is a number, which may be infinite.
 
     An infinite metric is for example the time until a winding is hot that never becomes hot.
     """
@@ -264,10 +246,7 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
-    """Load the written files of ``robot``; return the loaded robot and the ``--foot`` options.
-
-    The options are required if the detected contact points differ; otherwise the list is empty.
-    """
+    """Load the written files of ``robot``; return the loaded robot and the ``--foot`` options."""
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
     has_own_frames = any(link not in robot.description.made_frames for link, _ in feet.values())
@@ -295,11 +274,7 @@ def format_stance(task: StandTask) -> str:
 
 
 def _format_stance_value(value: Any, unit: str = "") -> str:
-    """Format a value of the stance as TOML.
-
-    A single length or angle is a text with unit, such as "0.1m". The elements of a tuple are
-    numbers without unit [m, rad].
-    """
+    """Format a value of the stance as TOML; a single length or angle has a unit, such as "0.1m"."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_format_stance_value, value))}]"
     if isinstance(value, str | Contact | Weld):
@@ -312,7 +287,7 @@ def _make_files(
 ) -> Iterator[tuple[Path, bytes]]:
     """Yield path and content of the URDF, the MJCF, and the referenced meshes and textures.
 
-    Paths are relative to the folder of the design. ``packages`` maps ROS package names to folders.
+    Paths are relative to the folder of the design.
     """
     description = _without_made_frames(description)
     taken: dict[str, tuple[Path | None, bytes]] = {}
@@ -340,10 +315,7 @@ def _without_made_frames(description: Description) -> Description:
 
 
 def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
-    """Choose the output path of a mesh or texture, and add its content to ``contents``.
-
-    If a file with the same name and other content is present, the name gets a number.
-    """
+    """Choose the output path of a mesh or texture, and add its content to ``contents``."""
     number = 0
     while True:
         place = f"{_MESH_FOLDER}/{file.stem}{f'_{number}' if number else ''}{file.suffix}"
@@ -371,9 +343,7 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
     def register_file(name: str, folder: str) -> str:
         """Choose the output path of a referenced file, and return the file's present absolute path.
 
-        The output path later replaces the absolute path in the rendered XML. The reference in the
-        MJCF is ``name``, relative to ``folder``. If the file is missing, the reference is returned
-        unchanged.
+        The output path later replaces the absolute path in the rendered XML.
         """
         file = find_file(name, folder)
         if file is None:

@@ -222,13 +222,8 @@ def _vary_quantities(
 ) -> TrackedIntervals:
     """Find the intervals of ``--vary`` in which the commanded velocity is tracked.
 
-    Args:
-        robot: Robot.
-        policy: Policy.
-        velocity: Commanded velocity, shape (3,): forward, left [m/s], yaw rate [rad/s].
-        vary: Names of the quantities, separated by commas; "all" for all.
-        fitted: JSON of a fit, whose intervals are compared; None without ``--fit``.
-        arguments: Typed ``seconds`` and ``seeds``.
+    ``velocity`` (3,): forward, left [m/s], yaw rate [rad/s]. ``fitted`` is the JSON of a fit whose
+    intervals are compared.
     """
     from pupper_analysis.tools.walk.intervals import (
         VARIED_QUANTITIES,
@@ -253,18 +248,11 @@ def _simulate_checked_walk(
     motors: dict[str, Motor],
     arguments: Mapping[str, Any],
 ) -> Walk | TraceCheck:
-    """Check a recorded trace, then simulate a walk with tests of the causes of falls.
+    """Check a recorded trace, if any, then simulate a walk with tests of the causes of falls.
 
-    If the trace does not agree with the policy, nothing is simulated, and the result is the check.
-    Without a trace, only the walk is simulated.
-
-    Args:
-        robot: Robot.
-        policy: Policy.
-        velocity: Commanded velocity, shape (3,): forward, left [m/s], yaw rate [rad/s].
-        trace: Recorded trace; None without ``--trace``.
-        motors: {joint: motor} of ``--motor``.
-        arguments: Typed ``seconds`` and ``seeds``.
+    If the trace does not agree with the policy, the result is the check. ``velocity`` (3,):
+    forward,
+    left [m/s], yaw rate [rad/s].
     """
     from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.walk.falls import find_fall_tests
@@ -306,11 +294,7 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
 def _refuse_idle_options(
     *, init: bool, orders: bool, response: bool, trace: bool, vary: bool
 ) -> None:
-    """Refuse typed options that have no effect in the selected mode.
-
-    Raises:
-        ConfigurationError: If such an option was typed.
-    """
+    """Refuse typed options that have no effect in the selected mode."""
     if init:
         idle = (
             "command_text",

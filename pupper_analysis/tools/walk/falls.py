@@ -37,8 +37,7 @@ def find_fall_tests(
 
     Returns:
         A test per change, of the first run that falls. Empty if no run of the walk falls. Changes
-        without effect are left out: the command 0 if the command is 0, the latency 0 if the latency
-        is 0, and larger torque limits if the motors have no limits.
+        without effect are left out.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:

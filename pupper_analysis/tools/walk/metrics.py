@@ -22,10 +22,6 @@ def _make_policy_metric(
             returns the value of the metric.
         text: ``POLICY[@VX,VY,W]``: file of the policy, and the velocity command: forward [m/s],
             left [m/s], turning left [rad/s]. Without a command, 0.5 m/s forward.
-
-    Raises:
-        ConfigurationError: If the command is not three valid numbers.
-        ModelError: If a file of the policy cannot be used.
     """
     from pupper_analysis.base.runs import register_input
     from pupper_analysis.tools.walk.gait import check_command, simulate_walk
@@ -50,10 +46,9 @@ def _make_policy_metric(
 
 
 def _read_largest_torque(gait: Any) -> float:
-    """Return the rms torque of the motor with the largest rms torque [N m, N].
+    """Return the rms torque of the motor with the largest rms torque [N m, N]; refuse a fall.
 
-    Raises:
-        NotStandingError: If the robot falls: the torques before a fall are not those of walking.
+    The torques before a fall are not those of walking.
     """
     if gait.fall is not None:
         raise NotStandingError((gait.fall,))

@@ -22,14 +22,15 @@ Operation = Callable[..., Any]
 """Function of arrays that returns an array, or a tuple of arrays."""
 
 MAX_WEIGHTS = 50_000_000
-"""Maximum number of weights of a network; files with larger networks are refused. Also the maximum
-size of an observation or recurrent state. Chosen: networks that walk on the computer of a robot
-have about 1e6."""
+"""Maximum number of weights of a network; files with larger networks are refused. Chosen: networks
+that walk on the computer of a robot have about 1e6.
+"""
 
 MAX_VALUE_SIZE = 1_000_000
-"""Maximum number of elements of the result of a layer. A larger result is refused, unless an input
-of the layer has at least as many elements. Otherwise values that double from layer to layer could
-exhaust the memory. The widest layers of walking policies have 1024. Chosen, not tuned.
+"""Maximum number of elements of the result of a layer, unless an input has as many. Otherwise
+values
+that double from layer to layer could exhaust the memory. The widest layers of walking policies have
+1024. Chosen, not tuned.
 """
 
 
@@ -223,9 +224,7 @@ def assemble_network(
 ) -> Network:
     """Build a network from operations, and validate the sizes by an evaluation.
 
-    The network is evaluated with an observation of zeros. The function checks that weights are
-    finite and not too many, and checks the sizes of observation, recurrent states, values of each
-    operation, and action.
+    The network is evaluated with an observation of zeros.
 
     Args:
         path: The file, for messages.
@@ -236,9 +235,7 @@ def assemble_network(
         inputs: Number of elements of an observation.
 
     Raises:
-        ModelError: If there are too many weights, a weight is not finite, an input of a node or the
-            action does not exist, or a size does not fit. The message names the layer or value,
-            unless there are too many weights.
+        ModelError: If a weight is not finite, or a size does not fit, for example.
     """
     count = sum(weights.size for weights in constants.values())
     if count > MAX_WEIGHTS:

@@ -21,10 +21,7 @@ if not supported."""
 
 
 def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the operation x W + b of an ONNX node ``Gemm`` from its attributes.
-
-    None if alpha or beta is not 1, or the input is transposed.
-    """
+    """Create the operation x W + b of an ONNX node ``Gemm``; None if not supported."""
     if (
         attributes.get("transA")
         or not attributes.get("alpha", 1.0) == attributes.get("beta", 1.0) == 1.0
@@ -44,7 +41,7 @@ def _is_along_elements(attributes: dict[str, Any]) -> bool:
 
 
 def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Create the ONNX operation Split into ``count`` parts; None if the axis is not -1, 1 or 2."""
+    """Create the ONNX operation Split into ``count`` parts; None for an unsupported axis."""
     if not _is_along_elements(attributes):
         return None
 
@@ -57,12 +54,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Concat; None if the axis is not 0, -1, 1 or 2.
-
-    Lists of sizes are joined along axis 0. Along axis 1, arrays with several channels each are
-    joined by channel. Otherwise the elements of each array are joined along the last axis;
-    constants are repeated for all runs.
-    """
+    """Create the ONNX operation Concat; None for an unsupported axis."""
     if attributes.get("axis") == 0:
         return _concatenate_sizes
     if not _is_along_elements(attributes):
@@ -85,11 +77,7 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _concatenate_sizes(*values: Array) -> Array:
-    """Join lists of array sizes, shape (n,): the ONNX operation Concat along axis 0.
-
-    Raises:
-        ValueError: If a value has more than one axis.
-    """
+    """Join lists of array sizes, shape (n,): the ONNX operation Concat along axis 0."""
     if any(np.ndim(value) > 1 for value in values):
         raise ValueError([np.shape(value) for value in values])
     return np.concatenate([np.ravel(value) for value in values])
@@ -106,13 +94,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
-    """Return True if a GRU or LSTM runs forward, without other stated options.
-
-    The other options are activations, and nonzero values of clip, input_forget and layout.
-
-    Args:
-        attributes: Attributes of the ONNX node.
-    """
+    """Return True if a GRU or LSTM runs forward, without options such as other activations."""
     forward = attributes.get("direction", "forward") == "forward"
     changes = ("activations", "clip", "input_forget", "layout")
     return forward and not any(attributes.get(name) for name in changes)
@@ -170,7 +152,7 @@ def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Softmax within each run; None if the axis is not -1, 1 or 2."""
+    """Create the ONNX operation Softmax within each run; None for an unsupported axis."""
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
         return None
@@ -186,8 +168,7 @@ def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
 def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
     """Create the ONNX operation LayerNormalization (Ba et al., 2016) within each run.
 
-    From axis 1, all elements of a run are normalised together; from axis -1 or 2, the last axis is
-    normalised. None for another axis.
+    None for an unsupported axis.
     """
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
@@ -218,9 +199,7 @@ def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
 def _make_reduction(function: Callable[..., Any]) -> Make:
     """Return a function that creates a reduction, such as a mean, for ``OPERATION_MAKERS``.
 
-    The operation reduces a single axis, or by default all elements of each run. A reduced axis
-    keeps a single element. The function returns None if the attribute ``axes`` states no axis,
-    several axes, or another axis than -1, 1 or 2.
+    A reduced axis keeps a single element. The function returns None for unsupported axes.
     """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
@@ -240,11 +219,7 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
 
 
 def _find_axis(value: Array, axis: int) -> int:
-    """Return the axis of ``value`` (first axis: runs) that corresponds to an ONNX axis.
-
-    Raises:
-        ValueError: If the axis of an array with several axes is not 1, 2 or -1.
-    """
+    """Return the axis of ``value`` (first axis: runs) that corresponds to an ONNX axis."""
     if value.ndim <= 1:  # a constant, such as a list of sizes
         return axis
     if axis in (-1, 2) or (axis == 1 and value.shape[1] == 1):
@@ -300,7 +275,7 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
     """Create the ONNX operation Reshape, for arrays whose first axis is the axis of the runs.
 
     A stated shape of three axes (any, c, n), without 0 for c and n, becomes (runs, c, n). Any other
-    shape becomes (runs, 1, elements). Arrays with fewer than three axes are unchanged.
+    shape becomes (runs, 1, elements).
     """
 
     def apply(value: Array, sizes: Array | None = None) -> Array:
@@ -317,9 +292,7 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
 def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
     """Create the ONNX operation Transpose; None for an order of axes that is not supported.
 
-    Three orders are supported: an exchange of the last two of three axes, no change, and an
-    exchange of the first two axes. The last order is refused for arrays with several channels. For
-    other arrays it does not reorder the numbers of a single observation, and changes nothing.
+    An exchange of the first two axes does not reorder the numbers of a single observation.
     """
     order = attributes.get("perm", [1, 0])
     if order == [0, 2, 1]:
@@ -334,10 +307,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Create the ONNX operation Conv along one axis; None if the attributes are not supported.
-
-    Groups, dilation, pads, and strides of several axes are not supported.
-    """
+    """Create the ONNX operation Conv along one axis; None if the attributes are not supported."""
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])

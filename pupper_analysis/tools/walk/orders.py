@@ -38,10 +38,9 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Lower bound of the ratio of the costs (`Candidate.cost`) of the second-best and the best
-interpretation of a policy (joint order, signs, scale, history). The ratio is used if both track
-equally many commands, and at least a single command. Above the bound, the best interpretation is
-clearly better; up to the bound, an interpretation is about as good as the best. Chosen: for
+"""Smallest ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of
+a
+policy (joint order, signs, scale, history) with which the best is clearly better. Chosen: for
 Pupper's own policy on the model v3 the ratio is 1.2.
 """
 
@@ -116,9 +115,8 @@ class Orders(Result):
     def determined(self) -> bool:
         """Whether the best interpretation of a policy is clearly better than the second.
 
-        The best interpretation must track a command. A further condition is that the best tracks
-        more commands than the second, or that the cost of the second is more than `MIN_COST_RATIO`
-        times the cost of the best.
+        The best must track more commands than the second, or have a clearly smaller cost
+        (`MIN_COST_RATIO`).
         """
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO
@@ -128,9 +126,9 @@ class Orders(Result):
     def alike(self) -> tuple[int, ...]:
         """Indices of the interpretations of a policy that are about as good as the best (index 0).
 
-        An interpretation is an order of joints, signs, scale and history. Each listed
-        interpretation tracks as many commands as the best, at a cost of at most `MIN_COST_RATIO`
-        times the cost of the best. Empty if no interpretation tracks a command.
+        They track as many commands, at a cost of at most `MIN_COST_RATIO` times the cost of the
+        best.
+        Empty if no interpretation tracks a command.
         """
         best = self.candidates[0]
         return tuple(
@@ -167,8 +165,9 @@ def rank_orders(
       by limb, or by limb if currently grouped by kind.
     - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
-    - With a history of several steps: the reversed history. If all terms have equally many steps,
-      also a history ordered by term instead of by time step, or the reverse.
+    - With a history of several steps: the reversed history, and a history ordered by term instead
+    of by
+      time step, or the reverse, if possible.
 
     Args:
         robot: Robot.
@@ -179,10 +178,10 @@ def rank_orders(
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is invalid or out of range, the base is fixed, the robot
-            has no feet, or the policy acts more than once per time step.
-        ModelError: If the policy does not fit the robot: for example, the number of joints differs,
-            a joint is unknown or has no motor, or neither policy nor robot has gains.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
+            feet,
+            for example.
+        ModelError: If the policy does not fit the robot, for example.
     """
     checked_commands = np.array([check_command(command) for command in np.atleast_2d(commands)])
     check_runs(1, seconds, WARM_UP_SECONDS)
@@ -247,10 +246,7 @@ joints with the opposite sign."""
 def _list_interpretations(
     robot: Robot, contract: PolicyContract
 ) -> Iterator[tuple[ContractChange, PolicyContract]]:
-    """Yield interpretations of a policy as (change, changed contract), first the stated contract.
-
-    Changed are for example the order of the joints, signs, the action scale or the history.
-    """
+    """Yield interpretations of a policy as (change, changed contract), first the stated one."""
     stated_joints = contract.joints
     limbs = group_limbs(robot, stated_joints)
     yield ("stated", "", ()), contract
@@ -283,14 +279,9 @@ def _permute_joints(
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Yield distinct joint orders with exchanged limbs or with the other grouping of the joints.
 
-    Limbs with equal numbers of joints are exchanged (`_list_limb_orders`). Each order is also
-    regrouped (`_group_by_kind`); the stated order only with up to `_MAX_PERMUTED_LIMBS` limbs. The
-    stated order itself is not yielded.
-
     Yields:
         "limbs", or "by-kind" for a changed grouping; exchanges as text, ``old > new`` with the
-        first joint of each exchanged limb, empty if only the grouping changes; joints in the new
-        order.
+        first joint of each exchanged limb; joints in the new order.
     """
     yielded = {stated_joints}
     for size, count in Counter(len(limb) for limb in limbs).items():
@@ -324,8 +315,7 @@ def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
 def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
     """Return the joints in the other grouping: by kind if currently by limb, otherwise by limb.
 
-    By kind, the first joints of all limbs come first, then the second joints, and so on. ``limbs``
-    contains the indices of the joints of each limb.
+    By kind, the first joints of all limbs come first, then the second joints, and so on.
     """
     places = sorted(place for limb in limbs for place in limb)
     grouped = [place for limb in limbs for place in limb]
@@ -347,14 +337,9 @@ def _evaluate_interpretation(
 ) -> Candidate:
     """Simulate an interpretation of a policy with all commands, and return the result.
 
-    Args:
-        robot: Robot.
-        policy: Policy with the contract (definition of observation and action) of the
-            interpretation.
-        commands: Commands, shape (n, 3) [m/s, m/s, rad/s].
-        seconds: Duration of the run of each command [s].
-        change: Difference of the interpretation from the stated contract.
-        workers: Number of threads; None for the number of cores.
+    ``commands`` have the shape (n, 3) [m/s, m/s, rad/s]; ``change`` is the difference from the
+    stated
+    contract.
     """
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(command) for command in commands]

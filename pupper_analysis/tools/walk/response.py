@@ -71,9 +71,9 @@ class ResponseAxis(Result):
     def dead_zone(self) -> tuple[float, float]:
         """Range of commands around zero that the policy ignores: (lower, upper) end.
 
-        A command is ignored if less than a quarter of the commanded velocity is achieved
-        (`MIN_RESPONSE`), without a fall. An end is 0 if the policy follows the smallest command on
-        this side, or if a run with this command falls.
+        A command is ignored if the achieved velocity is below `MIN_RESPONSE` times the command,
+        without a
+        fall.
         """
         ends = []
         for side in (-1.0, 1.0):
@@ -136,12 +136,12 @@ def map_response(
         seeds: Number of initial states per command. Seed 0 is the default pose at rest, the other
             seeds deviate as in `simulate_walk`.
         seconds: Duration of each run [s], 3 to 600.
-        workers: Number of threads; by default the number of cores. The result does not depend on
-            this number.
+        workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of range, all limits are 0, the base is fixed, the
-            robot has no feet, or the policy acts more than once per time step.
+        ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
+            feet,
+            for example.
         ModelError: If the policy does not fit the robot.
     """
     checked = np.abs(check_command(limits))

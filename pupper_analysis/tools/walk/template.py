@@ -89,10 +89,7 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Suggest frequent terms of an observation, and the joints: {contract key: TOML value}.
-
-    Joint names and start pose [rad] are included if the policy commands all joints of the robot.
-    """
+    """Suggest frequent terms of an observation, and the joints: {contract key: TOML value}."""
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
     if robot.nu == outputs:
