@@ -320,7 +320,7 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 
 
 def find_exchanged(case: PatternCase) -> PatternFindings:
-    """Find pairs of limbs whose names are exchanged in either file.
+    """Find pairs of limbs whose names are exchanged between the files.
 
     A limb consists of a joint of the base and all joints below.
     """
@@ -432,7 +432,7 @@ used, divided by the number in the required unit.
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find a common factor between the joint limits, masses, lengths or inertias of both files.
 
-    The message guesses a wrong unit (such as degrees, g or mm) or a wrong decimal point.
+    The message may name a wrong unit (such as degrees, g or mm) or a wrong decimal point.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -468,7 +468,7 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
 
 def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
-    """Return the differences that remain after the lengths of one file are scaled by ``factor``.
+    """Return the differences that remain after a common factor of all lengths is removed.
 
     ``factor`` is length in the MJCF / length in the URDF. The larger numbers are scaled, so that
     the
@@ -496,7 +496,7 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Return the common factor second / first of pairs of proportional arrays, None without factor.
+    """Return the common factor second / first of pairs of proportional arrays, or None.
 
     Tolerance 0.1 %. Arrays of zeros are ignored; a factor of about 1 does not count.
     """
@@ -659,7 +659,7 @@ class _TensorPair:
 
 
 def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
-    """Yield inertia tensors that differ between the files, of bodies with equal mass and CoM."""
+    """Yield the differing inertia tensors of single-link bodies with equal mass and CoM."""
     links = UrdfTree.of(case.robot.description.urdf).links
     differing = {element for kind, element in case.keys if kind in ("mass", "com")}
     for kind, name in case.unexplained:
@@ -765,7 +765,7 @@ def _describe_tensor_mistake(
 
 
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
-    """Find joints that mimic another joint in the URDF, and that move freely in the MJCF."""
+    """Find joints that mimic a joint in the URDF, without an active joint equality in the MJCF."""
     model = case.robot.mj_model
     leaders = {name: mimic[0] for name, mimic in case.robot.description.mimics.items()}
     coupled = set()
@@ -1113,10 +1113,11 @@ as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Find joints whose axis differs between the files, although all bodies have the same poses.
+    """Find joints whose axis has another position or direction in the MJCF.
 
-    At zero angles all bodies have the same poses in both files. Nevertheless CoM, children and
-    frames differ, since they are expressed in the frame of the joint.
+    Such a mistake also changes CoM, children and frames, since these are expressed in the frame of
+    the
+    joint.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

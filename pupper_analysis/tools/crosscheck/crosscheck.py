@@ -86,7 +86,7 @@ from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
 """Largest deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to the scale
-of the quantity. A larger deviation is reported as a deviation of the engines. Chosen, not tuned.
+of the quantity. A larger deviation counts as a deviation of the engines. Chosen, not tuned.
 """
 
 
