@@ -40,7 +40,7 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
 """Names of stance constraints whose task fields `interpolate_task` does not interpolate number by
-number, but sets separately.
+number. Most follow from the solved stances of a segment.
 """
 
 UNLOADED_HEIGHT = 1e-12

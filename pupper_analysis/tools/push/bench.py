@@ -62,12 +62,13 @@ again.
 
 _SLOW_DURATION = 0.1
 """Length [s] of the final part of a simulated interval in which no velocity may exceed
-`_MAX_SLOW_SPEED` if the simulation is to end early. Chosen, not tuned.
+`_MAX_SLOW_SPEED` if the robot is to count as at rest before the end. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02
-"""Largest velocity [m/s, rad/s] of a degree of freedom with which the simulation of a push may end
-early. Chosen, not tuned.
+"""Largest velocity [m/s, rad/s] of a degree of freedom with which a pushed robot may count as at
+rest
+before the end of the simulation. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004
@@ -189,10 +190,11 @@ class PushBench:
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes for ``duration`` or longer, and return the failure of each push.
+        """Simulate pushes without an early end at rest, and return the failure of each push.
 
-        If a robot still moves after ``duration``, the simulation continues, for at most
-        ``MAX_DURATION_RATIO`` times the duration.
+        Unless the push fails earlier, a simulation lasts for ``duration``, or longer if the robot
+        still
+        moves, for at most ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             directions: Index of each push's direction in ``axes``, shape (n,).
@@ -370,7 +372,7 @@ class PushBench:
         return None
 
     def _find_end_failures(self, states: Array) -> list[Diagnostic]:
-        """Return the failures at the end of a simulation: a fall, or a base in motion.
+        """Return the failures at the end of a simulation: a fall, a base in motion.
 
         ``states`` (n, size) are the last states, for at least ``_REST_DURATION``.
         """
@@ -401,15 +403,15 @@ class PushBench:
         return float((linear + self.upright.com_height * angular).max())
 
     def _will_rest(self, states: Array, spectrum: Stability | None = None) -> bool:
-        """Return True if the base of a slow robot will move little, and no mode grows.
+        """Return True if the base of a slow robot is expected to move little until the end.
 
         The predicted motion is ``_SPEED_FACTOR`` v min(T, 1 / d), with the speed v, the relative
         rate d at
-        which v decreases, and the remaining time T. Modes are tested, since a robot almost stops
-        near a
-        saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s after 14 s, and on the
-        shanks after
-        35 s.
+        which v decreases, and the remaining time T. Growing modes are tested, since a robot almost
+        stops
+        near a saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s after 14 s, and on
+        the shanks
+        after 35 s.
 
         Args:
             states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.
@@ -437,7 +439,7 @@ class PushBench:
         )
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if a pushed robot is upright and at rest, and no mode of the motion grows.
+        """Return True if a pushed robot is upright and at rest, without a mode that grows soon.
 
         ``states`` are MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel,
         ...

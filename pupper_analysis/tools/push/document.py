@@ -72,7 +72,7 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield texts of the weakest push: direction [degrees] and impulse [N s], and the failure."""
+    """Yield texts of the weakest push, such as direction [degrees] and impulse [N s]."""
     recovery = pushed.recovery
     if recovery.failures_without_push:
         yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")

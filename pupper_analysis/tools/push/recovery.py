@@ -383,7 +383,7 @@ def push_recovery(
       slows down or hardly moves.
 
     If the robot is upright at the end but not at rest, the simulation continues, up to ten times as
-    long. The returned limits were simulated to the end.
+    long. Each returned limit above 0 was simulated to the end.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, and then
     bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
