@@ -629,7 +629,9 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
-    Metrics that fail are left out, or have the value ``fallen`` if the robot cannot stand.
+    A metric with an error of this package is left out, or has the value ``fallen`` if the robot
+    cannot
+    stand.
     """
     row: dict[str, float] = {}
     for metric in metrics:

@@ -356,7 +356,7 @@ def _stretch_geom(
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Scale the mesh assets of an MJCF in place; add an asset for each different stretch.
+    """Scale the mesh assets of an MJCF in place; add assets if a mesh has several stretches.
 
     ``meshes`` is {mesh name: [(geom, stretch factors along the mesh axes, shape (3,))]}.
     """

@@ -227,7 +227,7 @@ def text_key(metric: str) -> str:
 
 
 def _check_stand(design: Design) -> bool:
-    """Return True if the robot stays up without feed-forward, else raise a NotStandingError.
+    """Return True if the robot stays up without feed-forward, else raise an error.
 
     No deviation may grow within 12 s. If `Design.own_servos` is True, the simulation of the
     unmodified
@@ -263,7 +263,8 @@ def survives_set_down(design: Design) -> bool:
 
     The servos hold the positions of the stand, without feed-forward, for `SET_DOWN_DURATION`. The
     robot
-    must not fall (`StandReference.has_fallen`) or collapse (`StandReference.has_collapsed`).
+    must not fall (`StandReference.has_fallen`), or be collapsed at the end
+    (`StandReference.has_collapsed`).
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
@@ -286,8 +287,8 @@ def survives_set_down(design: Design) -> bool:
 
 
 _NUM_SET_DOWN_CHECKS = 50
-"""Approximate number of simulated states that `survives_set_down` checks for a fall. Chosen, not
-tuned.
+"""Smallest number of simulated states that `survives_set_down` checks for a fall, if there are so
+many. Chosen, not tuned.
 """
 
 

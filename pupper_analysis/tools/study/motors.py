@@ -137,7 +137,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     - Mass of the parent link, or of the heaviest link that is fixed to the parent link: the mass
       difference to the motor ``present`` is added as a point mass at the origin of the joint.
 
-    Numbers that the motor does not state are kept.
+    Velocity limits, armatures and gains that the motor does not state are kept.
 
     Args:
         robot: Robot.

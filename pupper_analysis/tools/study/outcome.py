@@ -136,7 +136,7 @@ class StudyOutcome(Result):
 
     @property
     def varying_metrics(self) -> tuple[str, ...]:
-        """Metrics with different finite values among the designs, in the order of ``measured``."""
+        """Metrics with different values among the designs, in the order of ``measured``."""
         return tuple(
             summary.metric
             for summary in self.measured

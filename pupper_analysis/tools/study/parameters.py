@@ -139,7 +139,10 @@ def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """List the names that a pattern of a variable ``kind`` may match: {joint, "" base: names}."""
+    """List the names that a pattern may match for a kind of variable: {joint: names}.
+
+    The joint ``""`` means the base.
+    """
     if kind not in BODY_VARIABLE_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
@@ -308,9 +311,9 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 def with_ground_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with a given coefficient of sliding friction between feet and ground.
 
-    All geoms of the feet and of the world body get the coefficient. MuJoCo uses the larger value of
-    both geoms, or the value of the geom with higher priority. In both cases the contact has the
-    given coefficient.
+    All geoms of the feet and of the world body get the coefficient, since MuJoCo uses the larger
+    value
+    of both geoms, or the value of the geom with higher priority.
 
     Args:
         robot: Robot.
