@@ -289,7 +289,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 
 
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
-    """List the parts of a URDF that the new MJCF does not contain, with their counts."""
+    """List parts of a URDF that the new MJCF does not contain, with their counts."""
     losses = []
     for are_slides in (False, True):
         speeds = [
@@ -420,7 +420,7 @@ def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list
 def _free_legged_robot(bare: ConvertedMjcf, options: MjcfOptions) -> Robot | None:
     """Load a legged robot, whose URDF fixes it to the link "world", with a free base.
 
-    None for other robots, for example an arm.
+    None for an arm, for example.
     """
     if options.fixed_base is not None or bare.bodies.root != WORLD_LINK:
         return None
@@ -498,9 +498,8 @@ _DEFAULT_ATTRIBUTES = {
 def put_defaults(root: etree._Element) -> None:
     """Move common attribute values of an MJCF into its main default class; ``root`` is changed.
 
-    A value is common if more than half of the elements have it. `_DEFAULT_ATTRIBUTES` lists the
-    tags
-    and attributes.
+    A value is common if more than half of the elements have it, and no element lacks the attribute.
+    `_DEFAULT_ATTRIBUTES` lists the tags and attributes.
     """
     top = root.find("default")
     assert top is not None
@@ -519,7 +518,7 @@ def put_defaults(root: etree._Element) -> None:
 def _find_common_values(
     elements: Sequence[etree._Element], attributes: Sequence[str]
 ) -> dict[str, str]:
-    """Return {attribute: value} of the values that more than half of the elements have."""
+    """Return {attribute: value} of values that most elements have, if each has the attribute."""
     common = {}
     for name in attributes:
         values = Counter(element.get(name) for element in elements)

@@ -319,7 +319,7 @@ def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
 
 
 def _list_disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
-    """Yield the differences between source and new file that the notes do not explain."""
+    """Yield differences between source and new file that no note explains, and objections."""
     repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
         mended = difference.kind in INERTIAL_KINDS and difference.element in repaired

@@ -471,8 +471,7 @@ def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[Prope
     """Return the differences that remain after a common factor of all lengths is removed.
 
     ``factor`` is length in the MJCF / length in the URDF. The larger numbers are scaled, so that
-    the
-    tolerances apply to the smaller numbers.
+    the tolerances apply to the smaller numbers.
     """
     if factor > 1:
         return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
@@ -713,8 +712,7 @@ def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
 
     Tested mistakes: tensors about the origin of the link instead of the CoM; a lost rotation of
     ``<inertial><origin>``; the inverse rotation of the principal axes. For the first two a single
-    body
-    is sufficient evidence, since six numbers are hardly equal by chance.
+    body is sufficient evidence, since six numbers are hardly equal by chance.
     """
     pairs = list(_list_tensor_pairs(case))
     total, tolerances = len(pairs), case.tolerances
@@ -966,8 +964,7 @@ def _explains_difference(
     """Return True if a tested mistake explains the inertial difference of a body.
 
     ``first`` is the body without the mistake. ``removed`` (by undoing the mistake) and
-    ``difference``
-    (URDF - MJCF) are moments, shape (10,), as from `compute_moments`.
+    ``difference`` (URDF - MJCF) are moments, shape (10,), as from `compute_moments`.
     """
     explained_kinds = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
@@ -1116,8 +1113,7 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis has another position or direction in the MJCF.
 
     Such a mistake also changes CoM, children and frames, since these are expressed in the frame of
-    the
-    joint.
+    the joint.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
@@ -1142,8 +1138,7 @@ def copy_joint_axis(values: MultibodyTree, other: MultibodyTree, name: str) -> M
     """Return a copy of a tree in which a joint has the placement and axis of another tree.
 
     With all joint positions at zero, the bodies have the same poses as before. In both trees the
-    frame
-    of the parent must be the same.
+    frame of the parent must be the same.
     """
     old_joint, new_joint = values.joints[name], other.joints[name]
     shift = new_joint.placement.actInv(old_joint.placement)

@@ -542,8 +542,7 @@ def evaluate_in_yourdfpy(robot: Robot, states: States) -> Evaluation:
 
     Returns:
         {"foot positions": positions of the robot's contact points in the world, shape (states,
-        feet, 3)
-        [m]}.
+        feet, 3) [m]}.
     """
     import yourdfpy  # slow to import
 
@@ -587,8 +586,7 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 DEFAULT_RTOL = 1e-9
 """Default of the largest deviation between two evaluations that counts as agreement, relative to
-the
-scale of the quantity. Chosen, not tuned.
+the scale of the quantity. Chosen, not tuned.
 """
 
 URDF_PINOCCHIO = "URDF in Pinocchio"

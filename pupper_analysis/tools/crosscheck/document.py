@@ -71,8 +71,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
     An effect is the deviation of a quantity that this single difference causes, relative to the
-    scale
-    of the quantity. The share is its part in the deviation that all differences cause together.
+    scale of the quantity. The share is its part in the deviation that all differences cause
+    together.
     """
     if not difference.effects:
         return diagnose("no-effect")

@@ -30,8 +30,7 @@ _LIMIT_TEMPERATURE = "limit_temperature"
 
 _EXAMPLE_LIMIT = 100.0
 """Example of a limit temperature [degC] in the command that the report proposes if the data of a
-motor
-lack the limit. Chosen, not tuned.
+motor lack the limit. Chosen, not tuned.
 """
 
 
@@ -143,7 +142,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
 
 
 def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the copper loss of all motors with the battery, and the number of motors too weak."""
+    """Yield texts of the copper loss with the battery current, and of motors that are too weak."""
     if study.weak:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
     if study.loss is None:

@@ -36,15 +36,13 @@ _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
 _SETTLED_FRACTION = 0.95
-"""Fraction [1] of the final temperature rise up to which the temperature curve of a motor that
-stays
-below its limit is drawn. Chosen, not tuned.
+"""Fraction [1] of the final temperature rise that determines the end time of the temperature curve
+of a motor that stays below its limit. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
 """Lowest and highest accepted temperature [degC] of the air and of the limit. Chosen, not tuned:
-the
-insulation of windings withstands at most 250 degC.
+the insulation of windings withstands at most 250 degC.
 """
 
 
@@ -113,8 +111,7 @@ class MotorHeat(Result):
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
         A torque above the continuous torque also counts if ``time_to_limit`` is unknown. False for
-        a motor
-        that cannot exert the torque.
+        a motor that cannot exert the torque.
         """
         if self.too_weak:
             return False
@@ -366,7 +363,7 @@ def _choose_times(
 ) -> Array:
     """Return the times of the temperature curves [s], shape (n,), from 0 to the longest end time.
 
-    The curve of a motor ends at the temperature limit, or close to the final temperature.
+    The end time of a motor is, for example, the time until it reaches the temperature limit.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):

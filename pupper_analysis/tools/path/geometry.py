@@ -71,8 +71,7 @@ class PathStance:
         """Compute the horizontal distance [m] from the CoM to the edge of a support polygon.
 
         The distance is positive inside the polygon, which the centres of the contact points
-        ``feet``
-        span.
+        ``feet`` span.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
@@ -519,9 +518,10 @@ def _differentiate(
     """Compute the derivatives dq/ds and d2q/ds2 of a path's configuration, shape (nv,) each.
 
     The coordinates are those of ``qvel``; s is the path parameter ``share``. On a path the
-    constraints
-    c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and J d2q/ds2 = d2w/ds2 - (dJ/ds)
-    dq/ds.
+    constraints c(q) = w(s) hold, with J = dc/dq. Therefore
+
+        J dq/ds = dw/ds and J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds.
+
     The last term is the acceleration of the constraints for the velocity dq/ds and zero
     acceleration.
     If the constraints leave motions free, the minimum-norm solution is returned (m and rad mixed).

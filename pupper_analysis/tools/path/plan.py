@@ -46,9 +46,8 @@ from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
 """Fraction [1] of the load on the solution with the remaining feet alone, while another foot is
-being
-unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point would be
-close to the edge of the support polygon. Chosen, not tuned.
+being unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point
+would be close to the edge of the support polygon. Chosen, not tuned.
 """
 
 
@@ -62,10 +61,8 @@ def compute_path_sample(
 
     The forces have minimum tangential components. If fewer feet carry load in the previous or next
     segment, the forces are a weighted mean of the solutions with all feet and with the fewer feet.
-    The
-    weights change along the path, so that torques do not jump. Equilibrium is linear in the forces,
-    so
-    the mean satisfies the equilibrium.
+    The weights change along the path, so that torques do not jump. Equilibrium is linear in the
+    forces, so the mean satisfies the equilibrium.
 
     Args:
         robot: Robot.
@@ -143,8 +140,7 @@ def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, fl
     Returns:
         For each such segment (previous, then next): the loaded feet; nearness of the sample to the
         stance between both segments, from 0 (other end of the sample's segment) to 1 (at the
-        stance);
-        CoM margin [m] of this stance on these feet alone.
+        stance); CoM margin [m] of this stance on these feet alone.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [
@@ -308,8 +304,8 @@ def stance_path(
     dry friction of the joints and the ground's resistance to rolling feet, with minimum tangential
     forces.
 
-    A foot that is lifted in a stance is unloaded from the previous to the next stance, so the
-    CoM must already be above the other feet in these stances. On the segments before and after, its
+    A foot that is lifted in a stance is unloaded from the previous to the next stance, so the CoM
+    must already be above the other feet in these stances. On the segments before and after, its
     load fades out or in, so that torques are continuous.
 
     A loaded foot does not slip, but the sphere of the foot (radius r) rolls as the leg rotates with
@@ -329,8 +325,7 @@ def stance_path(
 
     Raises:
         ConfigurationError: If an argument is out of range, the robot has loops, or the stances
-            cannot
-            follow each other, for example.
+            cannot follow each other, for example.
         NoEquilibriumError: If the rolling displacement does not converge.
         UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number

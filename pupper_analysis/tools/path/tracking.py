@@ -77,8 +77,7 @@ height in 0.4 s: the torque error is 9 % with a ratio of 0.5, and 3 % with 0.07.
 
 MIN_TIMESTEP = 1e-5
 """Lower bound of the time step [s] that is computed from joint inertia and servo damping. A path of
-1
-s then takes 1 or 2 s to simulate. Chosen, not tuned.
+1 s then takes 1 or 2 s to simulate. Chosen, not tuned.
 """
 
 _STEP_ROUNDING = 1e-6
@@ -175,8 +174,7 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     """Adapt a path for rigid ground to MuJoCo's soft ground, by extending the legs.
 
     Measured torque error if the Pupper variants v3, v3-heavy, v3-long-leg and original lift a foot
-    by
-    20 mm in 4 s: 5 to 13 % with commands for rigid ground, 2 to 3 % with extended legs. Creep of
+    by 20 mm in 4 s: 5 to 13 % with commands for rigid ground, 2 to 3 % with extended legs. Creep of
     rolling feet and the inertia of sinking legs are not modelled.
 
     Returns:
@@ -236,9 +234,8 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
 
     MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with the force f, penetration r,
     impedance d, regularisation R, and stiffness k and damping b of the ground law. For a load that
-    is
-    linear in ``time``, shape (n,) [s], the depth at time t is the static depth for the load at
-    t - b / (k d). The delay is about 50 ms for Pupper v3.
+    is linear in ``time``, shape (n,) [s], the penetration is the static depth for the load at an
+    earlier time, by b / (k d): about 50 ms for Pupper v3.
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))
@@ -384,8 +381,7 @@ ground in the simulation. Chosen, not tuned.
 
 _NUM_CHECKED_STATES = 400
 """Approximate number of simulated states whose contacts are checked, for paths of a few seconds. On
-an
-infeasible path, a foot loses contact for a few percent of the duration: several checked states.
+an infeasible path, a foot loses contact for a few percent of the duration: several checked states.
 """
 
 
@@ -556,8 +552,7 @@ def _compare_torques(
     """Describe saturated motors, and compute the largest torque error |simulated - planned| [1].
 
     The error is relative to the largest planned torque of the path on rigid ground.
-    ``is_saturated`` is
-    the mask of the saturated motors, shape (n, nu).
+    ``is_saturated`` is the mask of the saturated motors, shape (n, nu).
     """
     robot, events = plan.robot, []
     for column in np.flatnonzero(is_saturated.any(axis=0)):

@@ -67,8 +67,7 @@ _SLOW_DURATION = 0.1
 
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity [m/s, rad/s] of a degree of freedom with which a pushed robot may count as at
-rest
-before the end of the simulation. Chosen, not tuned.
+rest before the end of the simulation. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004
@@ -81,15 +80,13 @@ Then the distance to the ground is computed again. Chosen, not tuned.
 
 MAX_DURATION_RATIO = 10.0
 """Upper bound of the simulated time of a push, as a multiple of the requested time: 60 s by
-default.
-Chosen, not tuned.
+default. Chosen, not tuned.
 """
 
 _MAX_REMAINING_RATIO = 0.1
 """Largest predicted motion of the base (with `_SPEED_FACTOR`), relative to the CoM height, with
-which
-a pushed robot counts as at rest. Measured on v3-long-leg: the robot returns from 0.03, and falls
-slowly from 0.07.
+which a pushed robot counts as at rest. Measured on v3-long-leg: the robot returns from 0.03, and
+falls slowly from 0.07.
 """
 
 _SPEED_FACTOR = 1.5
@@ -99,8 +96,7 @@ small for a while during an oscillation. Chosen, not tuned.
 
 _STILL_RATIO = 0.01
 """Fraction of `_MAX_REMAINING_RATIO` up to which the predicted motion counts as rest at the end of
-the
-longest simulation, without a test of growing modes. Chosen, not tuned.
+the longest simulation, without a test of growing modes. Chosen, not tuned.
 """
 
 _MAX_BATCH_VALUES = 2**25
@@ -193,8 +189,7 @@ class PushBench:
         """Simulate pushes without an early end at rest, and return the failure of each push.
 
         Unless the push fails earlier, a simulation lasts for ``duration``, or longer if the robot
-        still
-        moves, for at most ``MAX_DURATION_RATIO`` times the duration.
+        still moves, for at most ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             directions: Index of each push's direction in ``axes``, shape (n,).
@@ -227,8 +222,7 @@ class PushBench:
         """Simulate n pushes until each outcome is decided; return failures, None after a recovery.
 
         ``directions`` (n,) are indices of ``axes``, ``impulses`` (n,) are in N s. With
-        ``may_rest``, a
-        simulation also ends once the robot is at rest.
+        ``may_rest``, a simulation also ends once the robot is at rest.
         """
         count = len(directions)
         failures: list[Diagnostic | None] = [None] * count
@@ -406,12 +400,9 @@ class PushBench:
         """Return True if the base of a slow robot is expected to move little until the end.
 
         The predicted motion is ``_SPEED_FACTOR`` v min(T, 1 / d), with the speed v, the relative
-        rate d at
-        which v decreases, and the remaining time T. Growing modes are tested, since a robot almost
-        stops
-        near a saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s after 14 s, and on
-        the shanks
-        after 35 s.
+        rate d at which v decreases, and the remaining time T. Growing modes are tested, since a
+        robot almost stops near a saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s
+        after 14 s, and on the shanks after 35 s.
 
         Args:
             states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.

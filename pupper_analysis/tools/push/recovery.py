@@ -397,8 +397,7 @@ def push_recovery(
         stand: The stand.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         duration: Simulated time from the start of the push [s], 2 to 600, if the outcome is not
-            decided
-            earlier or later.
+            decided earlier or later.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
@@ -413,8 +412,7 @@ def push_recovery(
 
     Raises:
         ConfigurationError: If an argument is out of range, the stand does not suit the robot, or a
-            base
-            is fixed, for example.
+            base is fixed, for example.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground or a contact cannot be added, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.

@@ -261,8 +261,7 @@ def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
     The hash depends on the content of URDF, MJCF and mesh files and, for example, the feet, but not
-    on
-    the folder of the MJCF. Attributes such as ``efforts`` and ``mimics`` are not included.
+    on the folder of the MJCF. Attributes such as ``efforts`` and ``mimics`` are not included.
     """
     parts = {
         "urdf": description.urdf,
@@ -333,8 +332,7 @@ FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items(
 
 MAX_CACHED_ROBOTS = 8
 """Maximum number of entries in each cache of a builder. A few entries are sufficient: in a product
-of
-lists, successive designs mostly differ only in the last variable. Chosen, not tuned.
+of lists, successive designs mostly differ only in the last variable. Chosen, not tuned.
 """
 
 
@@ -630,8 +628,7 @@ def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, fl
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
     A metric with an error of this package is left out, or has the value ``fallen`` if the robot
-    cannot
-    stand.
+    cannot stand.
     """
     row: dict[str, float] = {}
     for metric in metrics:

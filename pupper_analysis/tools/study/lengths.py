@@ -327,8 +327,7 @@ def _stretch_geom(
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
     ``matrix`` is A, ``shift`` is b. Mesh geoms are appended to ``meshes``: {mesh name: [(geom,
-    factors
-    along the geom's axes)]}.
+    factors along the geom's axes)]}.
     """
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)

@@ -230,8 +230,7 @@ def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward, else raise an error.
 
     No deviation may grow within 12 s. If `Design.own_servos` is True, the simulation of the
-    unmodified
-    MJCF from the keyframe must not fail either.
+    unmodified MJCF from the keyframe must not fail either.
     """
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:
@@ -262,8 +261,7 @@ def survives_set_down(design: Design) -> bool:
     """Return True if the robot stands after a drop from the height `SET_DOWN_HEIGHT`.
 
     The servos hold the positions of the stand, without feed-forward, for `SET_DOWN_DURATION`. The
-    robot
-    must not fall (`StandReference.has_fallen`), or be collapsed at the end
+    robot must not fall (`StandReference.has_fallen`), or be collapsed at the end
     (`StandReference.has_collapsed`).
 
     Raises:
@@ -456,8 +454,7 @@ def fingerprint_metric(metric: Metric) -> str:
     """Return a text that identifies a metric in the hash of a study.
 
     The text depends on the source of a user's function, and on the content of a file that the
-    metric
-    uses. If the meaning of a named metric changes, `METRICS_REVISION` is increased instead.
+    metric uses. If the meaning of a named metric changes, `METRICS_REVISION` is increased instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

@@ -106,8 +106,7 @@ def assign_motors(
 
     Raises:
         ConfigurationError: If a selected joint cannot have a motor, or if two patterns select the
-            same
-            joint.
+            same joint.
         UnknownNameError: If a pattern matches no joint.
     """
     assigned: dict[str, Motor] = {}

@@ -263,8 +263,7 @@ def _check_result(
     """Check that a changed robot has the requested masses and CoMs, in both engines.
 
     ``masses`` is {joint: factor on the mass of the moved body}, ``offsets`` is {joint: CoM offset,
-    (3,)
-    [m], in the axes of the URDF's link}; ``""`` is the base.
+    (3,) [m], in the axes of the URDF's link}; ``""`` is the base.
     """
     config, bodies = Configuration(before, before.neutral()), map_joint_bodies(before)
     links = UrdfTree.of(before.description.urdf).moved_links
@@ -312,8 +311,7 @@ def with_ground_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with a given coefficient of sliding friction between feet and ground.
 
     All geoms of the feet and of the world body get the coefficient, since MuJoCo uses the larger
-    value
-    of both geoms, or the value of the geom with higher priority.
+    value of both geoms, or the value of the geom with higher priority.
 
     Args:
         robot: Robot.

@@ -256,8 +256,7 @@ def split_chunks(
 
 CHUNK_SECONDS = 0.5
 """Smallest intended processor time of a chunk of designs [s]. Chosen, not tuned: sending a chunk
-takes
-about 2 % of this time.
+takes about 2 % of this time.
 """
 
 MAX_CHUNK_SLOWDOWN = 4.0
@@ -284,9 +283,8 @@ shard (Parquet file). Chosen, not tuned.
 
 FIRST_SHARD_SECONDS = 0.5
 """Initial time [s] between two shards (Parquet files) of results, which limits the loss if a run
-ends
-early. Later the time grows up to `SHARD_SECONDS`, so that a long run has few shards. Chosen, not
-tuned.
+ends early. Later the time grows up to `SHARD_SECONDS`, so that a long run has few shards. Chosen,
+not tuned.
 """
 
 MAX_CRASHES = 2
@@ -673,8 +671,7 @@ class StudyRun:
         """Schedule the designs of a chunk separately after the worker ended unexpectedly.
 
         A design that ends workers repeatedly is recorded as failed. ``seconds`` have passed since
-        the
-        chunk was submitted.
+        the chunk was submitted.
         """
         (name, *other_names) = chunk.names
         is_alone = not other_names and not self._in_flight

@@ -290,8 +290,7 @@ class Study:
         """SHA-256 hash (hexadecimal) of the data that determine the results of a given design.
 
         The hash contains, for example, robot, stand task, payload position, metrics and package
-        versions,
-        but no variables and no time limit.
+        versions, but no variables and no time limit.
         """
         parts = {
             "robot": hash_description(self.base.description),
@@ -340,8 +339,7 @@ class Study:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
         ``time_limit`` is None for no time limit. Motors and functions of the user are represented
-        by name
-        only, so `Study.of` may be unable to restore them.
+        by name only, so `Study.of` may be unable to restore them.
         """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),

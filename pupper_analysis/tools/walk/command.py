@@ -251,8 +251,7 @@ def _simulate_checked_walk(
     """Check a recorded trace, if any, then simulate a walk with tests of the causes of falls.
 
     If the trace does not agree with the policy, the result is the check. ``velocity`` (3,):
-    forward,
-    left [m/s], yaw rate [rad/s].
+    forward, left [m/s], yaw rate [rad/s].
     """
     from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.walk.falls import find_fall_tests

@@ -75,8 +75,7 @@ _TERM_ALIASES = {
     "feet_contacts": "contacts",
 }
 """{name of a term in training libraries, such as Isaac Lab, mjlab and Unitree's environments: term
-of
-`TERM_SIZES`}.
+of `TERM_SIZES`}.
 """
 
 
@@ -275,8 +274,7 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
     """Return the contract that Pupper's neural_controller implies for an RTNeural JSON.
 
     The observation follows ``neural_controller.cpp``: angular velocity, gravity, command, commanded
-    up
-    direction (if the size permits), joint positions, last action.
+    up direction (not in frames of 9 + 2 ``outputs`` elements), joint positions, last action.
 
     Args:
         values: Content of the JSON. The result is empty if ``values`` has no
@@ -494,7 +492,7 @@ def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
 
 
 def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:
-    """Return a contract whose number of observed feet fits the ``inputs`` of the network."""
+    """Return a contract whose number of observed feet is derived from the network's ``inputs``."""
     contacts = [term for term in contract.terms if term.name == "contacts"]
     if not contacts:
         return contract
@@ -621,7 +619,7 @@ _UNSTATED_ORIGINS = dict.fromkeys(
     ),
     Origin.ASSUMED,
 )
-"""{key: origin} of contract keys that no file states, and that then have a neutral value, such as a
+"""{key: origin} of contract keys that no file states, and that then have a default value, such as a
 latency of 0.
 """
 

@@ -125,8 +125,7 @@ def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
 
 _MAX_SHOWN_CONFIGURATIONS = 75
 """Largest number of recorded configurations at the end of a run that the 3-D view of the report
-shows:
-3 s at 25 per second.
+shows: 3 s at 25 per second.
 """
 
 
@@ -203,7 +202,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
-    """Yield a text that compares the most loaded motor with its torque-speed region."""
+    """Yield a text that compares a motor with its torque-speed region, if motors are assigned."""
     peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
     if np.isnan(peaks).all():
         return
@@ -247,7 +246,7 @@ division by zero in a run without torques. Chosen, not tuned.
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:
-    """Return the maximum over all runs of a gait's attribute ``name``, shape (nu,), without NaN."""
+    """Return the maximum over all runs of a gait's attribute ``name``, (nu,), ignoring NaN."""
     worst: Array = np.fmax.reduce([getattr(gait, name) for gait in walk.gaits])
     return worst
 
@@ -586,8 +585,7 @@ def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -
     """Create the cell of one end of an interval of values at which the policy tracks the command.
 
     The cell is marked with ``*`` if the range ended before an untracked value was found.
-    ``beyond``,
-    shape (seeds,), is the nearest untracked value, NaN without.
+    ``beyond``, shape (seeds,), is the nearest untracked value, NaN without.
     """
     open_end = tracked != interval.nominal and bool(np.isnan(beyond).all())
     return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))

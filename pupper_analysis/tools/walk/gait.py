@@ -355,8 +355,7 @@ def simulate_walk(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
-            feet,
-            for example.
+            feet, for example.
         ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
@@ -449,8 +448,7 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
 
     The run tracks if the robot does not fall, and the errors of the mean velocity and of the mean
     turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`). A run without
-    two
-    finite states after the warm-up counts as a fall.
+    two finite states after the warm-up counts as a fall.
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -595,8 +593,7 @@ def _compute_run_energy(
     """Compute the electrical energy of the motors in n steps; None without motors or steps.
 
     ``torques`` are those at the start of each step, shape (n, nu) [N m, N for slides]; ``states``
-    have
-    the shape (n + 1, size).
+    have the shape (n + 1, size).
     """
     finite = np.isfinite(states).all(axis=1)
     count = len(states) if finite.all() else int(np.argmin(finite))
@@ -702,10 +699,8 @@ def _compute_static_torques(
     """Return the motor torques of a static pose, shape (nu,) [N m, N for slides].
 
     The contact forces are vertical and carry the weight. Their fractions n at the ``points`` p,
-    shape
-    (m, 3) [m], follow from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1,
-    where
-    c is the horizontal position of the CoM. ``bodies``, shape (m,), are the bodies of the points.
+    shape (m, 3) [m], minimise |sum n p - c|^2 with sum n = 1 and n >= 0 (least squares), where c is
+    the horizontal position of the CoM. ``bodies``, shape (m,), are the bodies of the points.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

@@ -453,8 +453,7 @@ def tracked_intervals(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
-            feet,
-            for example.
+            feet, for example.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)

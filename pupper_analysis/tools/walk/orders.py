@@ -38,10 +38,9 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Smallest ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of
-a
-policy (joint order, signs, scale, history) with which the best is clearly better. Chosen: for
-Pupper's own policy on the model v3 the ratio is 1.2.
+"""Ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of a policy
+(joint order, signs, scale, history) above which the best is clearly better. Chosen: for Pupper's
+own policy on the model v3 the ratio is 1.2.
 """
 
 SCALE_FACTORS = (0.5, 2.0)
@@ -115,8 +114,8 @@ class Orders(Result):
     def determined(self) -> bool:
         """Whether the best interpretation of a policy is clearly better than the second.
 
-        The best must track more commands than the second, or have a clearly smaller cost
-        (`MIN_COST_RATIO`).
+        The best must track a command, and either track more commands than the second or have a
+        clearly smaller cost (`MIN_COST_RATIO`).
         """
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO
@@ -127,8 +126,7 @@ class Orders(Result):
         """Indices of the interpretations of a policy that are about as good as the best (index 0).
 
         They track as many commands, at a cost of at most `MIN_COST_RATIO` times the cost of the
-        best.
-        Empty if no interpretation tracks a command.
+        best. Empty if no interpretation tracks a command.
         """
         best = self.candidates[0]
         return tuple(
@@ -179,8 +177,7 @@ def rank_orders(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
-            feet,
-            for example.
+            feet, for example.
         ModelError: If the policy does not fit the robot, for example.
     """
     checked_commands = np.array([check_command(command) for command in np.atleast_2d(commands)])
@@ -338,8 +335,7 @@ def _evaluate_interpretation(
     """Simulate an interpretation of a policy with all commands, and return the result.
 
     ``commands`` have the shape (n, 3) [m/s, m/s, rad/s]; ``change`` is the difference from the
-    stated
-    contract.
+    stated contract.
     """
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(command) for command in commands]

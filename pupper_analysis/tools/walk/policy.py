@@ -143,8 +143,7 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
     """Separate the words of a command line into words that name a robot, and files of a policy.
 
     Files of a policy, deployment or trainer are recognised by the suffix, also in ``FILE:NAME``,
-    which
-    selects a configuration.
+    which selects a configuration.
 
     Returns:
         Words that name a robot; the other words.
@@ -669,8 +668,7 @@ class _ScriptedModule:
         """Find the recurrent states of the module: {tensor: number of elements}.
 
         A state is a tensor that starts with zeros, is no parameter, and changes in an evaluation of
-        an
-        observation with ``size`` elements.
+        an observation with ``size`` elements.
 
         Raises:
             ValueError: If the module cannot be evaluated for this size.

@@ -72,8 +72,7 @@ class ResponseAxis(Result):
         """Range of commands around zero that the policy ignores: (lower, upper) end.
 
         A command is ignored if the achieved velocity is below `MIN_RESPONSE` times the command,
-        without a
-        fall.
+        without a fall.
         """
         ends = []
         for side in (-1.0, 1.0):
@@ -140,8 +139,7 @@ def map_response(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
-            feet,
-            for example.
+            feet, for example.
         ModelError: If the policy does not fit the robot.
     """
     checked = np.abs(check_command(limits))

@@ -212,8 +212,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
 def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArray) -> Robot:
     """Apply the torque limits of a policy's contract to a robot.
 
-    A limit of a TOML file replaces the limit of the robot's files; a limit of another source only
-    lowers it, since both limits apply to the motor.
+    A finite limit of a TOML file replaces the limit of the robot's files; a limit of another source
+    only lowers it, since both limits apply to the motor.
 
     Args:
         robot: Robot.
@@ -514,8 +514,7 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Return the tilt of the base [rad] and the height loss of the reference point [m].
 
     Both are relative to the policy's default pose; a loss is positive downwards. The reference
-    point is
-    fixed to the base, at the CoM of the default pose (`StandReference`).
+    point is fixed to the base, at the CoM of the default pose (`StandReference`).
 
     Args:
         stage: Robot, policy and model of the simulation.

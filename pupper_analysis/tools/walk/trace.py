@@ -139,8 +139,7 @@ def read_trace(path: str | Path) -> Trace:
 
     Raises:
         ModelError: If the file cannot be read, lacks a required array, or contains invalid numbers,
-            for
-            example. An error in a line of a CSV file contains the line.
+            for example. An error in a line of a CSV file contains the line.
     """
     path, lines = Path(path), list[int]()
     try:
