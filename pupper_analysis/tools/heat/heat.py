@@ -103,15 +103,15 @@ class MotorHeat(Result):
 
     @property
     def too_weak(self) -> bool:
-        """Whether the torque is larger than the largest torque of the motor at rest."""
+        """Whether the magnitude of the torque exceeds the largest torque of the motor at rest."""
         return self.largest_torque is not None and abs(self.torque) > self.largest_torque
 
     @property
     def overheats(self) -> bool:
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
-        A torque above the continuous torque also counts if ``time_to_limit`` is unknown. False for
-        a motor that cannot exert the torque.
+        A torque magnitude above the continuous torque also counts if ``time_to_limit`` is unknown.
+        False for a motor that cannot exert the torque.
         """
         if self.too_weak:
             return False

@@ -523,8 +523,8 @@ def _differentiate(
         J dq/ds = dw/ds and J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds.
 
     The last term is the acceleration of the constraints for the velocity dq/ds and zero
-    acceleration.
-    If the constraints leave motions free, the minimum-norm solution is returned (m and rad mixed).
+    acceleration. If the constraints leave motions free, the minimum-norm solution is returned (m
+    and rad mixed).
     """
     start, end = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (start, end)])

@@ -28,9 +28,8 @@ that walk on the computer of a robot have about 1e6.
 
 MAX_VALUE_SIZE = 1_000_000
 """Maximum number of elements of the result of a layer, unless an input has as many. Otherwise
-values
-that double from layer to layer could exhaust the memory. The widest layers of walking policies
-have 1024 elements. Chosen, not tuned.
+values that double from layer to layer could exhaust the memory. The widest layers of walking
+policies have 1024 elements. Chosen, not tuned.
 """
 
 
