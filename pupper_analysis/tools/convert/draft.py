@@ -533,12 +533,7 @@ def _find_common_values(
 def draft_urdf(file: MjcfFile, output: Path) -> ConversionDraft:
     """Convert an MJCF to the text of a URDF, without writing a file.
 
-    Args:
-        file: Source file.
-        output: Path of the URDF, to which mesh paths are relative.
-
-    Returns:
-        Text, assumptions and losses.
+    Mesh paths are relative to the folder of ``output``.
 
     Raises:
         ModelError: If a URDF cannot represent the robot.

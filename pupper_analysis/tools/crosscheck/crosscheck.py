@@ -194,11 +194,6 @@ def list_mass_shares(
     """List the masses of the links that form a body with different inertials, a message per file.
 
     Empty for other kinds of differences, or if neither file has several links with mass.
-
-    Args:
-        difference: Difference.
-        urdf: Links of the URDF that move with each joint, with the lines of values.
-        mjcf: Bodies of the MJCF that move with each joint, with the lines of values.
     """
     if difference.kind not in INERTIAL_KINDS:
         return ()
@@ -291,10 +286,6 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows of a compared quantity, in an evaluation by any engine.
 
     The label of a body is the joint that moves the body, or the name of the base.
-
-    Args:
-        robot: Robot.
-        quantity: Key of ``COMPARED_QUANTITIES``.
     """
     base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
     rows = {
@@ -332,11 +323,7 @@ def collect_evaluation(
 
 
 def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
-    """Evaluate the compared quantities of a robot's Pinocchio model, for the cross-check.
-
-    Args:
-        robot: Robot.
-        states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
+    """Evaluate a robot's Pinocchio model at states in MuJoCo's coordinates, for the cross-check.
 
     Returns:
         {quantity: values}, in the units of `COMPARED_QUANTITIES`.
@@ -493,15 +480,8 @@ def _lump_fixed_bodies(
     """Return the inertia of the base and of each body with a joint, including fixed bodies.
 
     If the base is fixed to the world, the base includes all bodies fixed to the world, as in
-    Pinocchio.
-
-    Args:
-        model: Model.
-        data: Evaluated kinematics.
-        moving_bodies: Ids of the base and of the bodies with joints.
-
-    Returns:
-        Inertias in the world frame, in the order of ``moving_bodies``.
+    Pinocchio. The inertias are expressed in the world frame, in the order of the ids in
+    ``moving_bodies``.
     """
     total = {moving_body: pin.Inertia.Zero() for moving_body in moving_bodies}
     fixed = model.body_weldid[moving_bodies[0]] == 0

@@ -12,11 +12,7 @@ from pupper_analysis.tools.heat.heat import HeatStudy
 
 
 def heat_figure(study: HeatStudy, path: str | Path) -> None:
-    """Draw the temperatures of the hottest windings over time.
-
-    Args:
-        study: Heat of the motors of a stance.
-        path: PNG file that is written.
+    """Draw the temperatures of the hottest windings over time as a PNG file.
 
     Raises:
         ConfigurationError: If no temperature of a loaded motor is known, for example.

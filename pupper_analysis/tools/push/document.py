@@ -206,12 +206,7 @@ def _make_closed_series(
 def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.Block, ...]:
     """Create a table and a plot of the largest pushes of several robots.
 
-    Args:
-        first: Result of the first robot, whose tipping estimate is drawn.
-        results: Results of all robots, including the first robot.
-
-    Returns:
-        Table and plot; empty if the push directions of the results differ.
+    The tipping estimate of the first robot is drawn. Empty if the push directions differ.
     """
     pushes = cast("Sequence[PushedStance]", results)
     directions = first.recovery.directions

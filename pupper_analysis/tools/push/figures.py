@@ -14,14 +14,10 @@ from pupper_analysis.tools.push.recovery import PushRecovery
 
 
 def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
-    """Draw the largest push of each robot over the direction: 0 is forward, 90 deg left.
+    """Draw the largest push of each robot over the direction (0 forward, 90 deg left) as a PNG.
 
     The figure also shows the estimated tipping impulse of the first robot (``tipping_impulses``),
-    if finite.
-
-    Args:
-        results: {name in the legend: largest pushes}.
-        path: PNG file that is written.
+    if finite. ``results`` is {name in the legend: largest pushes}.
 
     Raises:
         ConfigurationError: If there is no robot, or there are more than five.

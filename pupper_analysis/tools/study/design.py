@@ -461,9 +461,7 @@ def is_stance_pattern(name: str) -> bool:
 def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     """Return a copy of a stand task in which the stance variables of a design have their values.
 
-    Args:
-        task: Stand task.
-        numbers: {variable: value in the unit of the field}; other variables are ignored.
+    ``numbers`` is {variable: value in the unit of the field}; other variables are ignored.
 
     Raises:
         ConfigurationError: If a value is out of range, or contradicts another value of the task.
@@ -581,12 +579,7 @@ def measure_design(
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
     Errors of the design or of metrics do not leave this function; the row records the first
-    failure.
-
-    Args:
-        builder: Builder of the study's designs.
-        numbers: {variable: value in the unit of the variable}.
-        metrics: Metrics.
+    failure. ``numbers`` is {variable: value in the unit of the variable}.
     """
     row: DesignRow = dict.fromkeys(FAILURE_COLUMNS)
     try:

@@ -83,16 +83,11 @@ class Stretch:
 
 
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
-    """Find the origin and the direction in which the link below a joint is stretched.
+    """Find the origin and the direction in which the link below a joint is stretched by ``factor``.
 
     The direction points from the joint to the end of the link: the next joint, or the foot. The
     component along an axis is removed: the axis of the next joint, or the axis of ``joint`` if the
     end is a foot.
-
-    Args:
-        robot: Robot.
-        joint: Joint that moves the link.
-        factor: Factor on the length of the link.
 
     Raises:
         ConfigurationError: If the link has no unique end or no length, for example.

@@ -169,11 +169,7 @@ class Design:
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
-        """Assign the values of an array with a value per joint to the joint names: {joint: value}.
-
-        Args:
-            values: Values in actuator order, in any unit.
-        """
+        """Assign values in actuator order to the joint names: {joint: value}."""
         pairs = zip(self.robot.joint_names, values, strict=True)
         return {name: float(value) for name, value in pairs}
 

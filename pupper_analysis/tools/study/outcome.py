@@ -451,10 +451,6 @@ def find_column_unit(column: str, robot: Robot) -> str:
 
     The result is empty for ratios and factors. The unit of torques and stiffnesses depends on the
     type of the joints.
-
-    Args:
-        column: Column of the table.
-        robot: Robot of the study.
     """
     joint = column.partition(".")[2]
     joints = (joint,) if joint in robot.joint_names else robot.joint_names

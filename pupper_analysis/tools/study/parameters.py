@@ -113,10 +113,7 @@ class VariablePattern:
 def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
     """Find the joints that a variable pattern selects, by name or by the body that the joint moves.
 
-    Args:
-        robot: Robot.
-        pattern: Parsed name of the variable. Patterns of `BODY_VARIABLE_KINDS` also match names of
-            links and bodies.
+    Patterns of `BODY_VARIABLE_KINDS` also match names of links and bodies.
 
     Returns:
         Joint names; ``""`` for the base.
@@ -312,10 +309,6 @@ def with_ground_friction(robot: Robot, friction: float) -> Robot:
 
     All geoms of the feet and of the world body get the coefficient, since MuJoCo uses the larger
     value of both geoms, or the value of the geom with higher priority.
-
-    Args:
-        robot: Robot.
-        friction: Coefficient of sliding friction [1].
 
     Raises:
         ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has

@@ -243,11 +243,7 @@ def split_chunks(
 ) -> Iterator[Chunk]:
     """Split the designs of a study into chunks of at most ``size`` designs.
 
-    Args:
-        work: Pickled `WorkDefinition`, copied into each chunk.
-        names: Hash of each design.
-        numbers: Variable values of each design, in the order of ``names``.
-        size: Largest number of designs in a chunk.
+    ``names`` are the hashes of the designs, ``numbers`` the variable values of each design.
     """
     for start in range(0, len(names), size):
         part = slice(start, start + size)
@@ -374,10 +370,6 @@ def choose_chunk_size(progress: Progress, num_workers: int) -> int:
 
     Sizes from elapsed time alone would become small on a machine with other load, and the cost per
     design would increase.
-
-    Args:
-        progress: Progress of the run, with the times that workers have spent on designs.
-        num_workers: Number of workers.
     """
     if not progress.done:
         return 1
@@ -535,10 +527,7 @@ class StudyRun:
     ) -> Progress:
         """Evaluate and store all designs of a study that are not stored yet; return the progress.
 
-        Args:
-            blocks: Hashes and variable values (n, variables) of the designs.
-            executor: Executor of the caller, or None.
-            workers: Number of workers, or None.
+        ``blocks`` contain hashes and variable values, shape (n, variables), of designs.
 
         Raises:
             StudyError: If stored results cannot be read, or the workers are lost, for example.

@@ -545,11 +545,7 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
 def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.DataFrame:
     """Return the table of a study with names of motors in place of their codes.
 
-    The codes are in the columns of the variables with labels (``Variable.labels``).
-
-    Args:
-        table: Table of the study.
-        variables: {column: variable}.
+    ``variables`` is {column: variable}.
     """
     named = {
         name: variable.name_values(table[name])
@@ -562,12 +558,8 @@ def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.Da
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
     """Compute a hash per design from the study's digest, the variable names and the values.
 
-    The order of the variables does not affect the hash.
-
-    Args:
-        digest: Digest of the study.
-        variables: Names of the variables.
-        block: Variable values, shape (n, variables).
+    The order of the variables does not affect the hash. ``block`` contains the variable values,
+    shape (n, variables).
     """
     order = sorted(range(len(variables)), key=lambda index: variables[index])
     head = "\0".join([digest, *(variables[index] for index in order)]).encode()
@@ -580,11 +572,7 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
     """Select the table rows of given designs, in the given order, without empty columns.
 
-    Empty failure columns are kept.
-
-    Args:
-        frame: Table with the columns ``design`` (hash) and results.
-        blocks: Hashes of the designs in order, split into lists.
+    Empty failure columns are kept. ``blocks`` are lists of design hashes.
     """
     order = {name: index for index, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
     selected = frame[frame["design"].isin(order.keys())]

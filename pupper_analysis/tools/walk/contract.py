@@ -387,11 +387,8 @@ def make_contract(
 ) -> PolicyContract:
     """Merge the contract keys of several sources into a checked `PolicyContract`.
 
-    Args:
-        path: File of the policy.
-        statements: Contract keys of each source; the last source has precedence.
-        inputs: Number of inputs of the network.
-        outputs: Number of outputs of the network.
+    The last source in ``statements`` has precedence. ``inputs`` and ``outputs`` are the sizes of
+    the network.
 
     Raises:
         ModelError: If a key is unknown or missing, or a size does not fit the network, for example.

@@ -34,12 +34,7 @@ from pupper_analysis.tools.walk.trace import TraceCheck
 
 @build_document.register(Walk)
 def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the gaits of a policy: view, motors, runs, contract and torques.
-
-    Args:
-        walk: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if not available.
-    """
+    """Create the report of the gaits of a policy: view, motors, runs, contract and torques."""
     fallen = [gait for gait in walk.gaits if gait.fall is not None]
     speed, torque, *details = _list_figures(walk)
     if fallen:

@@ -29,14 +29,10 @@ def find_fall_tests(
 ) -> tuple[FallTest, ...]:
     """Find possible causes of a fall: repeat the run with a single changed quantity.
 
-    Args:
-        robot: Robot of the walk.
-        policy: Policy of the walk.
-        walk: Result of `simulate_walk`.
-        seconds: Duration of each run without a fall [s].
+    ``seconds`` is the duration of each run without a fall [s].
 
     Returns:
-        A test per change, of the first run that falls. Empty if no run of the walk falls. Changes
+        A test per change, of the first run of the walk that falls. Empty if no run falls. Changes
         without effect are left out.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)

@@ -444,16 +444,11 @@ class Tracking:
 
 
 def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
-    """Decide whether a run tracks the velocity command, from the motion after the warm-up.
+    """Decide whether a run tracks the velocity command, from the motion after the warm-up [s].
 
     The run tracks if the robot does not fall, and the errors of the mean velocity and of the mean
     turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`). A run without
     two finite states after the warm-up counts as a fall.
-
-    Args:
-        stage: Robot, policy and model of the simulation.
-        run: Simulated run with the command.
-        warm_up: Time that is ignored at the start [s].
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -493,14 +488,9 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
 def measure_gait(
     stage: Stage, run: PolicyRun, warm_up: float, motors: Mapping[str, Motor] | None = None
 ) -> Gait:
-    """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
+    """Compute the gait of a run after the warm-up [s]: tracking, torques, power and contacts.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        run: Simulated run with the command.
-        warm_up: Time that is ignored at the start [s].
-        motors: {joint: motor}. The torques are compared with the torque-speed regions of
-            ``motors``.
+    The torques are compared with the torque-speed regions of ``motors``, {joint: motor}.
     """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
@@ -611,13 +601,7 @@ def _compute_run_energy(
 
 
 def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
-    """Create the message of a fall, or of a diverged simulation.
-
-    Args:
-        stage: Robot, policy and model of the simulation.
-        run: Run that ended with the fall.
-        duration: Time from the start to the fall [s].
-    """
+    """Create the message of a fall, or of a diverged simulation, after ``duration`` [s]."""
     time, end = Quantity(duration, "s"), run.states[-1]
     if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)
@@ -644,11 +628,7 @@ def sample_ground_support(
 ) -> tuple[list[GroundSupport], tuple[str, ...]]:
     """Find the feet on the ground for each state, and other bodies that touch the ground.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        model: Simulated model.
-        states: States of the simulation, shape (n, size).
-        statics: True to compute static torques; otherwise the torques are zero.
+    The states have the shape (n, size). Static torques are zero without ``statics``.
 
     Returns:
         A sample per state, and the names of bodies other than feet that touch the ground in any

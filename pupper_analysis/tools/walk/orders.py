@@ -217,10 +217,6 @@ def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
 
     A limb is a child body of the base, with all bodies below this child.
 
-    Args:
-        robot: Robot.
-        joints: Names of joints of the robot.
-
     Returns:
         For each limb, the indices into ``joints`` of the joints of the limb.
     """

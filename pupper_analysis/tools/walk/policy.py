@@ -366,10 +366,6 @@ def _read_tensor(
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
     """Build the network of an ONNX file. Weights may be in files below the same folder.
 
-    Args:
-        path: Path of the ONNX file.
-        file: Content of the file.
-
     Raises:
         ModelError: If the file contains no network or an operator that is not supported, for
             example.
@@ -489,11 +485,7 @@ def read_rtneural(path: Path) -> dict[str, Any]:
 
 
 def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
-    """Build the network of an RTNeural JSON.
-
-    Args:
-        path: File, for messages.
-        values: Content of the file.
+    """Build the network of an RTNeural JSON with the content ``values``.
 
     Raises:
         ModelError: If a layer has an unknown type or unsuitable weights, for example.

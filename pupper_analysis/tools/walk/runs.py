@@ -213,12 +213,8 @@ def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArr
     """Apply the torque limits of a policy's contract to a robot.
 
     A finite limit of a TOML file replaces the limit of the robot's files; a limit of another source
-    only lowers it, since both limits apply to the motor.
-
-    Args:
-        robot: Robot.
-        contract: Contract of the policy.
-        joints: Index of the robot's joint for each joint of the policy.
+    only lowers it, since both limits apply to the motor. ``joints`` are the robot's joint indices,
+    in the order of the policy.
 
     Raises:
         ConfigurationError: If an applied limit is below `MIN_EFFORT`.
@@ -240,13 +236,7 @@ def replace_efforts(
 ) -> tuple[Robot, Policy]:
     """Replace the torque limits of all files by passed limits, in robot and policy.
 
-    Args:
-        robot: Robot.
-        policy: Policy.
-        efforts: {joint of the robot: limit [N m, N for slides]}.
-
-    Returns:
-        Robot; policy.
+    ``efforts`` is {joint of the robot: limit [N m, N for slides]}.
 
     Raises:
         ConfigurationError: If a limit is below `MIN_EFFORT` or not finite.
@@ -465,9 +455,7 @@ def _simulate_batch(
 def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
     """Compute forces on the base that exert an impulse during an action of the policy.
 
-    Args:
-        stage: Robot, policy and model of the simulation.
-        impulses: Impulse of each run in the world frame, (x, y) [N s].
+    ``impulses`` are those of each run in the world frame, (x, y) [N s].
 
     Returns:
         Forces at the CoM of the base body, shape (runs, 6 nbody) [N, N m], in the layout of

@@ -48,10 +48,7 @@ def write_template(
 ) -> tuple[Path, tuple[str, ...]]:
     """Write a template of the TOML file that defines a policy's observation and action.
 
-    Args:
-        policy: File of the policy.
-        robot: Robot, whose joints and start pose are suggestions.
-        deployment: Facts of a deployment; None without.
+    Joints and start pose of the robot are suggestions.
 
     Returns:
         Path of the TOML file beside the policy; keys that the user must complete.

@@ -346,11 +346,6 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
     trace contains a signal, are compared with the recorded signals. The rate of the contract is
     compared with the median time between samples.
 
-    Args:
-        robot: Robot.
-        policy: Policy.
-        trace: Trace of this policy.
-
     Raises:
         ModelError: If the trace does not fit the policy or the robot, for example.
         UnknownNameError: If the policy names a joint that the robot does not have.
