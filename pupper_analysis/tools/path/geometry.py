@@ -437,7 +437,7 @@ def path_geometry(
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
     """Return the part of an error message with the time [s] and the two stances of a sample.
 
-    ``index`` counts samples of the path; ``duration`` of a segment in s.
+    ``index`` is the index of the sample in the path; a segment has the duration ``duration`` [s].
     """
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment

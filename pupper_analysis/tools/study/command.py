@@ -173,7 +173,7 @@ def command(
 def _write_designs(
     study: Study, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
 ) -> bool:
-    """Write designs (rows ``numbers``, from 1) below ``folder``; True if the metrics agree."""
+    """Write designs (rows ``numbers``, from 1) as files; return True if the metrics agree."""
     from pupper_analysis.tools.study.document import written_document
     from pupper_analysis.tools.study.write import write_design
 

@@ -46,7 +46,7 @@ def _make_policy_metric(
 
 
 def _read_largest_torque(gait: Any) -> float:
-    """Return the rms torque of the motor with the largest rms torque [N m, N]; refuse a fall.
+    """Return the largest rms torque of a motor [N m, N]; raise a NotStandingError after a fall.
 
     The torques before a fall are not those of walking.
     """

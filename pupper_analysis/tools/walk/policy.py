@@ -765,7 +765,7 @@ def _load_torchscript(path: Path) -> tuple[Any, Any]:
 def _assemble_torchscript(
     path: Path, scripted: _ScriptedModule, constants: Mapping[str, Array], size: int
 ) -> Network:
-    """Assemble the network that evaluates a scripted module for observations of a ``size``."""
+    """Assemble the network of a scripted module for observations with ``size`` elements."""
     states = scripted.find_states(size)
     names = tuple(f"{name} next" for name in states)
     node = NetworkOperation(
