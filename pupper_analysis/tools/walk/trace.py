@@ -262,7 +262,7 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _is_number(name: str) -> bool:
-    """Return True if a text is the number of a CSV column, such as 12 in ``obs_12``."""
+    """Return True if a text is a number of up to nine digits, such as 12 in ``obs_12``."""
     return name.isdecimal() and len(name) <= 9
 
 
