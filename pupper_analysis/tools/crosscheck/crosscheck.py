@@ -477,11 +477,10 @@ def _evaluate_at_rest(
 def _lump_fixed_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, moving_bodies: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Return the inertia of the base and of each body with a joint, including fixed bodies.
+    """Return the world-frame inertias of bodies (ids), including the bodies fixed to them.
 
     If the base is fixed to the world, the base includes all bodies fixed to the world, as in
-    Pinocchio. The inertias are expressed in the world frame, in the order of the ids in
-    ``moving_bodies``.
+    Pinocchio.
     """
     total = {moving_body: pin.Inertia.Zero() for moving_body in moving_bodies}
     fixed = model.body_weldid[moving_bodies[0]] == 0

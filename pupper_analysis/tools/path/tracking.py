@@ -573,10 +573,7 @@ def _check_states(
 ) -> tuple[list[Diagnostic], float, dict[str, float]]:
     """Check selected simulated states for wrong contacts, orientation errors, slip and falls.
 
-    Args:
-        plan: Path and commands.
-        states: Full physics states of MuJoCo at the end of each step, shape (n, size).
-        evaluations: Indices of the states that are checked.
+    ``states`` (n, size) are the states at the end of each step, ``evaluations`` indices of states.
 
     Returns:
         Failures with the time of their first occurrence; largest orientation error of the base

@@ -292,13 +292,8 @@ def _stretch_body(
 ) -> None:
     """Stretch a body of the MJCF in place, with geoms, sites, cameras and child body positions.
 
-    Args:
-        body: Body of the spec.
-        inertia: Inertia of the compiled body, in the body frame.
-        transform: A, shape (3, 3), and b, shape (3,) [m]: points p of the body frame move to
-            A p + b.
-        factor: Factor on the mass.
-        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along the geom's axes)]}.
+    ``inertia`` is expressed in the body frame. ``transform`` is (A, b): points p of the body frame
+    [m] move to A p + b. Mesh geoms are appended to ``meshes`` (`_stretch_geom`).
     """
     matrix, shift = transform
     if inertia.mass > 0:
