@@ -4,9 +4,9 @@ A link is stretched along the line from the joint of the link to the end: the ne
 foot. The component of this line along a joint axis is removed, so that a lateral offset remains.
 This axis belongs to the next joint, or to the link's own joint if the line ends at a foot.
 
-With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions become p' = A
-p. The density is constant. Therefore the mass becomes m' = s m, and the second moments become S' =
-s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'.
+With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions become
+p' = A p. The density is constant. Therefore the mass becomes m' = s m, and the second moments
+become S' = s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'.
 
 Links that are fixed to a stretched link are stretched as well. Boxes and meshes with a principal
 axis along u, and cylinders and capsules with the axis along u, are lengthened. A mesh without such

@@ -247,8 +247,8 @@ class Walk(Result):
     def passed(self) -> bool:
         """Whether all runs track the command, and no file or motor contradicts the result.
 
-        The files must state the masses of all links, and the assigned motors must be able to exert
-        the torques at the joint speeds (``within_region``).
+        The files must state valid masses of all links, and the assigned motors must be able to
+        exert the torques at the joint speeds (``within_region``).
         """
         tracks = all(gait.tracks for gait in self.gaits)
         return tracks and self.within_region and not has_unknown_masses(self.remarks)
@@ -261,7 +261,7 @@ def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def has_unknown_masses(remarks: Iterable[Diagnostic]) -> bool:
-    """Return True if a remark names links whose mass the files do not state."""
+    """Return True if a remark names links for which the files state no valid mass."""
     return any(remark.code == "link-masses-unknown" for remark in remarks)
 
 
@@ -569,7 +569,7 @@ def _compute_base_deviations(stage: Stage, states: Array) -> tuple[float, float,
 
 
 def _compute_fall_margin(stage: Stage, run: PolicyRun) -> float:
-    """Compute the unused share of the limits of tilt and height loss; 0 if the robot fell."""
+    """Compute the unused fraction of the limits of tilt and height loss [1]; 0 after a fall."""
     if run.fallen:
         return 0.0
     height_limit = (1 - FALLEN_HEIGHT_RATIO) * stage.upright.com_height

@@ -71,7 +71,7 @@ class ResponseAxis(Result):
     def dead_zone(self) -> tuple[float, float]:
         """Range of commands around zero that the policy ignores: (lower, upper) end.
 
-        A command is ignored if the achieved velocity is below `MIN_RESPONSE` times the command,
+        A command is ignored if the ratio of achieved to commanded velocity is below `MIN_RESPONSE`,
         without a fall.
         """
         ends = []
