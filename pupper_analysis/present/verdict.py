@@ -49,8 +49,8 @@ from pupper_analysis.simulation.verdict import (
 )
 
 MAX_NAMED_JOINTS = 3
-"""Largest number of added servos for which a message lists the names of the joints. For more
-servos, the message contains the number of servos, but no names. Chosen, not tuned.
+"""Largest number of added servos for which a message lists the names of the joints. Chosen, not
+tuned.
 """
 
 
@@ -71,17 +71,10 @@ class Clause:
 
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
-    """List the statements of a verdict in the order of display, the most important first.
+    """List the statements of a verdict in the order of display, without repetitions.
 
-    - No statement is repeated.
-    - Statements that agree with the verdict come first.
-    - In a bad verdict, the causes (`_CAUSES`) follow directly after the first statement.
-    - A remark about an impossible mass or inertia is the first statement of a bad verdict, because
-      no simulation of such a file has a meaning.
-    - Statements about the simulation of the published file from a keyframe precede the statements
-      about the prepared robot in two cases. In the first, the actuators of the file do not hold the
-      robot. In the second, the prepared robot stands, but not as predicted, and the published file
-      fails.
+    Statements that agree with the verdict come first. In a bad verdict, causes (`_CAUSES`) follow
+    directly after the first statement.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -146,8 +139,6 @@ catalogue."""
 
 def get_verdict_key(verdict: Verdict) -> str:
     """Return the word of a verdict, for example "HOLDS" or "FAILS", as a key of the text catalogue.
-
-    Tables of results use this key.
     """
     if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
@@ -160,10 +151,7 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 def _disagrees(verdict: Verdict) -> bool:
-    """Return True if a simulated robot stands, but not in the predicted equilibrium.
-
-    The robot is the prepared model or, for `VerdictCode.DIFFERS_AS_PUBLISHED`, the published file.
-    """
+    """Return True if a simulated robot stands, but not in the predicted equilibrium."""
     if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
         run = None if verdict.published is None else verdict.published.worst
         return run is not None and not run.collapses
@@ -190,9 +178,7 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
     """Divide the statements of a verdict into those of the short answer and further ones.
 
-    The short answer contains statements against the stand, warnings and assumptions. Statements
-    with the codes of `_LEADING_CODES` are always in the short answer. A statement about the
-    simulation from a keyframe is omitted if the statement supports the stand.
+    The short answer contains statements against the stand, warnings and assumptions, for example.
 
     Returns:
         Lines of the short answer; further lines.
@@ -215,11 +201,7 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 
 
 def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
-    """Return the warning that MuJoCo refuses the published file because files are missing.
-
-    The missing files, such as meshes, are known only from a simulation of the published file from
-    its keyframe. The result is empty without such a simulation, or if no files are missing.
-    """
+    """Return a warning that MuJoCo refuses the published file because files are missing, or ()."""
     run = verdict.keyframe_run
     if run is None or not run.missing:
         return ()
@@ -238,7 +220,6 @@ if it is favourable."""
 
 _LEADING_CODES = ("servos-given",)
 """Codes of the statements that the short answer contains even if the statements support the stand.
-The only code is that of the statement "the user passed the servo gains".
 """
 
 
@@ -277,11 +258,6 @@ def judged_document(
 ) -> Document:
     """Create the document of a result whose answer is a verdict, such as a stance.
 
-    The short answer has four parts, which the reasons precede in a bad verdict. The parts are the
-    verdict with the first text of ``answer``, ``limit``, the warnings and assumptions that change
-    the meaning of the verdict, and the other texts of ``answer``. A terminal prints the other
-    statements and the tables with -v only.
-
     Args:
         kind: Kind of result, such as "stance" or "payload limit".
         judged: Result.
@@ -293,10 +269,9 @@ def judged_document(
             the verdict is good.
         word: Verdict in one or two words. Default: the word of ``judged.verdict``.
         limit: Cause that limits the first number of ``answer``, or a second number that belongs to
-            the first, such as the base height. None without such a text.
+            the first, such as the base height.
         limits: Texts like ``limit``, if there are several. Ignored if ``limit`` is not None.
-        causes: Causes of a bad verdict, which follow the first reason. Ignored if the verdict is
-            good.
+        causes: Causes of a bad verdict. Ignored if the verdict is good.
         leading: Reasons that precede all other reasons and the number. Ignored if the verdict is
             good.
         number_first: True if the number precedes the reasons even in a bad verdict. An example is a
@@ -332,8 +307,7 @@ def judged_document(
 def verdict_word(verdict: Verdict) -> Text:
     """Return the word that displays a verdict (HOLDS, FAILS ...), in English and Chinese.
 
-    If one model was converted from the other, a good verdict gets a restriction
-    (`qualify_verdict_word`).
+    A good verdict gets a restriction if one model was converted from the other.
     """
     return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
 
@@ -341,8 +315,7 @@ def verdict_word(verdict: Verdict) -> Text:
 def qualify_verdict_word(key: str, converted: str) -> Text:
     """Add a restriction to the word of a good verdict if URDF or MJCF was converted from the other.
 
-    The agreement of such models proves nothing. The text of a good verdict therefore also states
-    that both models come from the same file.
+    The agreement of such models proves nothing.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
@@ -365,14 +338,7 @@ def name_only_format(converted: str) -> str:
 
 
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
-    """Yield the statements of a verdict about the published file, simulated from a keyframe.
-
-    The published file is the user's file without the changes of the preparation. There are up to
-    two simulations: with the ctrl of the file and, if it exists, with joint angles as servo
-    commands. Each simulation has a statement; each cause of a failure has a further statement.
-    Nothing is yielded if ``keyframe_run`` is None. If MuJoCo refuses the file, the statement does
-    not support the stand.
-    """
+    """Yield the statements of a verdict about the published file, simulated from a keyframe."""
     for run in (
         ()
         if keyframe_run is None
@@ -421,10 +387,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Yield the statement that servos of the file cannot hold a position, and were replaced.
-
-    Nothing is yielded without replaced servos.
-    """
+    """Yield the statement that servos of the file cannot hold a position, and were replaced."""
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)
@@ -432,11 +395,7 @@ def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 
 
 def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield statements on how the simulations of the computed stand ended, and on the servos.
-
-    The statements are, for example, about the end of the simulation with feed-forward and without,
-    the reasons of a failure, and servos that the preparation added.
-    """
+    """Yield statements on how the simulations of the computed stand ended, and on the servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
     if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
         pass  # the number of the result states this
@@ -487,9 +446,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
 def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     """Select the failures of the simulation with feed-forward that the verdict reports.
 
-    If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
-    is stated. The difference is the cause of the deviations of torques and forces. If the robot is
-    lifted, only the feet without load are stated, if there are any.
+    If URDF and MJCF describe different robots, this difference explains other deviations.
     """
     failures = join_ground_touches(verdict.failures)
     if verdict.with_feedforward is Ending.LIFTED:
@@ -504,10 +461,7 @@ _TOUCH_CODE = "body-touches-ground"
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Replace several failures "body touches the ground" by one failure with the earliest time.
-
-    Failures of bodies that touch the step, plane or bar of a foot or hand are unchanged.
-    """
+    """Replace several failures "body touches the ground" by one failure with the earliest time."""
     failures = tuple(failures)
     touches = [one for one in failures if one.code == _TOUCH_CODE and not one.values.get("surface")]
     names = [failure.subject.name for failure in touches if failure.subject is not None]
@@ -526,10 +480,6 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Yield statements on simulations of the published file that deviate from the computed stand.
-
-    The first statement is on the worst of these simulations: a rise, a collapse, or deviations in
-    torque, joint position [rad, m] and CoM height [m]. If no simulation deviates, this statement is
-    omitted. Each cause is a further statement. If ``published`` is None, nothing is yielded.
     """
     if published is None:
         return
@@ -571,9 +521,8 @@ _CAUSES = (
     "connect-holds-it",
     "tendon-holds-it",
 )
-"""Codes of statements that explain a bad verdict. These statements follow directly after the first
-statement, in the order of the verdict. For example, a range in the file that limits motors precedes
-the overloaded motors.
+"""Codes of statements that explain a bad verdict, and follow directly after its first statement.
+For example, a range in the file that limits motors precedes the overloaded motors.
 """
 
 _CAUSE_MESSAGES = {
@@ -627,12 +576,7 @@ def _make_error_quantity(error: float | None) -> Quantity | None:
 
 
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield up to two statements: on motors beyond their limits, and on the doubling time [s].
-
-    The doubling time is the time in which a deviation of an unstable stance from equilibrium
-    doubles. The statement on this time is omitted if the time is infinite, or if the stance was
-    simulated with feed-forward.
-    """
+    """Yield statements on overloaded motors, and on the time [s] in which a deviation doubles."""
     if verdict.overloaded_motors:
         yield Clause(
             False,
@@ -648,11 +592,7 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield a statement on creep: slow motion of a standing robot at the end of the simulation.
-
-    If the creep exceeds a bound (``is_notable``), the statement is a warning. Nothing is yielded if
-    the creep was not measured, or if the robot collapses or is lifted.
-    """
+    """Yield a statement on creep: slow motion of a standing robot at the end of the simulation."""
     creep = verdict.creep
     if creep is None or verdict.with_feedforward in (Ending.COLLAPSES, Ending.LIFTED):
         return
@@ -667,16 +607,9 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
-    """Select the command line to propose after a failure: a comparison of the files may explain it.
+    """Select the command to propose after a failure: a check of the files, or ``otherwise``.
 
-    The files may explain the failure in three cases:
-
-    - The files describe two different robots.
-    - The prepared robot or the published file does not stand in the predicted equilibrium.
-    - A difference between URDF and MJCF is the cause of a deviation from this equilibrium.
-
-    In these cases the command is `crosscheck`; if one model was converted from the other, `audit`.
-    In other cases ``otherwise`` is returned.
+    The files are checked if they may explain the failure.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
@@ -689,8 +622,7 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
     """Create the statement that a result depends on added servos, with the range of the gains.
 
-    If there are at most `MAX_NAMED_JOINTS` servos, the joints of the servos are named. ``good`` is
-    True if the statement supports the stand.
+    ``good`` is True if the statement supports the stand.
     """
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(

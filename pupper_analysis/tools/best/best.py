@@ -74,41 +74,27 @@ def best_stance(
 
     Bounds of the coordinates, widened to contain the initial task:
 
-    - Base x and y: reachable interval around the initial stand, as in `base_workspace`, but without
-      a search in all IK branches.
-    - Base height: reachable interval as for x and y, without a fraction ``HEIGHT_RESERVE`` at
-      either end.
-    - Roll, pitch, yaw: reachable interval as for x and y, within ``MAX_BASE_ROTATION`` of the
-      initial task.
-    - Feet, outwards from the centre of the feet: up to ``MAX_OUTWARD_STEP`` times the largest
-      reachable height, along x and along y.
-    - Feet, inwards: up to the outward bound, and up to ``MAX_INWARD_STEP`` times the smallest
-      distance of a free foot from the centre along the same axis.
+    - Base x, y and height: interval that a search from the initial stand reaches; for the height
+    without a fraction ``HEIGHT_RESERVE`` at either end.
+    - Roll, pitch, yaw: within ``MAX_BASE_ROTATION`` of the initial task.
+    - Feet: up to ``MAX_OUTWARD_STEP`` times the largest reachable height, along x and along y;
+    inwards also up to ``MAX_INWARD_STEP`` times the smallest distance of a free foot from the
+    centre of the feet.
 
     The smallest singular value of the Jacobian of each contact point must be at least
     ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs, which need no
     torque, would be optimal. Parts that are apart in the initial stand must not touch each other or
-    the ground; contacts between feet are not checked. Contact of parts with a step of the ground is
-    not detected.
+    the ground; contacts between feet, and of parts with a step of the ground, are not checked.
 
     Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
     the objective alone stalls. Therefore a common upper bound t of these functions is a variable of
-    a smooth nonlinear program, solved by SLSQP. Its constraints are that no function exceeds t, and
-    that the requirements are met: joint limits, singular values, CoM margin and no new contacts of
-    parts.
+    a smooth nonlinear program, solved by SLSQP from the initial task and from the best of Latin
+    hypercube samples. The random seed is fixed.
 
-    Descents start at the initial task and at the best of Latin hypercube samples. In these descents
-    the feet move together: the only variables of the feet are length, front width and rear width of
-    the stance. If the task is symmetric, y, roll and yaw are fixed as well. From the best results,
-    descents with independent feet follow. The random seed is fixed. If no stance of the search is
-    better than the initial task on rigid ground, the initial task is the result.
-
-    For a payload, the search uses the first-order limit of `SmallPayload`: the smallest mass at
-    which a motor saturates, a foot lifts off, the servos buckle, or feet sink until another part
-    touches the ground. Then `payload_limit` computes the limits of the resulting and the initial
-    stance, and the stance with the larger limit is returned. Buckling matters, because almost
-    stretched legs need little torque but buckle: on Pupper v3, the stance with the lowest
-    utilisation carries about half the payload of the nominal stand.
+    For a payload, the search uses the first-order limit of `SmallPayload`; then `payload_limit`
+    computes the limit. Buckling matters, because almost stretched legs need little torque but
+    buckle: on Pupper v3, the stance with the lowest utilisation carries about half the payload of
+    the nominal stand.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.
@@ -122,15 +108,15 @@ def best_stance(
             model's.
 
     Returns:
-        Best stance.
+        Best stance; the initial task if the search finds no better stance.
 
     Raises:
-        ConfigurationError: If an argument is invalid, the robot cannot stand, no motor has an
-            effort limit, or an effort limit is zero (except for the CoM margin).
+        ConfigurationError: If an argument is invalid, the robot cannot stand, or effort limits are
+            missing or zero, for example.
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
-        ModelError: If the objective is the payload, the model has no position servos, and kp and kd
-            are not both given; or if the mass or inertia of a body is invalid, for example.
+        ModelError: If the objective is the payload, and the model has no position servos, for
+            example.
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
         NotSettlingError: If the penetration depths of the feet do not converge.
@@ -148,10 +134,7 @@ def _run_search(
     point: FramePoint,
     kp: ArrayLike | None,
 ) -> StanceSearch:
-    """Run the search of `best_stance`, and return the finished search.
-
-    The arguments, with their units, are those of `best_stance`; ``kp`` is in N m/rad or N/m.
-    """
+    """Run the search of `best_stance`, with its arguments, and return the finished search."""
     robot = with_contacts(robot, task.contacts) if task is not None else robot
     if not robot.fixed_parts:  # first: the error for an arm names hold, not the coupled fingers
         robot.check_floating()
@@ -170,9 +153,7 @@ def _make_best_stance(
 ) -> BestStance:
     """Create the result of `best_stance` from one evaluated stance of a search.
 
-    If the objective is the payload at ``point``, and the initial task has a larger payload limit,
-    the result is the initial task. The servos have stiffness ``kp`` [N m/rad, N/m] and damping
-    ``kd`` [N m s/rad, N s/m].
+    For a payload, the result is the initial task if its payload limit is larger.
     """
     robot, space, payload = search.robot, search.space, None
     # Solve the task again without the search's initial guesses, which determine redundant joints.
@@ -256,10 +237,8 @@ def study_best(
 ) -> BestStudy:
     """Search for the best stance that holds in simulation.
 
-    If the best stance fails in simulation, up to four worse stances (`StanceSearch.list_next_best`)
-    are simulated, and finally the initial task; the first that holds is returned. If all fail, the
-    best stance is returned. With the objective payload no further stance is tried, because
-    `payload_limit` already includes a simulation.
+    If the best stance fails in simulation, worse stances (`StanceSearch.list_next_best`) are
+    simulated; not for the objective payload, because `payload_limit` already includes a simulation.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.
@@ -271,7 +250,7 @@ def study_best(
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
 
     Returns:
-        Best stance that holds; otherwise the best stance.
+        First stance that holds; the best stance if none of the simulated stances holds.
 
     Raises:
         StanceUnreachableError: If the initial task is out of reach.
@@ -280,8 +259,7 @@ def study_best(
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
         NotSettlingError: If the penetration depths of the feet do not converge.
-        ModelError: If the robot has no position servos, and kp and kd are not both given; or if the
-            mass or inertia of a body is invalid, for example.
+        ModelError: If the robot has no position servos, for example.
         NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
             task.
     """

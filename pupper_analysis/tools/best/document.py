@@ -29,11 +29,7 @@ _OBJECTIVE_TEXTS = {
 
 @build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a best stance: the simulated stand, and the result of the search.
-
-    `build_document` calls this function for a `BestStudy`. If the objective is the payload, the
-    document of the payload limit is merged.
-    """
+    """Create the document of a best stance: the simulated stand, and the result of the search."""
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
     # The largest motor load is a detail: the objective is the answer.
@@ -73,15 +69,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 
 
 def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.NextStep:
-    """Return the command to suggest next; the first case that applies is used.
-
-    - The best stance fails in simulation (or with its payload), and ``stand_step``, the suggestion
-      of the stand's document, contains gains: ``best`` with these gains.
-    - The best stance fails otherwise: ``stand``.
-    - The task specifies absolute foot positions, a CoM that is not in the centre of the feet, or no
-      height: ``workspace``.
-    - All other cases: ``path`` to the best stance.
-    """
+    """Return the command to suggest next, for example `path` to the best stance."""
     task = study.best.stand.task
     if not study.passed:
         gains = () if stand_step is None else stand_step.words

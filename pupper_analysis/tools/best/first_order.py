@@ -55,19 +55,16 @@ class SmallPayload:
     def compute_rows(self, stand: Stand) -> Array | None:
         """Compute the inequalities a + b m >= 0 that a stand imposes on the payload mass m [kg].
 
-        Torques and minimum-tangential contact forces are taken as linear in m, on the line through
-        two equilibria, without and with ``mass``. This is exact on level ground, with or
-        without steps, while every normal force is positive; it is an approximation on a slope.
+        Torques and minimum-tangential contact forces are linear in m, on the line through two
+        equilibria, without and with ``mass``. This is exact on level ground while every normal
+        force is positive.
 
         Args:
             stand: Stand.
 
         Returns:
             Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.
-            The rows state, in this order: the servos do not buckle; torques are between -limit and
-            +limit (relative to the limits); normal forces are positive (relative to the robot's
-            weight); and, if the stand has a ``ground_clearance``, no foot sinks by more than this
-            clearance below its depth in the stand (as a force relative to the robot's weight).
+            The rows limit buckling, torques, normal forces and the sinking of feet.
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stand without payload or with
@@ -121,8 +118,7 @@ class SmallPayload:
 def largest_feasible_mass(rows: Array) -> float:
     """Compute the largest mass m [kg] that satisfies constraints a + b m >= 0 with b < 0.
 
-    Constraints with b >= 0 are ignored. The mass is infinite if no constraint remains, and negative
-    if a remaining constraint is violated without payload.
+    The mass is infinite without such a constraint, and negative if one is violated without payload.
 
     Args:
         rows: (a, b) of each constraint, shape (k, 2) [1, 1/kg], as in `SmallPayload.compute_rows`.
@@ -142,17 +138,10 @@ def _compute_buckling_modes(
 ) -> Array | None:
     """Compute 1 / m of the payloads m at which a stand with feed-forward torques buckles.
 
-    Gravity and the contact forces are linear in the payload mass m, and so is the stiffness:
-    K(m) = K_0 + m G. K_0 is the stiffness of servos and ground, plus the geometric stiffness of the
-    robot's weight and of its contact forces. G is the geometric stiffness, per mass, of the
-    payload's weight and its contact forces. K acts on motions without slip of the material contact
-    points. The stand buckles in a mode v if K(m) v = 0, which is the generalised eigenvalue problem
-    -G v = mu K_0 v with mu = 1 / m. The weight is a force of constant direction at the payload
-    point.
-
-    On level ground the result is exact for this configuration, except that the ground stiffness is
-    taken at constant ``penetrations``. On a slope K is not symmetric, and is replaced by its
-    symmetric part.
+    The stiffness is linear in m: K(m) = K_0 + m G, with the geometric stiffness G of the payload's
+    weight and its contact forces, on motions without slip. The stand buckles in a mode v if K(m) v
+    = 0, which is the generalised eigenvalue problem -G v = mu K_0 v with mu = 1 / m. K is replaced
+    by its symmetric part, which is exact on level ground.
 
     Args:
         config: Configuration of the stand.
@@ -166,8 +155,7 @@ def _compute_buckling_modes(
 
     Returns:
         Values mu of all modes [1/kg], in descending order. If mu[0] > 0, the smallest buckling mass
-        is 1 / mu[0]; otherwise no mass buckles. None if K_0 is not positive definite, so that the
-        stand is not stable without payload.
+        is 1 / mu[0]. None if the stand is not stable without payload.
     """
     robot, feet = config.robot, stand.stance_feet
     rotations = [pin.Quaternion.FromTwoVectors(stand.normals[foot], UP) for foot in feet]

@@ -52,8 +52,8 @@ guesses. Chosen, not tuned."""
 _FINALIST_COUNT = 6
 """Number of first descents, those with the best results, that are continued. Measured: with 1, four
 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty additional random descents; with
-4, one stand of v3-long-leg was 3e-4 worse. A continued descent is restarted while this improves the
-result (`_MIN_RELATIVE_GAIN`), because a descent can stall at a kink of the objective."""
+4, one stand of v3-long-leg was 3e-4 worse.
+"""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
@@ -86,8 +86,7 @@ the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum
-to the scaled objective. Also used for coordinates at which no stand exists: there each
-constraint has its value at the start of the descent, minus this constant. Chosen, not tuned.
+to the scaled objective. Chosen, not tuned.
 """
 
 
@@ -126,10 +125,10 @@ class EvaluatedStance:
 
 
 _MIN_OBJECTIVE_STEP = 0.2
-"""Smallest step of the objective between two next-best stances that are simulated in succession,
-relative to the difference between the initial and the best stance. The step to the initial stance,
-which is the last, may be smaller. So at most five stances follow the best stance. Chosen, not
-tuned."""
+"""Smallest step of the objective to the next stance that is simulated before the initial stance,
+relative to the difference between the initial and the best stance. So at most five stances follow
+the best stance. Chosen, not tuned.
+"""
 
 
 class StanceSearch:
@@ -204,10 +203,10 @@ class StanceSearch:
             raise ConfigurationError("objective", message)
 
     def compute_objective(self, stand: Stand) -> float:
-        """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation.
+        """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation
+        [1].
 
         The peak utilisation is the largest |motor torque| / limit of the motors with a known limit.
-        The stand may be on soft or on rigid ground.
         """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None
@@ -218,8 +217,7 @@ class StanceSearch:
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
         """Evaluate the stance with given coordinates, and update the best stance of this search.
 
-        The result is stored in ``known``; later calls with equal coordinates return this result,
-        whatever ``near`` is.
+        Results are cached by the coordinates, whatever ``near`` is.
 
         Args:
             coordinates: Coordinates in the search space (`StanceSpace`), shape (n,) [m or rad].
@@ -227,9 +225,7 @@ class StanceSearch:
 
         Returns:
             Evaluated stance, even if it violates a constraint (``allowed`` is False). None if no
-            stand is found, its task is rejected, or the objective cannot be computed: except for
-            the margin, if no contact forces balance the stand; for the payload, also if the servos
-            do not hold the stand without payload.
+            stand is found, or the objective cannot be computed.
         """
         key = tuple(coordinates.tolist())
         if key not in self.known:
@@ -249,11 +245,8 @@ class StanceSearch:
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield stances to try after the best stance: worse allowed stances, then the initial.
-
-        The worse stances are better than the initial stance, and sorted from better to worse. The
-        scaled objective of each exceeds that of the previous one, at first of the best, by at least
-        ``_MIN_OBJECTIVE_STEP`` times the difference between the initial and the best.
+        """Yield stances to try after the best stance: worse allowed stances, then the initial
+        stance.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_OBJECTIVE_STEP * (self.nominal.scaled_objective - self.best.scaled_objective)
@@ -274,8 +267,7 @@ class StanceSearch:
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
                 stand without payload.
-            StaticsInfeasibleError: If no contact forces balance the stand, or, for the payload, the
-                stand with a small payload. Not raised for the margin.
+            StaticsInfeasibleError: If no contact forces balance the stand, for example.
             ConfigurationError: If a closed loop of the robot is open or singular in the stand, for
                 example.
         """
@@ -293,27 +285,13 @@ class StanceSearch:
         return EvaluatedStance(coordinates, stand, scaled_objective, rows, allowed)
 
     def _compute_scaled_objective(self, stand: Stand, slack: StanceSlack) -> tuple[float, Array]:
-        """Compute the scaled objective of a stand, and the constraints that define it.
+        """Compute the scaled objective t [1] of a stand, and the constraints that define it.
 
-        The scaled objective t [1] is minimised. In units of ``scale``, t is the largest
-        utilisation of a motor, the negative CoM margin or the negative payload. Each constraint is
-        a + b t >= 0; t is the smallest number that satisfies all of them, for the payload those
-        with b > 0.
-
-        Args:
-            stand: Stand.
-            slack: Constraint slacks of the stand.
+        In units of ``scale``, t is the largest utilisation of a motor, the negative CoM margin or
+        the negative payload.
 
         Returns:
-            Scaled objective t [1]; coefficients (a, b) of the k constraints, shape (k, 2). For the
-            utilisation, each motor with an effort limit has two constraints; for the margin, each
-            side of the support polygon has one.
-
-        Raises:
-            NoEquilibriumError: If the objective is the payload, and the servos do not hold the
-                stand without payload.
-            StaticsInfeasibleError: If the objective is not the margin, and no contact
-                forces balance the stand.
+            Scaled objective t; coefficients (a, b) of the constraints a + b t >= 0, shape (k, 2).
         """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_objective(stand)
@@ -326,14 +304,11 @@ class StanceSearch:
         return float(signed.max()), np.column_stack([-signed, np.ones(len(signed))])
 
     def differentiate_rows(self, stance: EvaluatedStance) -> Array | None:
-        """Compute the derivatives of a stance's constraints by its coordinates.
-
-        The constraints have the form a + b t >= 0, where t is the scaled objective.
+        """Compute the derivatives of a stance's constraints a + b t >= 0 by its coordinates.
 
         Returns:
             Derivatives of a, shape (k, n); b is constant. None if these are not known in closed
-            form: for example for the payload, stances with penetrations or active friction cones,
-            and robots with redundant joints in the legs, closed loops or welds.
+            form.
         """
         if self.objective is Objective.PAYLOAD or stance.rows[-1, 0] < 0:
             return None
@@ -360,15 +335,9 @@ class StanceSearch:
     def _compute_payload_objective(self, stand: Stand) -> tuple[float, Array]:
         """Compute the scaled objective of a stand for the objective "payload".
 
-        The scaled objective is -m / ``scale``, with the largest payload mass m [kg] and the
-        attribute ``scale`` [kg].
-
         Returns:
-            Scaled objective t; constraints a + b t >= 0 that limit the payload, rows (a, b).
-
-        Raises:
-            NoEquilibriumError: If the servos do not hold the stand without payload.
-            StaticsInfeasibleError: If no contact forces balance the stand.
+            -m / ``scale`` for the largest payload m [kg]; rows (a, b) of its constraints, shape (k,
+            2).
         """
         rows = self.payload.compute_rows(stand)
         if rows is None:
@@ -378,13 +347,7 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        1. Short descents, from the best samples and the initial task, with feet that move together.
-        2. Each of the best results is improved, first with feet that move together, then with
-           independent feet.
-        3. Descents with independent feet from ``best``, while the scaled objective decreases by
-           more than the fraction `_MIN_RELATIVE_GAIN`.
-
-        Nothing is done if no coordinate can change.
+        Descents in which the feet move together precede descents with independent feet.
         """
         space = self.space
         if not (space.high > space.low).any():
@@ -421,14 +384,10 @@ class StanceSearch:
     def _rank_descents(
         self, subspace: Subspace, starts: Sequence[Array]
     ) -> Iterator[tuple[float, Array]]:
-        """Run a short descent from each start, and yield the `_FINALIST_COUNT` best results.
+        """Run a short descent from each start, and yield the best results.
 
-        A result is the scaled objective with its scaled coordinates, 0 to 1. The progress
-        of the continued descents is reported with each result.
-
-        Args:
-            subspace: Subspace of the stances.
-            starts: Scaled coordinates of each start, 0 to 1, shape (subspace.size,).
+        A result is the scaled objective with its scaled coordinates, 0 to 1, shape
+        (subspace.size,).
         """
         ends = []
         for count, start in enumerate(starts):
@@ -442,12 +401,7 @@ class StanceSearch:
     def _repeat_descent(
         self, subspace: Subspace, scaled_objective: float, scaled: Array
     ) -> tuple[float, Array]:
-        """Restart a descent at its result while the objective decreases (`_MIN_RELATIVE_GAIN`).
-
-        Args:
-            subspace: Subspace of the stances.
-            scaled_objective: Scaled objective at the start.
-            scaled: Scaled coordinates of the start, 0 to 1, shape (subspace.size,).
+        """Restart a descent at its result while the scaled objective decreases noticeably.
 
         Returns:
             Scaled objective and scaled coordinates of the last result.
@@ -461,18 +415,15 @@ class StanceSearch:
         return scaled_objective, scaled
 
     def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
-        """Minimise the scaled objective over all coordinates, and update ``best``.
-
-        The descent starts at ``coordinates`` and has at most ``iterations`` SLSQP iterations.
-        """
+        """Minimise the scaled objective over all coordinates [m, rad], and update ``best``."""
         subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
         self._minimise_objective(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
         """Return the merit of a stance [1], to be minimised: scaled objective + penalty.
 
-        The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations of the constraints that
-        do not depend on the scaled objective. Infinite for None.
+        The penalty is `_CONSTRAINT_PENALTY` times the sum of constraint violations. Infinite for
+        None.
         """
         if stance is None:
             return np.inf
@@ -484,17 +435,9 @@ class StanceSearch:
     ) -> tuple[float, Array]:
         """Minimise the scaled objective over a subspace by SLSQP, and update ``best``.
 
-        The scaled objective is an additional variable of SLSQP, bounded by constraints.
-
-        Args:
-            subspace: Subspace of the stances.
-            start: Initial scaled coordinates in the subspace, 0 to 1, shape (subspace.size,).
-            iterations: Largest number of SLSQP iterations.
-
         Returns:
-            Smallest scaled objective of the allowed stances that SLSQP evaluated (finite-difference
-            steps are not included), and its scaled coordinates. Infinity and ``start`` without such
-            a stance.
+            Smallest scaled objective of the allowed stances that SLSQP evaluated, and its scaled
+            coordinates, 0 to 1; infinity and ``start`` without such a stance.
         """
         first = self.evaluate(subspace.compute_coordinates(start))
         if first is None:
@@ -527,7 +470,7 @@ class _Descent:
         self.best: tuple[float, Array] = (np.inf, start)
 
     def run(self, iterations: int) -> tuple[float, Array]:
-        """Run at most ``iterations`` SLSQP iterations, and return ``best``: objective and point."""
+        """Run SLSQP, and return the best scaled objective and its scaled coordinates (``best``)."""
         from scipy import optimize  # slow to import
 
         start = self.best[1]
@@ -552,12 +495,6 @@ class _Descent:
 
     def _evaluate_rows(self, scaled: Array) -> Array:
         """Evaluate a stance, update ``best``, and return the constraint rows (a, b), shape (k, 2).
-
-        If no stance exists, the rows are those of the start, with a reduced by
-        `_CONSTRAINT_PENALTY`.
-
-        Args:
-            scaled: Scaled coordinates of the stance, 0 to 1, shape (size,).
         """
         stance = self._evaluate(scaled)
         if stance is None:
@@ -569,11 +506,8 @@ class _Descent:
     def _constraint_jacobian(self, values: Array) -> Array:
         """Return the Jacobian of the constraint functions a + b t, shape (k, size + 1).
 
-        The first columns are derivatives by the scaled coordinates, in closed form if known
-        (`StanceSearch.differentiate_rows`), else by differences. The last column is b.
-
-        Args:
-            values: Scaled coordinates, then t, shape (size + 1,).
+        The columns are derivatives by the scaled coordinates, then by t; ``values`` has the same
+        order.
         """
         scaled = values[:-1]
         rows, stance = self._evaluate_rows(scaled), self._evaluate(scaled)
@@ -593,14 +527,8 @@ class _Descent:
     ) -> Array:
         """Return the one-sided difference quotient of the constraints a + b t, shape (k,).
 
-        The step is `_DIFFERENCE_STEP`: forward if the bound 1 permits the step, else backward. If
-        no stance exists there, the step is reversed; zeros if no stance exists there either.
-
-        Args:
-            values: Scaled coordinates, then t, shape (size + 1,).
-            index: Index of the coordinate by which to differentiate.
-            rows: Rows (a, b) at these coordinates, shape (k, 2).
-            near: Stand at these coordinates; None if no stance exists.
+        ``values`` contains the scaled coordinates, then t; ``index`` is that of the varied
+        coordinate. Zeros if no stance exists at the steps.
         """
         scaled, scaled_objective = values[:-1], values[-1]
         forward = scaled[index] + _DIFFERENCE_STEP <= 1
@@ -664,10 +592,9 @@ class Subspace:
         self.start = np.clip(-self.low / self.width, 0, 1)
 
     def compute_coordinates(self, scaled: Array) -> Array:
-        """Compute the coordinates of a stance, shape (n,) [m or rad], from scaled coordinates.
+        """Return the coordinates of a stance, shape (n,) [m or rad], from scaled coordinates.
 
-        Args:
-            scaled: Scaled coordinates, shape (size,), clipped to 0 to 1.
+        ``scaled`` has the shape (size,), and is clipped to 0 to 1.
         """
         multiples = self.low + np.clip(scaled, 0, 1) * self.width
         coordinates: Array = self.origin + self.directions @ multiples

@@ -36,8 +36,8 @@ _BASE_ROTATIONS = ("roll", "pitch", "yaw")
 
 HEIGHT_RESERVE = 0.05
 """Fraction of the reachable interval of base heights that the search excludes at either end,
-because the legs are stretched or folded there. If the initial height is in an excluded part, the
-search extends to this height. Chosen, not tuned."""
+because the legs are stretched or folded there. Chosen, not tuned.
+"""
 
 MAX_OUTWARD_STEP = 0.25
 """Bound of the search: largest displacement of a foot along x or y, relative to the largest
@@ -111,14 +111,12 @@ class StanceSlack:
     def to_vector(self, reduction: float) -> Array:
         """Return the constraint slacks of a stance as a vector for the nonlinear program, (n,).
 
-        The order is that of the attributes: ``singular_values``, ``joints``, ``edges``,
-        ``penetration``. ``edges`` and ``penetration`` [m] are multiplied by 10, to have the
-        magnitude of the others.
+        The order is ``singular_values``, ``joints``, ``edges``, ``penetration``. ``edges`` and
+        ``penetration`` [m] are multiplied by 10, to have the magnitude of the others.
 
         Args:
-            reduction: Small number that is subtracted from the entries, so that the program ends
-                at stances without violations. Not subtracted from the last entry,
-                ``penetration``, which is zero for every allowed stance.
+            reduction: Small number that is subtracted from all entries except ``penetration``, so
+                that the program ends at stances without violations.
         """
         slacks = [
             self.singular_values - reduction,
@@ -169,9 +167,7 @@ class StanceSpace:
         self.low, self.high = self._compute_bounds()
 
     def _compute_bounds(self) -> tuple[Array, Array]:
-        """Compute the lower and upper bounds of a stance's coordinates, shape (n,) each [m or rad].
-
-        The bounds are those that `best_stance` lists; ``start`` is inside.
+        """Return the lower and upper bounds of a stance's coordinates, shape (n,) each [m or rad].
         """
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
@@ -210,20 +206,19 @@ class StanceSpace:
         return offset
 
     def outward_signs(self) -> dict[str, Array]:
-        """Return, for each free foot, the signs of x and y that lead away from the feet centre.
+        """Return, for each free foot, the signs of world x and y that lead away from the feet
+        centre.
 
         Returns:
-            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,) [1]}. The search
-            varies the positions of free feet only.
+            {foot: -1, 0 or 1 along x and along y, shape (2,) [1]}.
         """
         return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
 
     @property
     def is_symmetric(self) -> bool:
-        """True if the initial stand task is symmetric between left and right.
+        """True if pose, ground and feet of the initial stand task are left-right symmetric.
 
-        Roll, yaw, lateral offset of the base, lateral slope, steps, swing feet, foot positions and
-        foot displacements are checked; other fields of the task, and the robot, are not checked.
+        Contacts and joint values of the task are not checked, for example.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope
@@ -235,9 +230,8 @@ class StanceSpace:
         """Return the directions of the search space in which all feet move together.
 
         Returns:
-            A direction per column, shape (n, k), in the coordinates [m or rad]: base coordinates
-            (only height, x and pitch if the task is symmetric), length of the stance, width of the
-            front feet, width of the rear feet. A column that would move no foot is omitted.
+            A direction per column, shape (n, k) [m or rad]: base coordinates, then length of the
+            stance, width of the front feet and width of the rear feet, as far as these move a foot.
         """
         keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
@@ -280,9 +274,9 @@ class StanceSpace:
     def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM may be closer to the edge of the support region than the task requires:
-        `compute_slack` evaluates this margin. Only the default initial guesses are tried, because
-        stands in other IK branches are rare, and the search solves thousands of stands.
+        The CoM may be closer to the edge of the support region than the task requires. Only the
+        default initial guesses are tried, because stands in other IK branches are rare, and the
+        search solves thousands of stands.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].
@@ -301,11 +295,7 @@ class StanceSpace:
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def compute_slack(self, stand: Stand) -> StanceSlack:
-        """Compute the slacks of the constraints on a stand (`StanceSlack`).
-
-        The constraints bound the singular values of the legs' Jacobians, the joint positions, the
-        CoM margin [m] and penetrations that the initial stand does not have [m].
-        """
+        """Compute the slacks of the constraints on a stand."""
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
         scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
@@ -326,9 +316,8 @@ class StanceSpace:
     def compute_motions(self, stand: Stand, config: Configuration) -> Array | None:
         """Compute the derivatives of a stand's configuration by the coordinates.
 
-        The coordinates determine the pose of the base and the positions of the feet. The positions
-        of the joints follow from J dq = dp - J_base dx with the Jacobians of all contact points.
-        Joints that move no contact point keep their positions.
+        The positions of the joints follow from J dq = dp - J_base dx with the Jacobians of all
+        contact points.
 
         Args:
             stand: Stand of this space.
@@ -336,9 +325,7 @@ class StanceSpace:
 
         Returns:
             A velocity per coordinate, in the order of ``qvel``, shape (nv, n). None if the contact
-            points do not determine the joints (redundant or singular legs), if the joints cannot
-            move the points as required (`MAX_MOTION_RESIDUAL`), if the robot has closed loops,
-            hands or welds, or if the task has contacts of other frames (``StandTask.contacts``).
+            points do not determine the joints, for example (redundant or singular legs).
         """
         robot, task = self.robot, stand.task
         if robot.closure is not None or robot.hands or robot.fixed_parts or task.contacts:
@@ -378,8 +365,7 @@ class StanceSpace:
                 `compute_motions`.
 
         Returns:
-            Shape (k, n); the row of the penetration is zero. None if the corners of the support
-            region (`Stand.corners`) are not the contact points.
+            Shape (k, n). None if the corners of the support region are not the contact points.
         """
         contacts = np.array([*stand.contact_points.values()])
         if not np.array_equal(stand.corners(self.robot), contacts[:, :2]):

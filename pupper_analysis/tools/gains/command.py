@@ -121,8 +121,7 @@ def _write_files(
 ) -> None:
     """Write copies of the robot's files, with the recommended gains, to a folder.
 
-    ``words`` and the options in ``request`` select the robot; v3 by default. The files do not
-    contain the payload of the command line; a printed note states this payload.
+    The files do not contain the payload of the command line.
     """
     from pupper_analysis.cli.robots import load_selected_robot
     from pupper_analysis.prepare.convert.files import RobotFiles

@@ -63,11 +63,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield the reasons why the present gains fail.
-
-    The reasons are: replaced servos of the file, an unstable mode, no stand without feed-forward,
-    and kp or kd above the bound of a torque limit or encoder.
-    """
+    """Yield the reasons why the present gains fail."""
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = study.worst.joints
@@ -101,11 +97,7 @@ def _describe_added_servos(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_stable_gains(study: GainStudy) -> doc.Words:
-    """State the smallest kp and largest kd of a stable stand, as factors if joints differ.
-
-    For reference gains that are proportional to inertia, the range of the recommended gains is
-    stated, or that of the reference gains if there is no recommendation.
-    """
+    """Return a sentence on the range of stable gains, as gains or as factors."""
     largest = study.largest_kd.factor
     if study.by_inertia:
         is_recommended = study.recommended_kp_factor is not None
@@ -135,10 +127,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
 
 
 def _format_range(gains: Iterable[float], unit: str) -> str:
-    """Return the smallest and the largest positive gain with three digits, and the unit.
-
-    Gains that are equal in three digits are a single number. 0 if no gain is positive.
-    """
+    """Return the range of the positive gains with three digits, and the unit: "1 to 2 N m/rad"."""
     used = sorted(gain for gain in gains if gain > 0)
     if not used:
         return f"0 {unit}"
@@ -160,7 +149,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
 
 
 def _describe_recommended_gains(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield the recommended gains, which the next command sets, if all joints have equal gains."""
+    """Yield the recommended kp and kd if they are equal at all joints."""
     if recommended := _get_uniform_recommendation(study):
         kp, kd = recommended
         yield text("gains-recommended-gains", kp=kp, kd=kd)
@@ -175,10 +164,7 @@ def _get_uniform_recommendation(study: GainStudy) -> tuple[str, str] | None:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the command to suggest next: `stand`.
-
-    The command contains the recommended gains if all joints have equal gains.
-    """
+    """Return the command `stand`, with recommended gains if these are equal at all joints."""
     if recommended := _get_uniform_recommendation(study):
         kp, kd = recommended
         return NextStep("stand", ("--kp", kp, "--kd", kd))
@@ -186,15 +172,7 @@ def _select_next_step(study: GainStudy) -> NextStep:
 
 
 def _make_class_table(study: GainStudy) -> doc.Table:
-    """Create the table of the joint classes (joints with equal gains), a row per class.
-
-    The first column names the class. The columns of kp are the present value, the reference value,
-    the smallest stable value, the limit by the torque and the recommended value. The columns of kd
-    are the present value, the reference value, the largest stable value if all classes are scaled,
-    the largest stable value if only this class is scaled, the limit by the encoder and the
-    recommended value. The reference values are present only if `GainStudy.by_inertia`. Units are
-    N m/rad and N m s/rad, N/m and N s/m for slides, or both for a robot with hinges and slides.
-    """
+    """Create the table of present gains, bounds and recommended gains, a row per joint class."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(one.name),
@@ -259,12 +237,7 @@ def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _make_bound_table(study: GainStudy) -> doc.Table:
-    """Create the table of three bounds: smallest kp, largest kp and largest kd.
-
-    A row has the factor on the reference gains of all joints [1] by the linear model and by
-    simulation, the frequency of the growing mode [Hz], and the two joints that move most in
-    the mode.
-    """
+    """Create the table of three bounds: smallest kp, largest kp and largest kd."""
     bounds = (
         ("gains-least-kp", study.least_kp),
         ("gains-largest-kp", study.largest_kp),
@@ -309,7 +282,6 @@ def _name_first_joints(bound: GainBound) -> doc.Words:
 def gain_plot(study: GainStudy) -> doc.LinePlot:
     """Create the plot of the largest stable damping over the stiffness, with the reference gains.
 
-    Recommended gains are also marked, if there are any. Points without a finite bound are left out.
     Axes are absolute if all joints have equal gains, otherwise factors on the reference gains.
     """
     first = study.classes[0]

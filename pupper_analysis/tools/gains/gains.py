@@ -250,15 +250,10 @@ class GainStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot stands stably with the present gains.
+        """Whether the robot stands stably with the present gains, which are within their bounds.
 
-        True if four conditions hold:
-
-        - All modes of the linearised closed loop with feed-forward are stable (`WorstMode.stable`).
-        - The robot is predicted to stand without feed-forward. Not tested with a fixed base.
-        - No gain exceeds the bound that follows from a torque limit or an encoder.
-        - No servo was replaced because its stiffness in the file is invalid. Not tested if gains
-          were passed.
+        False also if the robot is predicted not to stand without feed-forward, or if an invalid
+        servo of the file was replaced.
         """
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
@@ -276,9 +271,7 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Groups of corresponding joints whose present kp or kd is above its upper bound.
-
-        The torque limit bounds kp, and the resolution of the encoder bounds kd.
+        """Joint classes whose present kp or kd exceeds the bound of a torque limit or an encoder.
         """
         return tuple(
             one
@@ -396,25 +389,11 @@ def study_gains(
 def _select_reference(
     loop: ControlledStand, present: _Pair, groups: Sequence[Sequence[int]]
 ) -> tuple[_Gains, tuple[float, float], bool]:
-    """Select the reference gains, which all factors of a study multiply.
-
-    The reference gains are the present gains if `find_stable_pair` finds two factors, on all kp and
-    on all kd, with which the stand is stable. An example without such factors is a humanoid with
-    equal gains at ankles and wrists: the weight requires a stiff ankle, and a wrist with this kd
-    oscillates. The reference gains are then proportional to the inertia that each motor
-    accelerates, times a stable pair of factors. The inertia of a joint class is the geometric mean
-    of its joints.
-
-    Args:
-        loop: Controlled stand.
-        present: Present kp and kd of all joints, shape (nu,) each.
-        groups: Indices of the joints of each joint class.
+    """Select the reference gains: the present gains, or gains proportional to inertia.
 
     Returns:
-        Reference gains; stable factors on kp and kd; whether the gains are proportional to inertia.
-
-    Raises:
-        ConfigurationError: If no tried gains are stable.
+        Reference gains; factors on kp and kd with which the stand is stable; whether the gains are
+        proportional to the inertia that each motor accelerates.
     """
     gains = _Gains(loop, *present)
     stable_pair = gains.find_stable_pair()
@@ -438,29 +417,18 @@ def _find_common_bounds(
 ) -> tuple[tuple[float | None, float | None], GainBound, GainBound, GainBound]:
     """Find the bounds of stiffness and damping if the gains of all joints are scaled together.
 
-    Args:
-        gains: Reference gains.
-        stable_pair: Factors on the reference kp and kd with which the stand is stable.
-        num_parts: Number of parts of the stage, for reports of progress.
-
     Returns:
-        Four results: (smallest, largest) stable factor on kp, each None if not found; bound of the
-        smallest kp; bound of the largest kp; bound of the largest kd.
+        (smallest, largest) stable factor on kp, None without a bound; bound of the smallest kp;
+        bound of the largest kp; bound of the largest kd.
     """
     stiffness, damping = stable_pair
 
     def with_stiffness(factor: float) -> _Pair:
-        """Return kp = ``factor`` times the reference kp, and the kd of ``stable_pair``.
-
-        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
-        """
+        """Return kp = ``factor`` times the reference kp, and the kd of ``stable_pair``."""
         return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
-        """Return the kp of ``stable_pair``, and kd = ``factor`` times the reference kd.
-
-        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m], shape (nu,) each.
-        """
+        """Return the kp of ``stable_pair``, and kd = ``factor`` times the reference kd."""
         return gains.scale_gains(stiffness, factor)
 
     report_progress(_STAGE, 0, num_parts)
@@ -481,9 +449,8 @@ def _evaluate_present_sag(
     """Predict a free-base stand without feed-forward: failure at present kp, and smallest kp.
 
     Returns:
-        Reason why the robot does not stand with its present stiffness, None if it stands; smallest
-        stiffness, equal at all joints, with which it stands, None if not found [N m/rad, N/m]. Both
-        are None with a fixed base.
+        Reason why the robot does not stand with its present stiffness, or None; smallest stiffness,
+        equal at all joints, with which it stands [N m/rad, N/m], or None.
     """
     if not robot.floating:
         return None, None
@@ -497,13 +464,8 @@ def _evaluate_present_sag(
 def _compute_damping_curve(gains: _Gains, num_parts: int) -> tuple[Array, Array]:
     """Compute the largest stable factor on kd for each factor on kp of the curve.
 
-    Args:
-        gains: Reference gains.
-        num_parts: Number of parts of the stage, for reports of progress.
-
     Returns:
-        Factors on kp, and the largest factors on kd, shape (2 * `_CURVE_HALF_LENGTH` + 1,) each.
-        Largest factors may be infinite or NaN (`_Gains.find_largest_damping`).
+        Factors on kp, and largest factors on kd, which may be infinite or NaN, shape (n,) each.
     """
     powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
     curve: Array = _CURVE_RATIO**powers
@@ -515,11 +477,7 @@ def _compute_damping_curve(gains: _Gains, num_parts: int) -> tuple[Array, Array]
 
 
 def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
-    """Raise a ConfigurationError if position error or encoder resolution is out of range.
-
-    ``error`` must be positive and finite, and ``encoder_bits`` from `MIN_ENCODER_BITS` to
-    `MAX_ENCODER_BITS`. None is accepted for both.
-    """
+    """Raise a ConfigurationError if position error [rad] or encoder resolution is out of range."""
     if error is not None and not 0 < error < math.inf:
         raise ConfigurationError("error", diagnose("error-not-valid", given=error))
     if encoder_bits is not None and not MIN_ENCODER_BITS <= encoder_bits <= MAX_ENCODER_BITS:
@@ -534,8 +492,7 @@ def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
 def _check_motor_torques(held: StandStart) -> None:
     """Raise a ModelError if the torque limit of a motor is smaller than the torque of the stand.
 
-    No gains can prevent this failure. If a loaded motor has a limit of zero, the error names the
-    motors with a limit of zero.
+    No gains can prevent this failure.
     """
     robot, statics = held.robot, held.prediction
     null = describe_zero_torque_limits(robot)
@@ -576,18 +533,13 @@ class _Gains:
         self.loop, self.kp, self.kd = loop, kp, kd
 
     def scale_gains(self, stiffness: float, damping: float) -> _Pair:
-        """Return kp times ``stiffness``, and kd times ``damping``, shape (nu,) each.
-
-        Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m].
-        """
+        """Return the reference kp times ``stiffness``, and the reference kd times ``damping``."""
         return stiffness * self.kp, damping * self.kd
 
     def find_stable_pair(self) -> tuple[float, float] | None:
-        """Find a stable pair of factors on stiffness and damping, both powers of two.
+        """Find a stable pair of factors on stiffness and damping, both powers of two near 1.
 
-        Pairs are tried in the order of their distance from (1, 1), up to `MAX_FACTOR`. The distance
-        is the sum of the absolute values of both exponents. Beyond a distance of `_NEAR_POWER`,
-        only powers of four are tried. None if no tried pair is stable.
+        None if no tried pair is stable.
         """
         powers = range(-MAX_POWER, MAX_POWER + 1)
         pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
@@ -600,21 +552,13 @@ class _Gains:
         return None
 
     def find_smallest_factor(self, stiffness: float) -> float:
-        """Return the factor with which the smallest positive reference kp equals a stiffness.
-
-        ``stiffness`` is in N m/rad or N/m. Zero if no reference kp is positive.
-        """
+        """Return the factor with which the smallest positive reference kp equals ``stiffness``."""
         return stiffness / float(self.kp[self.kp > 0].min(initial=math.inf))
 
     def find_factor_without_sag(self, robot: Robot, stand: Stand) -> float:
         """Find the smallest tried factor on the stiffness that holds a stand without feed-forward.
 
-        The factors differ by `_SAG_RATIO`, from 1 / 4096 to 4096. Infinite if no tried factor
-        suffices.
-
-        Args:
-            robot: Robot, with the contacts of the stand.
-            stand: Stand.
+        Infinite if no tried factor suffices.
         """
         count = round(math.log(MAX_FACTOR) / math.log(_SAG_RATIO))
         factors = [_SAG_RATIO**power for power in range(-count, count + 1)]
@@ -638,32 +582,22 @@ class _Gains:
             inside: A stable factor.
 
         Returns:
-            Lower and upper end of the interval, each the last stable factor of a bisection. The
-            upper end is None if all tried factors up to ``MAX_FACTOR`` are stable. The lower end is
-            None if all tried factors down to its inverse are stable.
+            Lower and upper end of the interval; None for an end at which no tried factor is
+            unstable.
         """
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 
     def _is_stable(self, pair: _Pair) -> bool:
-        """Return True if no mode of the controlled stand grows faster than `MAX_GROWTH_RATE`.
-
-        ``pair`` contains kp and kd, shape (nu,) each.
-        """
+        """Return True if the controlled stand is stable with these kp and kd, shape (nu,) each."""
         return self.loop.is_stable(*pair)
 
     def _find_end(
         self, gains: Callable[[float], _Pair], inside: float, ratio: float
     ) -> float | None:
-        """Search upwards or downwards for the last stable factor on the gains.
+        """Return the last stable factor on the gains, searched from the stable factor ``inside``.
 
-        The factor is multiplied by ``ratio`` (above or below 1) until the stand is unstable
-        (`_is_stable`); then the interval is bisected. None if all tried factors up to
-        ``MAX_FACTOR``, or down to its inverse, are stable.
-
-        Args:
-            gains: Function that returns kp and kd of all joints for a factor.
-            inside: Stable factor at which the search starts.
-            ratio: Ratio of successive factors.
+        ``ratio`` is the ratio of successive factors: above 1, the upper end of the stable interval
+        is searched. None if no tried factor is unstable.
         """
         stable = inside
         while 1 / MAX_FACTOR <= stable * ratio <= MAX_FACTOR:
@@ -682,9 +616,6 @@ class _Gains:
         self, factor: float | None, gains: Callable[[float], _Pair], *, below: bool
     ) -> GainBound:
         """Confirm a stability bound of the gains, found by the linear model, in simulations.
-
-        The result contains the bound of the linear model, the mode with the largest growth rate if
-        the factor is 5 % beyond this bound, and the bound found by simulation.
 
         Args:
             factor: Factor on the reference gains at which the linear model becomes unstable; None
@@ -713,8 +644,7 @@ class _Gains:
     def find_largest_damping(self, stiffness: float) -> float:
         """Return the largest stable factor on kd if kp is multiplied by the factor ``stiffness``.
 
-        Infinite if, from the first stable factor that is found, all doubled factors up to
-        `MAX_FACTOR` are stable; NaN if no tried factor is stable.
+        Infinite if no upper bound is found; NaN if no tried factor is stable.
         """
         kp, _ = self.scale_gains(stiffness, 1.0)
         return find_largest_damping_factor(self.loop, kp, self.kd)
@@ -724,20 +654,13 @@ class _Gains:
     ) -> tuple[float | None, float | None]:
         """Recommend factors on all stiffnesses and dampings, away from the bounds of stability.
 
-        The distance of the stiffness from both bounds, and of the damping from the upper bound, is
-        at least the factor ``GAIN_MARGIN``. The factor on the stiffness is 1, or the allowed factor
-        nearest to 1. The factor on the damping is the smallest of a list with which all
-        oscillations have a damping ratio of at least ``MIN_DAMPING_RATIO``, or, if there is none,
-        the factor with the largest damping ratio.
-
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
             least_alone: Lower bound of the factor on the stiffness with which the robot stands
                 without feed-forward; 0 without a bound.
 
         Returns:
-            Factors on stiffness and damping; (None, None) if the margins exclude all gains, all
-            reference dampings are 0, or no damping of the list is stable.
+            Factors on stiffness and damping; (None, None) without a recommendation.
         """
         low, high = stiffness
         if not self.kd.any():
@@ -775,30 +698,16 @@ class _Gains:
     ) -> JointClass:
         """Create the result of a joint class: present gains, bounds and recommended gains.
 
-        The joints of a class have equal gains and limits.
-
-        Args:
-            robot: Robot.
-            members: Indices of the joints of the class.
-            present: Present kp and kd of all joints, shape (nu,) each.
-            least_kp: Lower bound of the stiffness of all joints.
-            largest_kd: Upper bound of the damping of all joints.
-            stable_pair: Factors on the reference stiffness and damping of all joints with which the
-                controlled stand is stable.
-            recommended: Recommended factors on stiffness and damping.
-            error: Position error at which the servo torque of hinges must not exceed the torque
-                limit [rad]; None if not requested.
-            encoder_bits: Encoder resolution of hinges [bits per turn]; None if not requested.
+        ``members`` contains joint indices, ``recommended`` factors on kp and kd, and
+        ``stable_pair`` factors with which the stand is stable. ``error`` is in rad,
+        ``encoder_bits`` in bits per turn.
         """
         kp, kd = (float(gain[members[0]]) for gain in (self.kp, self.kd))
         limit = float(robot.effort_limits[list(members)].min())
         limited = math.isfinite(limit) and limit > 0
 
         def scale_class_damping(factor: float) -> _Pair:
-            """Return kp and kd of ``stable_pair``, (nu,) each, with the kd of this class scaled.
-
-            The result may be unstable: ``factor`` is varied to find the bound of stability.
-            """
+            """Return kp and kd of ``stable_pair``, (nu,) each, with the kd of this class scaled."""
             stiffness, damping = self.scale_gains(*stable_pair)
             damping[list(members)] *= factor
             return stiffness, damping

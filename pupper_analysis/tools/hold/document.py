@@ -56,8 +56,6 @@ tuned."""
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
 
-    `build_document` calls this function for a `Hold`.
-
     Args:
         hold: Result.
         robot: Robot of the result, for notes; None if not available.
@@ -87,11 +85,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:
-    """Return the verdict word "holds in this posture only", or None if it does not apply.
-
-    The word applies if the given posture holds, but a motor exceeds its effort limit in the worst
-    posture that a search found.
-    """
+    """Return the verdict word "holds in this posture only", or None if it does not apply."""
     if hold.passed and _find_overloaded_motors(hold):
         return qualify_verdict_word("holds-in-one-posture", hold.verdict.converted)
     return None
@@ -107,17 +101,7 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 
 
 def _select_next_step(hold: Hold) -> doc.NextStep:
-    """Return the command to suggest next; the first case that applies is used.
-
-    - The posture fails, and a difference of the two files may explain this: `crosscheck` or
-      `audit`.
-    - The posture fails with a payload, or a worst posture with this payload fails: `hold` without
-      the payload, which finds the largest payload.
-    - The posture fails without payload: `audit`, which checks the files.
-    - The further payload that all postures found hold is unknown or unlimited, zero, or at most
-      `MIN_FURTHER_SHARE` of the present payload: `audit`.
-    - Otherwise: `hold` with the present and the further payload, rounded down.
-    """
+    """Return the command to suggest next, for example `hold` with the largest payload."""
     payload = hold.payload.worst_posture_mass
     overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))
     if not hold.passed:
@@ -134,10 +118,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
-    """Return the text of the most utilised motor over all postures found.
-
-    If no utilisation is known, the text states the largest torque of a motor instead.
-    """
+    """Return the text of the largest motor utilisation, or torque, over all postures found."""
     worst = hold.worst
     known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)
     torques = np.abs(worst.joint_torques)
@@ -153,10 +134,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
 
 
 def _describe_worst_payload(hold: Hold) -> doc.Words:
-    """Return the text of the payload limit over all postures found.
-
-    If effort limits are unknown, or no limit exists, a word replaces the payload.
-    """
+    """Return the text of the payload limit over all postures found."""
     payload = hold.payload.worst_posture_mass
     return text(
         "worst-posture-payload",
@@ -175,11 +153,7 @@ def _format_payload_limit(payload: float) -> doc.Words:
 
 
 def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
-    """Yield a line with the posture, its most utilised motor, and the largest payload [kg].
-
-    The motor is left out if no utilisation is known, or if a limit is zero
-    (`describe_hardest_motor`).
-    """
+    """Yield a line with the posture, its most utilised motor, and the largest payload [kg]."""
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(
@@ -193,10 +167,7 @@ def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
 
 
 def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
-    """Create the table of motor torques and joint deflections.
-
-    ``limits`` are the effort limits of the motors (`Hold.limits`) [N m, N].
-    """
+    """Create the table of motor torques, effort limits [N m, N] and joint deflections."""
     sag: list[float | None] = [None] * len(limits)
     scales = get_display_scales(hold.units)
     if hold.settled is not None:
@@ -218,10 +189,7 @@ def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
 
 
 def _make_tool_table(hold: Hold) -> doc.Table:
-    """Create the table of the tool's position, and of its predicted and simulated sag [mm].
-
-    A row has the vector in world axes, and its length. The predicted sag is left out if unknown.
-    """
+    """Create the table of the tool's position, and of its predicted and simulated sag [mm]."""
     vectors = (
         ("tool-position", hold.tool_position, "+.1f"),
         ("tool-sag", hold.tool_sag, "+.2f"),
@@ -247,8 +215,7 @@ def _make_tool_table(hold: Hold) -> doc.Table:
 def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
     """Create the table of the worst posture that was found for each motor, a row per motor.
 
-    The columns are torque and limit [N m, N], utilisation [%], and posture [deg, mm]. ``scales``,
-    shape (nu,), convert joint positions [rad, m] to these units.
+    ``scales``, shape (nu,), convert joint positions [rad, m] to deg and mm.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -274,11 +241,7 @@ def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.
 
 
 def _make_payload_table(hold: Hold) -> doc.Table:
-    """Create the table of the payload limits at the tool [kg], with the limiting joints.
-
-    The rows are the limits of the motors and of the servos in the given posture, and of the motors
-    over all worst postures that a search found.
-    """
+    """Create the table of the payload limits at the tool [kg], with the limiting joints."""
     payload = hold.payload
     limits = (
         ("payload-here", payload.mass, payload.joint),
@@ -315,10 +278,7 @@ def _make_limit_table(
 
 
 def _make_limit_cell(value: float) -> doc.Cell:
-    """Create a table cell with a limit, such as a payload [kg] or a force [N].
-
-    The cell contains a word if the limit is NaN, since effort limits are unknown.
-    """
+    """Create a table cell with a limit, such as a payload [kg]; a word if the limit is unknown."""
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 
@@ -333,10 +293,7 @@ def _describe_payload_simulation(hold: Hold) -> Iterator[doc.Text]:
 
 
 def _make_force_table(hold: Hold) -> doc.Table:
-    """Create the table of the largest forces [N] on the tool that the motors withstand.
-
-    The rows are +-x, +-y and +-z in world axes, and the weakest direction.
-    """
+    """Create the table of the largest forces [N] on the tool that the motors withstand."""
     force = hold.force
     limits = (
         *zip(force.directions, force.forces.tolist(), force.joints, strict=True),
@@ -375,9 +332,8 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     """Create the plot of motor utilisation [%] over the tool's distance from the first joint [mm].
 
-    The distance is horizontal (`ReachLoad.distances`). The plot shows the maximum and the mean over
-    the random postures in each of `_NUM_DISTANCE_BINS` bins of the distance, without empty bins;
-    NaN if a value in the bin is unknown or infinite.
+    The distance is horizontal. The plot shows the maximum and the mean over the random postures in
+    bins of the distance.
     """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
@@ -422,14 +378,9 @@ def _describe_posture(hold: Hold) -> doc.Words:
 def describe_hardest_motor(
     statics: GravityCompensation, limits: NDArray[np.float64]
 ) -> Iterable[doc.Words]:
-    """Yield the text of the motor with the largest torque relative to its limit.
+    """Yield the text of the motor with the largest torque relative to its limit, if known.
 
-    Nothing is yielded if no utilisation is known and finite, or if a motor has a limit of zero,
-    because any load exceeds this limit.
-
-    Args:
-        statics: Static motor torques.
-        limits: Effort limits, shape (nu,) [N m, or N for a slide].
+    ``limits`` contains the effort limits, shape (nu,) [N m, or N for a slide].
     """
     shares = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(shares)
@@ -446,11 +397,7 @@ def describe_hardest_motor(
 
 
 def _list_findings(hold: Hold) -> Iterable[doc.Words]:
-    """Yield the texts of findings: sag of the tool [mm], payload [kg] and force limits [N].
-
-    If no sag was predicted, the reason is yielded instead. Payload and force limits are left out if
-    the effort limit of a motor that may bear the payload is unknown.
-    """
+    """Yield the texts of findings: sag of the tool [mm], payload [kg] and force limits [N]."""
     if hold.tool_sag is not None:
         yield text(
             "tool-sags-by",
@@ -471,11 +418,7 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
 
 
 def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
-    """Yield the warnings on motors, effort limits, servos and payload.
-
-    Weak motors are always reported. If effort limits are unknown, these are reported; otherwise
-    soft servos, and a payload that fails in the simulation `Hold.payload_trial`.
-    """
+    """Yield the warnings on motors, effort limits, servos and payload."""
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")
     if hold.payload.unknown:
@@ -493,10 +436,7 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
 
 
 def _describe_unknown_limits(hold: Hold) -> doc.Text:
-    """State which motors have unknown effort limits, and their largest torque [N m, N].
-
-    The torque is stated in the posture, and in the worst posture of each motor.
-    """
+    """State which motors have unknown effort limits, and their largest torque [N m, N]."""
     worst = np.abs(hold.worst.joint_torques)
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
     most_loaded = max(joints, key=lambda joint: float(worst[joint]))

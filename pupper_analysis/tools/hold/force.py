@@ -130,14 +130,11 @@ def _find_weakest_direction(rows: Array, margins: Array) -> tuple[float, Array, 
 
     Args:
         rows: Rows of `force_inequalities`, shape (2 nu, 3) [m, or 1 for a slide].
-        margins: Slack of `force_inequalities`, shape (2 nu,) [N m, or N for a slide]; infinite for
-            an unknown limit, negative if the static load alone exceeds a limit.
+        margins: Slack of `force_inequalities`, shape (2 nu,) [N m, or N for a slide].
 
     Returns:
-        Magnitude of the force [N], unit vector of its direction in world axes, shape (3,), and
-        index of the joint of the motor. If the static load alone exceeds a limit: 0, zeros, and
-        the joint. If a motor that bears forces has an unknown limit: NaN, zeros, and -1. If no
-        motor bears forces: infinity, zeros, and -1.
+        Magnitude of the force [N], NaN if unknown; its direction in world axes, shape (3,), or
+        zeros; index of the joint of the motor, or -1.
     """
     if margins.min() < 0:
         return 0.0, np.zeros(3), int(margins.argmin()) % (len(rows) // 2)

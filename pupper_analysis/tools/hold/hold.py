@@ -92,8 +92,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
     """Compute reach of the tool and largest motor utilisation in 600 random postures.
 
     The reach is the horizontal distance of the tool from the first joint of its chain, and the
-    height in the world frame [m]. The utilisation is static torque / limit [1]. The number of
-    postures is `_NUM_REACH_POSTURES`.
+    height in the world frame [m]. The utilisation is static torque / limit [1].
 
     Args:
         robot: Robot with a fixed base.
@@ -187,12 +186,9 @@ def tool_payload(
 ) -> ToolPayload:
     """Compute the largest point masses [kg] at a tool that motors and servos hold.
 
-    In a single posture, torques are linear in the mass, so the limit has a closed form. Over all
-    postures, a mass M is reduced iteratively. Each iteration searches the worst postures with
-    payload M, and sets M to the smallest limit of these postures. The iteration stops if M
-    decreases by less than the fraction `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches.
-    There is no search if M is 0, or if a motor that may bear the mass has an unknown limit or a
-    limit of zero.
+    In a single posture, torques are linear in the mass, so the limit has a closed form. The limit
+    over all postures is reduced iteratively: each iteration searches the worst postures with the
+    present limit as payload.
 
     Args:
         robot: Robot with a fixed base.
@@ -272,12 +268,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
         tool: Attachment point of the mass.
 
     Returns:
-        Mass [kg] and the joint whose effort limit is reached first. The mass is
-
-        - 0 if a motor exceeds its limit without the mass; the joint has the largest
-          excess;
-        - otherwise NaN, with "" for the joint, if a motor that bears the mass has an unknown limit;
-        - infinite, with "" for the joint, above `UNLIMITED_MASS_RATIO` times the robot's mass.
+        Mass [kg], which may be 0, infinite or NaN (unknown); the joint that limits the mass, or "".
 
     Raises:
         ConfigurationError: If a closed loop is singular in the posture.
@@ -314,11 +305,8 @@ def servo_payload(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
 
     Returns:
-        (mass, joint). The mass [kg] is infinite without a limit. The mass is 0 if the stiffness
-        without the mass is not positive definite, or if a command without the mass is already
-        beyond the end of its range and the mass moves the command further. ``joint`` is the joint
-        whose command reaches the end of its range first; "" if the stiffness, or nothing, limits
-        the mass.
+        (mass, joint). The mass [kg] is infinite without a limit. ``joint`` is the joint whose
+        command reaches the end of its range first; "" if no command limits the mass.
 
     Raises:
         ConfigurationError: If kp is invalid, or a closed loop is singular in the posture.
@@ -358,10 +346,7 @@ def servo_payload(
 def _find_smallest_payload(
     robot: Robot, tool: Tool, postures: list[Array]
 ) -> tuple[float, str, Array]:
-    """Return the smallest limit of the motors over postures: mass [kg], joint, posture (nu,).
-
-    The limit of a posture is `posture_payload`; ``joint`` limits the mass in the returned posture.
-    """
+    """Return the smallest limit of the motors over postures: mass [kg], joint, posture (nu,)."""
     limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(limits, key=lambda limit: limit[0])
 
@@ -369,9 +354,8 @@ def _find_smallest_payload(
 def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     """Return a mask (nu,) of the motors that may bear a mass at a tool.
 
-    The mask is True for the joints of the kinematic chain to the tool, and for all joints that are
-    coupled to the chain by loops or joint couplings. It is False for dependent joints, which have
-    no motor.
+    These are motors of the tool's chain, and those coupled to the chain by loops or joint
+    couplings.
     """
     may_bear = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure

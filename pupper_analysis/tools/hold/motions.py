@@ -36,8 +36,7 @@ to each end of the joint range. Chosen, not tuned.
 
 _NUM_LINEAR_SAMPLES = 24
 """Number of positions of an independent joint at which a torque is sampled to find its maximum, if
-all dependent joints move in proportion. A torque that is a sinusoid plus a linear term is not
-sampled, since its maximum has a closed form. Chosen, not tuned.
+all dependent joints move in proportion. Chosen, not tuned.
 """
 
 _NUM_LOOP_SAMPLES = 25
@@ -111,9 +110,7 @@ class JointMotions:
     def draw_postures(self, count: int) -> list[Array]:
         """Draw random postures within the joint ranges, with closed loops, (nu,) [rad, m] each.
 
-        Each call returns the same postures. A joint that moves other joints nonlinearly gets one of
-        the equally spaced positions of `count_samples`. A joint that cannot move there
-        (`move_along` returns None) keeps its position in ``origin``.
+        The random seed is fixed.
         """
         random, postures = np.random.default_rng(0), []
         for _ in range(count):
@@ -131,14 +128,8 @@ class JointMotions:
     def find_range(self, qpos: Array, motion: int) -> tuple[float, float]:
         """Return the range of displacements along a motion that joint limits permit.
 
-        A displacement is that of the independent joint of the motion, from the posture ``qpos``.
-        For a nonlinear motion, only the range of the independent joint is used; `move_along` checks
-        the ranges of the dependent joints. For other motions the range always includes 0, even if
-        the posture exceeds a joint limit.
-
-        Args:
-            qpos: Posture, shape (nu,).
-            motion: Index of the motion.
+        A displacement is that of the independent joint, from the posture ``qpos``, (nu,). For a
+        nonlinear motion, `move_along` checks the ranges of the dependent joints.
 
         Returns:
             Lower bound; upper bound [rad, m].
@@ -152,14 +143,7 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def count_samples(self, motion: int) -> int:
-        """Return the number of joint positions that are tested along a motion.
-
-        Samples of a nonlinear motion are equally spaced over the range of the joint, so that each
-        closed position of the loop is computed once, and then cached.
-
-        Args:
-            motion: Index of the motion, in ``free``.
-        """
+        """Return the number of joint positions that are tested along a motion."""
         if not self.nonlinear[motion]:
             return _NUM_LINEAR_SAMPLES
         return (
@@ -177,9 +161,8 @@ class JointMotions:
             length: Displacement of the independent joint [rad, m].
 
         Returns:
-            Displaced posture, shape (nu,). None for a nonlinear motion if the loop cannot be closed
-            in its assembly mode, or if a dependent joint exceeds its range by more than
-            `_LIMIT_ATOL`. Joint ranges are not checked for other motions.
+            Displaced posture, shape (nu,). None if a loop cannot be closed within the ranges of its
+            dependent joints. Other joint ranges are not checked.
         """
         if not self.nonlinear[motion]:
             moved: Array = qpos + length * self.steps[:, motion]
@@ -209,9 +192,8 @@ class JointMotions:
     def _add_couplings(self, closure: Closure) -> None:
         """Set the motions of the independent (free) joints of a robot with loops or couplings.
 
-        A motion moves the dependent joints in constant proportion to the free joint, in the ratios
-        of the closure's Jacobian at the origin. If such a motion opens a loop, all motions of this
-        loop are nonlinear.
+        A motion in constant proportions, from the closure's Jacobian, is nonlinear if it opens a
+        loop.
         """
         count, following = len(self.origin), closure.dependent_joints
         rows = closure.jacobian(self.origin)
@@ -234,11 +216,7 @@ class JointMotions:
             self.moved[motion] = self._coupled_joints[motion]
 
     def _opens_loop(self, closure: Closure, motion: int) -> bool:
-        """Return True if a loop opens when its joints move in proportion along a motion.
-
-        The opening is tested at the fractions `_TESTED_RANGE_FRACTIONS` of the range. Above
-        `_MAX_LINEAR_OPENING`, the loop is open.
-        """
+        """Return True if a loop opens when its joints move in proportion along a motion."""
         ends = np.array(self.find_range(self.origin, motion))
         return any(
             closure.violation_error(self.origin + fraction * end * self.steps[:, motion])
@@ -251,13 +229,8 @@ class JointMotions:
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     """Return groups of joints that loops and couplings connect, as sorted joint indices.
 
-    Two joints are connected if the same constraint depends on both. This is tested at the posture
-    and at two random postures nearby, because elements of the Jacobian may vanish in a singular
-    posture.
-
-    Args:
-        closure: Loops and couplings.
-        qpos: Posture, shape (nu,).
+    Two joints are connected if the same constraint depends on both, at ``qpos``, shape (nu,), or at
+    random postures nearby: elements of the Jacobian may vanish in a singular posture.
     """
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]

@@ -47,15 +47,14 @@ turn. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
 """Relative increase of the torque in a sweep over all joints [1] at or below which a search for the
-largest torque stops. Also the largest relative variation of torque samples that count as constant
-(rounding). Chosen, not tuned.
+largest torque stops. Chosen, not tuned.
 """
 
 _PEAK_POSITION_ATOL = 1e-6
 """Tolerance [rad, m] of the joint position at which a motor torque has a maximum between two
-samples: ``xatol`` of SciPy's bounded minimisation, width at which bisections end, and width up to
-which an interval is not searched. Derived: the torque of a hinge is A cos(x) near the maximum, so
-that an error of x changes it by 1e-12 A / 2."""
+samples. Derived: the torque of a hinge is A cos(x) near the maximum, so that an error of x changes
+it by 1e-12 A / 2.
+"""
 
 _UNDEFINED_TORQUE = 1e300
 """Value larger than any torque [N m, N]. If a loop cannot be closed in a posture, or is singular,
@@ -101,18 +100,14 @@ class TorqueSearch:
     ) -> tuple[float, Array]:
         """Find the posture with the largest static torque of a motor, by several searches.
 
-        No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
-        torque. If joints move in closed loops, postures are sampled along their motion, and a last
-        search from the best posture also examines postures between the samples.
-
         Args:
             joint: Index of the joint.
             sign: 1 or -1: direction of maximisation.
             starts: Start postures, each of shape (nu,).
 
         Returns:
-            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if the loops are singular in
-            all tried postures; posture, shape (nu,) [rad, m].
+            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if no tried posture has a
+            defined torque; posture, shape (nu,) [rad, m].
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
@@ -132,20 +127,18 @@ class TorqueSearch:
     ) -> tuple[float, Array]:
         """Find a local maximum of a motor torque over the postures, one joint motion at a time.
 
-        A motion moves an independent joint with the joints coupled to it. Each motion on which the
-        torque may depend is set to its best position in turn, until the torque no longer increases
-        noticeably, at most `_MAX_SWEEPS` times.
+        A motion moves an independent joint with the joints coupled to it.
 
         Args:
             joint: Index of the joint.
             sign: 1 or -1: direction of maximisation.
             qpos: Start posture, shape (nu,) [rad, m].
             fine: Also search between the samples of a motion whose closed loops are solved
-                numerically. Other motions are always searched between samples.
+                numerically.
 
         Returns:
-            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if the closed loops are
-                singular in all examined postures; and the posture, shape (nu,) [rad, m].
+            ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if no examined posture has a
+            defined torque; posture, shape (nu,) [rad, m].
         """
         best = self._evaluate_torque(joint, sign, qpos)
         borne = np.abs(self._motions.shares[joint]) > _MIN_LOAD_FRACTION
@@ -166,9 +159,9 @@ class TorqueSearch:
         return best, qpos
 
     def compute_torques(self, qpos: Array) -> Array:
-        """Compute the static motor torques in a posture ``qpos``, shape (nu,) [rad, m].
+        """Compute the static motor torques in a posture ``qpos``, shape (nu,) [N m or N].
 
-        The result has the shape (nu,) [N m or N]; zeros if the loops are singular.
+        Zeros if the loops are singular.
         """
         config = Configuration(self._robot, qpos)
         try:
@@ -181,11 +174,6 @@ class TorqueSearch:
     ) -> float:
         """Find the displacement along a motion at which ``sign`` times a joint torque is largest.
 
-        The maximum along a hinge without coupled joints has a closed form. Along a slide, also with
-        slides coupled in proportion, the torque is linear, so an end of the range is the maximum.
-        Along other coupled joints the torque is sampled. The torque is also sampled if there are
-        forces at rest other than gravity and joint springs.
-
         Args:
             joint: Index of the joint whose torque is maximised.
             sign: 1 or -1: direction of maximisation.
@@ -193,7 +181,7 @@ class TorqueSearch:
             motion: Index of the motion.
             current: ``sign`` times the torque at ``qpos`` [N m, N].
             fine: Also search between the samples of a motion whose closed loops are solved
-                numerically. Other motions are always searched between samples.
+                numerically.
 
         Returns:
             Displacement [rad, m].
@@ -243,10 +231,7 @@ class TorqueSearch:
 
 
 def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
-    """Return the x [rad] in [low, high] that maximises a cos x + b sin x + r x.
-
-    a is ``cosine``, b is ``sine``, and r is ``rate``.
-    """
+    """Return the x [rad] in [low, high] that maximises cosine cos x + sine sin x + rate x."""
     candidates, amplitude = [low, high], math.hypot(cosine, sine)
     if abs(rate) <= amplitude and amplitude > 0:
         # Stationary points: b cos x - a sin x + r = 0; one of the two per turn is a maximum.
@@ -262,18 +247,10 @@ def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high
 def _maximize_sampled(
     function: Callable[[float], float], samples: Array, *, fine: bool, everywhere: bool
 ) -> float:
-    """Find the argument at which a function is largest on the interval of ``samples``.
+    """Find the argument [rad, m] at which a function is largest on the interval of ``samples``.
 
-    If ``fine`` is False, or all values are equal up to rounding, this is the best sample. Otherwise
-    a bounded scalar minimisation (SciPy) refines the best sample. With ``everywhere``, each local
-    maximum of the samples is refined: for a closed loop, the global maximum may not be next to the
-    largest sample.
-
-    Args:
-        function: Function of a displacement; `-_UNDEFINED_TORQUE` if undefined.
-        samples: Displacements [rad, m] in ascending order.
-        fine: Whether to search between the samples.
-        everywhere: Whether to refine all local maxima; only with ``fine``.
+    With ``everywhere``, each local maximum of the samples is refined: for a closed loop, the global
+    maximum may not be next to the largest sample. Without ``fine``, the best sample is returned.
     """
     from scipy import optimize  # slow to import
 
@@ -301,9 +278,7 @@ def _maximize_sampled(
 def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
     """Return the last position [rad, m] from ``start`` to ``end`` with a defined function.
 
-    The result is ``end`` if the function is defined there. Otherwise the position is found by
-    bisection, with the tolerance `_PEAK_POSITION_ATOL`. The function must be defined at ``start``.
-    An undefined value is represented by -`_UNDEFINED_TORQUE`.
+    Found by bisection. The function must be defined (above -`_UNDEFINED_TORQUE`) at ``start``.
     """
     if function(end) > -_UNDEFINED_TORQUE:
         return end
@@ -318,10 +293,9 @@ _NUM_RANDOM_STARTS = 12
 not tuned."""
 
 _NUM_POOL_POSTURES = 500
-"""Number of random postures that are evaluated before the searches without an earlier result
-(``near``), if a robot has closed loops whose joints do not move in proportion. The searches also
-start from the worst of these postures, because the torques of such loops have many local maxima.
-Chosen, not tuned."""
+"""Number of random postures from which start postures are selected, if a robot has closed loops
+whose joints do not move in proportion: their torques have many local maxima. Chosen, not tuned.
+"""
 
 _NUM_POOL_STARTS = 3
 """Number of start postures of a motor that are selected from the `_NUM_POOL_POSTURES` random
@@ -379,14 +353,9 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    A search maximises the torque over one joint after another. A search ends if a sweep over all
-    joints no longer increases the torque, or after `_MAX_SWEEPS` sweeps. Under gravity and joint
-    springs alone, the torque over a hinge angle q is a + b cos q + c sin q + k q, if the hinge is
-    not coupled to other joints. The maximum of this expression has a closed form. Over the position
-    of a slide, also with slides coupled in proportion, the torque is linear. In other cases the
-    torque is sampled. Searches start from ``posture`` and from random postures, until several
-    searches end at the same torque. Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are
-    rounded to zero.
+    A search maximises the torque over one joint after another. Under gravity and joint springs
+    alone, the torque over the angle q of an uncoupled hinge is a + b cos q + c sin q + k q, with a
+    maximum in closed form. Searches start from ``posture`` and from random postures.
 
     The result is not proven to be the global maximum. For seven arms and hands it was compared with
     20,000 random postures each: no posture required a larger torque.
@@ -446,8 +415,7 @@ def _explain_unbounded_torque(
 ) -> Diagnostic | None:
     """Return the reason for unbounded torques; None if all torques are bounded.
 
-    Reasons are a slide without a limit, and a spring at a joint without a limit. ``stiffness`` is
-    the spring stiffness of each joint, shape (nu,) [N m/rad, N/m].
+    ``stiffness`` is the spring stiffness of each joint, shape (nu,) [N m/rad, N/m].
     """
     if motions.endless:
         return diagnose("slide-not-limited")

@@ -82,17 +82,15 @@ def simulate_payload(
 ) -> PayloadTrial:
     """Simulate a stance with a payload after each of twelve nudges of the base.
 
-    A nudge is an initial velocity of the base of about 10 mm/s: a translation in ten directions, or
-    a rotation about the base's z axis in both senses (``simulate_nudges``). The simulations start
-    in the stand that ``stand --payload`` judges (``solve_loaded_stand``). The servos have
-    feed-forward torques for the load.
+    A nudge is an initial velocity of the base of about 10 mm/s (``simulate_nudges``). The servos
+    have feed-forward torques for the load.
 
     Args:
         robot: The robot.
         stance: Stand task, or a stand, of which only the task is used.
         mass: Mass of the payload [kg].
-        point: Position of the payload [m] in the frame of the base, or of a named link, site,
-            body or geom, as in ``with_payload``.
+        point: Position of the payload [m] in the frame of the base, or of a named link, site, body
+            or geom, as in ``with_payload``.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         duration: Simulated time after each nudge [s], 2 to 600. A simulation ends earlier if its
@@ -104,14 +102,13 @@ def simulate_payload(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
-        ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
-            both given, the mass or inertia of a body is invalid, or the loaded model or the ground
-            cannot be built.
+        ModelError: If a joint has no motor or no position servo, or the loaded model cannot be
+            built, for example.
         UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
             robot does not have.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
-        NotSettlingError: If the penetration depths of a robot without loops do not converge.
+        NotSettlingError: If the penetration depths of the feet do not converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
     trial = simulate_nudges(
@@ -121,12 +118,9 @@ def simulate_payload(
 
 
 MAX_BOUND_RATIO = 10.0
-"""Factor [1] on the first payload that fails by one of three criteria (stance, motors, servos), or
-on the robot's mass if that is larger. The search for the payloads at which the other criteria fail
-ends at the product, or when the stance fails. A criterion that has not failed then has an infinite
-bound; that of the servos is finite if a simulation just below the other bounds fails. If
-simulations refute a servo bound of 0, the factor on the robot's mass also bounds the simulated
-masses. Chosen, not tuned.
+"""Factor [1] on the larger of the robot's mass and the first payload that fails by one of three
+criteria (stance, motors, servos). The search for the bounds of the other criteria ends at the
+product at the latest. Chosen, not tuned.
 """
 
 VERIFIED_FRACTION = 0.97
@@ -135,16 +129,13 @@ nudges. Chosen, not tuned.
 """
 
 FAILING_RATIO = 1.03
-"""Factor [1] on the payload bound of the servos, which is computed from eigenvalues. If the robot
-holds this larger payload in simulation, the bound was too small and is raised. Chosen, not tuned.
+"""Ratio [1] of the first simulated payload to the payload bound of the servos. If the robot holds
+this payload in simulation, the bound was too small and is raised. Chosen, not tuned.
 """
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance [1] of bisections by simulation. `_bisect_simulation_bound` finds the largest
-payload that holds in simulation, with the absolute tolerance ``SIMULATION_RTOL**2`` times the
-smallest static bound. The other bisections find the largest payload of the servos, if a simulation
-contradicts the eigenvalues. Also the relative distance above the servo bound at which the first
-simulation checks this bound. Chosen, not tuned.
+"""Relative tolerance [1] of the bisections in which simulations decide whether a payload holds.
+Chosen, not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
@@ -156,9 +147,10 @@ bound at which a simulation checks the servos. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
-"""Distance of the first reduced payload from the static limit, as a fraction of the tolerance:
-payload = limit (1 - 0.98 ``SIMULATION_RTOL``). Below 1 / (1 + ``SIMULATION_RTOL``): if the robot
-holds this payload, the interval up to the limit is within the tolerance, and needs no bisection."""
+"""Distance of the first reduced payload from the static limit, relative to ``SIMULATION_RTOL``
+times the limit. Below 1 / (1 + ``SIMULATION_RTOL``): if the robot holds this payload, the interval
+up to the limit needs no bisection.
+"""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
@@ -289,7 +281,7 @@ class PayloadLimit(Result):
     def bounds(self) -> dict[str, Bound]:
         """Bounds of the payload, ``{name: bound with mass in kg}``, the smallest mass first.
 
-        The names are ``stance``, ``motors``, ``servos`` and ``simulation``, as in the attributes.
+        The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
         """
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
@@ -343,18 +335,16 @@ def payload_limit(
 ) -> PayloadLimit:
     """Find the largest point mass that a robot can carry in a stance.
 
-    The result is the largest mass with which ``stand --payload`` holds. For each mass the loaded
-    stance is solved on the simulated ground; if the task requires the CoM above the feet, the base
-    shifts. The servo commands are the joint positions with feed-forward for the loaded robot. The
-    stance with 97 % (``VERIFIED_FRACTION``) of the smallest bound is then judged as by ``stand``,
-    and simulated with twelve nudges of the base; if the stance fails, a smaller mass is bisected by
+    For each mass the loaded stance is solved on the simulated ground, with feed-forward for the
+    loaded robot. The stance with 97 % (``VERIFIED_FRACTION``) of the smallest bound is then judged
+    and simulated with twelve nudges of the base. If the stance fails, a smaller mass is bisected by
     simulations.
 
     Args:
         robot: The robot.
         stance: Stand task, or a stand, of which only the task is used. Default: the nominal stand.
-        point: Position of the mass [m] in the frame of the base, or of a named link, site,
-            body or geom, as in ``with_payload``.
+        point: Position of the mass [m] in the frame of the base, or of a named link, site, body or
+            geom, as in ``with_payload``.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         commands_alone: Whether to compute also ``mass_by_commands_alone``, the payload without
@@ -367,11 +357,10 @@ def payload_limit(
         StanceUnreachableError: If the stance is out of reach without payload.
         StaticsInfeasibleError: If the stance slides or tips without payload.
         NotSettlingError: If the penetration depths of the feet do not converge without payload.
-        ConfigurationError: If an argument is out of range, or invalid for the robot, or the task
-            welds the base and the payload is on the base.
-        ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
-            both given, the mass or inertia of a body is invalid, or the loaded model or the ground
-            cannot be built.
+        ConfigurationError: If an argument is out of range or invalid for the robot, for example a
+            payload on a base that is fixed.
+        ModelError: If a joint has no motor or no position servo, or the loaded model cannot be
+            built, for example.
         UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
             robot does not have.
     """
@@ -397,17 +386,16 @@ def payload_limit(
 
 
 def _find_binding(bounds: Mapping[str, Bound]) -> str:
-    """Return the name of the smallest payload bound ("motors", ...); of equal bounds, the first."""
+    """Return the name of the smallest payload bound ("motors", ...)."""
     return min(bounds, key=lambda name: bounds[name].mass)
 
 
 def _add_simulated_bounds(
     bounds: Mapping[str, Bound], simulations: _PayloadSimulations
 ) -> dict[str, Bound]:
-    """Add the bound of the simulation to the payload bounds of stance, motors and servos.
+    """Add the bound ``simulation`` to the payload bounds of stance, motors and servos [kg].
 
-    If the servos set the smallest bound, simulations may raise this bound (`_raise_servo_bound`).
-    ``simulation`` is infinite if the smallest bound holds in simulation, or is 0 or infinite.
+    Simulations may also raise the bound of the servos.
     """
     completed = dict(bounds)
     if _find_binding(completed) == "servos":
@@ -428,12 +416,7 @@ def _make_payload_limit(
     search: _PayloadSearch,
     simulations: _PayloadSimulations,
 ) -> PayloadLimit:
-    """Create the result: the smallest bound, the stand with this mass, and the verdict.
-
-    Verdict and nudged simulation belong to ``VERIFIED_FRACTION`` of a finite limit. If the limit is
-    0 or infinite, the verdict is that of the stance without payload, and there is no nudged
-    simulation.
-    """
+    """Create the result from the payload bounds, with stand, verdict and nudged simulation."""
     binding = _find_binding(bounds)
     mass_limit = bounds[binding].mass
     has_finite_limit = 0 < mass_limit < math.inf
@@ -498,7 +481,7 @@ class _PayloadSimulations:
         return self._trials[mass]
 
     def judge(self, mass: float) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], as ``stand`` judges it."""
+        """Return the verdict of `judge_stand` for the stance with a payload [kg]."""
         if mass not in self._verdicts:
             loaded = with_payload(self._robot, mass, self._place)
             trial = self.simulate_nudged(mass) if mass else None
@@ -508,11 +491,9 @@ class _PayloadSimulations:
         return self._verdicts[mass]
 
     def judge_with_feedforward(self, mass: float) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], from two kinds of simulations.
+        """Return the verdict of the stance with a payload [kg], simulated only with feed-forward.
 
-        These are simulations with feed-forward, and nudged simulations (`simulate_nudged`). There
-        is no simulation with position commands alone: if nudged simulations are given, it does not
-        decide whether the verdict passes (`judge_simulation`).
+        As `judge_simulation`, without a simulation with position commands alone.
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
@@ -546,11 +527,7 @@ class _PayloadSimulations:
 
 
 def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
-    """Return the motor joints without a stated torque limit that may carry load.
-
-    Joints may carry load if they move a foot, a hand or the payload, or belong to a closed loop or
-    coupling.
-    """
+    """Return the motor joints that may carry load and have no stated torque limit."""
     unloaded_joints = set(find_footless_joints(robot)) - set(place.chain)
     unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
@@ -566,18 +543,8 @@ failure."""
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the payload bound of the servos, raised if the robot holds more mass in simulation.
 
-    Masses that grow by the factor `_MASS_GROWTH` are tested. The bound is infinite if no tested
-    mass below the smaller bound of stance and motors fails. Exceptions: a bound that is zero or
-    infinite, or that is set by a command out of range, is kept.
-
-    The given bound is computed for the modes directly after the start. Above this bound, a
-    deviation doubles within ``HOLD_DURATION``, or oscillates. `stand` evaluates the modes after 5
-    s, in which feet creep. Close to the bound the two results may differ. In this case `stand`
-    decides.
-
-    Args:
-        bounds: {name: bound} of stance, motors and servos; the servos set the smallest bound.
-        holds: Function that returns True if the robot holds a mass [kg] in simulation.
+    The given bound depends on the modes at the start of a simulation. `stand` evaluates the modes
+    later, after the feet have crept.
     """
     bound = bounds["servos"]
     if not 0 < bound.mass < math.inf or bound.failure is Failure.COMMAND:
@@ -602,15 +569,8 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
 def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
     """Find the largest mass M for which ``VERIFIED_FRACTION`` times M holds in simulation.
 
-    The bound is infinite if ``static_limit`` [kg], the smallest static bound, holds, and 0 if the
-    stance fails without payload. Static bounds apply to an undisturbed stand. Only a simulation
-    shows a foot that lifts, a sole that pivots or a motor that saturates after a nudge, and errors
-    of the files.
-
-    The bound is usually just below the static limit. Therefore the mass is reduced from this limit
-    until a mass holds. The first step is about ``SIMULATION_RTOL`` of the limit; each further step
-    is twice as large. Then the interval is bisected. The static limit and the stance without
-    payload are judged as by ``stand``; other masses without position commands alone.
+    Static bounds apply to an undisturbed stand: they miss a foot that lifts after a nudge, for
+    example. Infinite if ``static_limit`` [kg], the smallest static bound, holds.
     """
 
     def find_cause(mass: float) -> FailureCause:
@@ -667,8 +627,8 @@ def _holds_in_simulation(verdict: Verdict) -> bool:
 
 _TOLERANCE_FACTOR = 1 + 1e-9
 """Factor on the tolerance of a bisection [1], so that a bracket whose width equals the tolerance up
-to rounding is not bisected again. Also used for the upper end of the second bisection in
-`_PayloadSearch.find_bounds`. Chosen far above rounding errors."""
+to rounding is not bisected again. Chosen far above rounding errors.
+"""
 
 
 def _bisect_mass(
@@ -679,15 +639,10 @@ def _bisect_mass(
     tolerance: float,
     relative_tolerance: float = 0.0,
 ) -> Bound:
-    """Find the largest mass [kg] without a failure by bisection, and the failure with more mass.
+    """Bisect the payload bound between ``low`` [kg], without failure, and ``high``, with ``cause``.
 
-    Args:
-        find_cause: Function that returns the failure with a mass [kg], None without a failure.
-        low: Mass without a failure [kg].
-        high: Mass with a failure [kg].
-        cause: Failure with ``high``; not None.
-        tolerance: Absolute tolerance [kg].
-        relative_tolerance: Tolerance relative to the lower end of the bracket, used if larger.
+    ``tolerance`` is absolute [kg], ``relative_tolerance`` relative to the lower end of the bracket;
+    the larger tolerance applies.
     """
     assert cause is not None
     rounds = 0
@@ -743,12 +698,10 @@ class _PayloadSearch:
         self._last_stand = 0.0, self._solve_stand(0.0)
 
     def find_bounds(self) -> dict[str, Bound]:
-        """Find the largest payload [kg] for stance, motors and servos: {one of these: bound}.
+        """Find the payload bounds of stance, motors and servos: {"stance": bound [kg], ...}.
 
-        The mass is increased until all three have failed, the stance has failed, or the mass
-        reaches a ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`). Each bound that was exceeded
-        is then refined by bisection. The bound of the servos is checked by simulations
-        (`_confirm_servo_bound`).
+        The mass is increased until the criteria fail; each exceeded bound is bisected. Simulations
+        check the bound of the servos (`_confirm_servo_bound`).
         """
         find_causes = {
             "stance": self.find_stance_failure,
@@ -807,11 +760,7 @@ class _PayloadSearch:
         return self._last_stand[1]
 
     def _solve_stand(self, mass: float) -> _LoadedStand:
-        """Solve the stand with a payload of ``mass`` [kg].
-
-        If there is no stand, the result contains the kind of failure and the names of the parts
-        concerned. Kinds are: out of reach; sliding (more friction would permit the stand); tipping.
-        """
+        """Solve the stand with a payload [kg], or return the reason why there is no stand."""
         try:
             return _LoadedStand(
                 *solve_loaded_stand(self._robot, self._task, mass, self._point), None
@@ -828,10 +777,9 @@ class _PayloadSearch:
             return _LoadedStand(self._robot, None, (Failure.TIPPING, ()))
 
     def find_stance_failure(self, mass: float) -> FailureCause:
-        """Return the failure of a stance with a payload [kg], apart from motors and servos.
+        """Return the failure of the stance with a payload [kg], or None.
 
-        Either there is no loaded stand, or a part other than a foot touches the ground. None if the
-        loaded stand exists and only feet touch the ground.
+        Motors and servos are not considered.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
@@ -845,9 +793,9 @@ class _PayloadSearch:
         return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def find_motor_failure(self, mass: float) -> FailureCause:
-        """Return the motors above their torque limit with a payload [kg].
+        """Return the failure of motors above their torque limit with a payload [kg], or None.
 
-        None without such a motor or without a stand.
+        None also if there is no stand.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.statics is None or loaded.stand is None:
@@ -860,12 +808,10 @@ class _PayloadSearch:
         return (Failure.MOTOR, overloaded) if overloaded else None
 
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
-        """Check the payload bound of the servos by simulations; if wrong, search by simulations.
+        """Check the payload bound of the servos by simulations, and correct a wrong bound.
 
-        The servo bound in ``bounds`` is computed from the eigenvalues of the linearised time step,
-        which takes milliseconds for each mass. The simulations are run just below the smallest
-        bound and, if the servos set this bound, just above; a bound of zero is simulated without
-        payload. The bound of a command that is out of range is not simulated.
+        The bound in ``bounds`` is computed from the eigenvalues of the linearised time step, which
+        takes milliseconds for each mass.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         find_cause = self.find_servo_failure
@@ -895,22 +841,18 @@ class _PayloadSearch:
         return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
 
     def find_spectrum_failure(self, mass: float) -> FailureCause:
-        """Return the failure of the servos with a payload [kg], without simulation.
+        """Return the failure of the servos with a payload [kg], without simulation, or None.
 
-        The method is ``find_servo_failure``: the servo commands must be within their ranges, and
-        growing modes are found by eigenvalues alone. Two kinds of growing modes are omitted, since
-        only a simulation can decide whether the robot leaves the stand: modes that grow only
-        without dry friction, and modes that depend on the finite-difference step.
+        Modes that grow only without dry friction, or that depend on the finite-difference step, are
+        omitted: only a simulation can decide whether the robot leaves the stand.
         """
         return self.find_servo_failure(mass, is_simulated=False)
 
     def find_servo_failure(self, mass: float, *, is_simulated: bool = True) -> FailureCause:
-        """Return the reason why position servos do not hold the stand with a payload [kg].
+        """Return the reason why position servos do not hold the stand with a payload [kg], or None.
 
-        Either a servo command is outside its range, or a mode of the linearised time step grows
-        away from the stand within `HOLD_DURATION`. Motor torques are not limited here:
-        `find_motor_failure` tests torque limits. None if the servos hold the stand, or if the
-        loaded robot has no stand.
+        A servo command is outside its range, or a mode of the linearised time step grows away from
+        the stand within `HOLD_DURATION`. Torque limits are ignored. None also if there is no stand.
 
         Args:
             mass: Mass of the payload [kg].
