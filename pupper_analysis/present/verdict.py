@@ -138,8 +138,7 @@ catalogue."""
 
 
 def get_verdict_key(verdict: Verdict) -> str:
-    """Return the word of a verdict, for example "HOLDS" or "FAILS", as a key of the text catalogue.
-    """
+    """Return the word of a verdict, such as "HOLDS" or "FAILS", as a key of the text catalogue."""
     if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
     if _disagrees(verdict):
@@ -479,8 +478,7 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
-    """Yield statements on simulations of the published file that deviate from the computed stand.
-    """
+    """Yield statements on simulations of the published file that deviate from the stand."""
     if published is None:
         return
     run = published.worst

@@ -203,10 +203,10 @@ class StanceSearch:
             raise ConfigurationError("objective", message)
 
     def compute_objective(self, stand: Stand) -> float:
-        """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation
-        [1].
+        """Return the CoM margin [m] of a stand if this is the objective; else the peak utilisation.
 
-        The peak utilisation is the largest |motor torque| / limit of the motors with a known limit.
+        The peak utilisation [1] is the largest |motor torque| / limit of the motors with a known
+        limit.
         """
         statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None
@@ -245,9 +245,7 @@ class StanceSearch:
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield stances to try after the best stance: worse allowed stances, then the initial
-        stance.
-        """
+        """Yield stances to try after the best stance: worse allowed stances, then the initial."""
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_OBJECTIVE_STEP * (self.nominal.scaled_objective - self.best.scaled_objective)
         scaled_objective = self.best.scaled_objective
@@ -494,8 +492,7 @@ class _Descent:
         return self._search.evaluate(self._subspace.compute_coordinates(scaled), near)
 
     def _evaluate_rows(self, scaled: Array) -> Array:
-        """Evaluate a stance, update ``best``, and return the constraint rows (a, b), shape (k, 2).
-        """
+        """Evaluate a stance, update ``best``, and return the constraint rows (a, b), (k, 2)."""
         stance = self._evaluate(scaled)
         if stance is None:
             return self._missing

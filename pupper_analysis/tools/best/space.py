@@ -167,8 +167,7 @@ class StanceSpace:
         self.low, self.high = self._compute_bounds()
 
     def _compute_bounds(self) -> tuple[Array, Array]:
-        """Return the lower and upper bounds of a stance's coordinates, shape (n,) each [m or rad].
-        """
+        """Return the lower and upper bounds of a stance's coordinates, (n,) each [m or rad]."""
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
         max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
@@ -206,11 +205,10 @@ class StanceSpace:
         return offset
 
     def outward_signs(self) -> dict[str, Array]:
-        """Return, for each free foot, the signs of world x and y that lead away from the feet
-        centre.
+        """Return, for each free foot, the signs of world x and y that lead away from the centre.
 
         Returns:
-            {foot: -1, 0 or 1 along x and along y, shape (2,) [1]}.
+            {foot: -1, 0 or 1 along x and along y, shape (2,) [1]}; the centre is that of the feet.
         """
         return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
 

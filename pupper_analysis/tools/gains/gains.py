@@ -271,8 +271,7 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Joint classes whose present kp or kd exceeds the bound of a torque limit or an encoder.
-        """
+        """Joint classes whose present kp or kd exceeds the bound of a torque limit or encoder."""
         return tuple(
             one
             for one in self.classes

@@ -147,8 +147,7 @@ class Controls:
     def _make_callback(self, change: Callable[[State], State]) -> Callable[[Any], None]:
         """Return a callback for viser that changes the state when the user moves a control.
 
-        The new state is ``change(state)``; the state is kept if ``change`` raises a
-        PupperAnalysisError. Changes of a control by the program (without a client) are ignored.
+        The new state is ``change(state)``.
         """
 
         def moved(event: Any) -> None:
@@ -167,12 +166,7 @@ class Controls:
         return moved
 
     def _apply_slider(self, control: Control, state: State) -> State:
-        """Return ``state`` with the value that the slider of a control has on the page.
-
-        The slider `LIFT_SLIDER` also lifts the selected foot; a slider of the base offset also
-        selects the mode ``offset`` of the base position. The slider of a contact plane changes
-        nothing if the selected foot has no such plane.
-        """
+        """Return ``state`` with the value that the slider of a control has on the page."""
         field = control.field
         value = check_finite(control.name, float(self.sliders[control.name].value))
         # A typed value may exceed the range of the slider and would be clipped later.
@@ -201,11 +195,7 @@ class Controls:
         return state.with_values(place="offset") if field.name == "offset" else state
 
     def _apply_lift(self, state: State) -> State:
-        """Return the state with the selected foot lifted, or on the ground.
-
-        The foot is lifted to the height of the lift slider if the checkbox "lifted" of the page is
-        set.
-        """
+        """Return the state with the selected foot lifted, or on the ground."""
         swing = {
             foot: height for foot, height in state.swing.items() if foot != self._selected_foot
         }
@@ -324,10 +314,7 @@ class Controls:
 
 
 def _list_folders(fields: Mapping[str, Field]) -> list[str]:
-    """Return the page folders that contain the sliders of fields, each once.
-
-    The folder of the joint sliders is left out.
-    """
+    """Return the page folders that contain the sliders of fields, except joint sliders."""
     return list(
         dict.fromkeys(
             field.slider.folder
@@ -518,12 +505,8 @@ class Range:
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
     """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
 
-    The ends of a range are multiples of a reference value. The reference of a length is the height
-    of the nominal stand, and that of a mass is the robot's mass. The reference of a gain is the
-    median gain; for a robot without servos, or with a median of 0, it does not depend on the robot.
-    The magnitudes of the ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not
-    allowed, it becomes one step. Ranges of angles do not depend on the robot. Initial values are
-    not rounded. Sliders of joints are not included.
+    Most ends are proportional to size, mass or gains of the robot, and rounded up. Sliders of
+    joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
@@ -541,8 +524,7 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
     """Return the slider range of a length [mm] or mass [kg], proportional to the robot.
 
-    ``slider`` states the ends relative to the robot's stand height or mass; the magnitudes of the
-    ends are rounded up. If 0 is not allowed, the lower end is one step.
+    ``slider`` states the ends relative to the robot's stand height or mass.
     """
     scale = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
     low, high = (math.copysign(round_up_slider_end(abs(bound) * scale), bound) if bound else 0.0
@@ -555,11 +537,9 @@ def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
 
 
 def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the slider range of a servo gain, from 0 (stiffness: one step) to 8 times the median.
+    """Return the slider range of a servo gain, up to about 8 times the median of the model's gains.
 
-    The median of the model's gains is also the initial value. Without servos, or if the median is
-    0, the start value of ``slider`` replaces the median, or 1 without a start value. The upper end
-    is rounded up.
+    Without a positive median, a fixed value replaces the median.
     """
     servos = list_position_servos(robot)
     values = [gains[("kp", "kd").index(field.name)] for gains in servos.values()]

@@ -116,10 +116,7 @@ def refusal_document(
 
 
 def simulation_document(stance: Stance) -> doc.Document:
-    """Create the report of a stance simulated without feed-forward, for the live page.
-
-    The report compares the simulated base height with the predicted height.
-    """
+    """Create the report of a stance simulated without feed-forward, for the live page."""
     run = stance.sagging
     expected = None if stance.settled is None else stance.settled.base_height
     title = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")

@@ -123,11 +123,7 @@ def make_address(server: Any, host: str, access: Access) -> str:
 
 @contextlib.contextmanager
 def _guard_requests(access: Access) -> Iterator[None]:
-    """Add access control to the servers that viser starts within this context.
-
-    Requests are checked with `Access.find_refusal`. The size of messages and the time to close a
-    connection are also limited.
-    """
+    """Add access control to the servers that viser starts within this context."""
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
 

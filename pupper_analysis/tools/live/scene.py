@@ -140,8 +140,8 @@ FORCE_COLOUR: Colour = (0, 128, 96)
 """Colour of the arrows of contact forces."""
 
 INSIDE_COLOUR: Colour = (30, 140, 70)
-"""Colour of the CoM if its projection is inside the support polygon, and of the polygon of a stance
-in balance."""
+"""Colour of the CoM if the CoM margin is not negative, and of the polygon of a stance in balance.
+"""
 
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
 """Colour of the CoM if the CoM margin is negative, and of the polygon of a stance that is not in
@@ -158,8 +158,8 @@ PIT_COLOUR: Colour = (120, 126, 134)
 
 _NUM_POLYGON_CORNERS = 24
 """Number of corners of the drawn support polygon. The number is constant, so that the size of the
-array is constant: a polygon with fewer corners repeats its last corner, and a polygon with more
-corners is drawn without the others."""
+array is constant: a polygon with fewer corners repeats its last corner.
+"""
 
 _WEIGHT_ARROW_LENGTH = 3.0
 """Length of the arrow of a force equal to the robot's weight, relative to the height of the stand.
@@ -325,10 +325,7 @@ class Scene:
         return self._figures[name]
 
     def _prepare_robot(self, robot: Robot) -> None:
-        """Remove the figures of the previous robot if the robot of the page has changed.
-
-        Discs for the joints of the new robot are added.
-        """
+        """Replace meshes, figures and joint discs if the robot of the page has changed."""
         if robot is self._robot:
             return
         for figure in self._figures.values():
@@ -403,11 +400,7 @@ class Scene:
             box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
-        """Draw the support polygon, green if the stand is held, otherwise red.
-
-        ``held`` is True if the stand can be held and its CoM margin is not negative. The polygon is
-        in the world frame [m].
-        """
+        """Draw the support polygon, green if the stand is held, otherwise red."""
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
             :_NUM_POLYGON_CORNERS
@@ -430,7 +423,7 @@ class Scene:
     def _draw_com(self, described: StandingScene) -> None:
         """Draw the CoM, its projection on the support plane and a line between.
 
-        The colour shows whether the CoM is above the support polygon (CoM margin not negative).
+        The colour shows the sign of the CoM margin.
         """
         colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
@@ -461,8 +454,7 @@ class Scene:
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
         """Draw a disc at each joint with a known torque, coloured by the motor utilisation.
 
-        A label states the torque of the joint with the largest utilisation. If no utilisation is
-        known, the joint with the largest torque is labelled.
+        A label states the largest load.
         """
         assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]

@@ -158,8 +158,8 @@ def check_state(model: PageSolver, state: State) -> None:
     """Check that the state of a page is valid for its robot.
 
     Raises:
-        PupperAnalysisError: If the robot lacks a foot, a joint, the part of a contact, or the link
-            of a payload, or if a value is out of bounds.
+        PupperAnalysisError: If the robot lacks a foot, joint or link of the state, or if a value is
+            out of bounds, for example.
     """
     robot = with_contacts(model.load_robot(state), state.task().contacts)
     for field, value in state.requested_values():

@@ -207,17 +207,14 @@ class Session:
             )
 
     def simulate(self) -> None:
-        """Queue a simulation of the shown stance; the page shows the motion and the verdict.
-
-        Without a balanced stance, the page shows a hint instead.
+        """Queue a simulation of the shown stance; the page then shows the motion and the verdict.
         """
         self._request_job("simulating", self._simulate_stance)
 
     def push(self) -> None:
         """Queue a simulation of a push on the robot in the shown stance.
 
-        Impulse and direction are those on the page, which then shows the motion. Without a balanced
-        stance, the page shows a hint instead.
+        Impulse and direction are those on the page, which then shows the motion.
         """
         self._request_job("pushing", self._simulate_push)
 
@@ -295,9 +292,6 @@ class Session:
 
     def _run_worker(self) -> None:
         """Analyse the shown stance closely, and run queued simulations, until the page is closed.
-
-        The thread of the worker runs this function. Unless a simulation is queued, the analysis
-        starts once the stance is `QUIET_SECONDS` old.
         """
         analysed: Answer | None = None
         while not self._closed.is_set():
@@ -335,11 +329,7 @@ class Session:
             return True
 
     def _analyse_closely(self, answer: Answer) -> None:
-        """Analyse the shown stance in detail, and show the result.
-
-        For an unreachable stance this is the explanation with the nearest reachable stance, for a
-        stance in balance the predicted sag and the verdict.
-        """
+        """Analyse the shown stance in detail, and show the result."""
         if answer.unreachable:
             error = answers.explain_unreachable(answer)
             assert answer.robot is not None
@@ -403,9 +393,7 @@ class Session:
             self._play_motion(answer, time, motion)
 
     def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
-        """Play a motion in real time on the page, until the motion ends or other work is pending.
-
-        The motion also ends if another answer is shown, or the session is closed.
+        """Play a motion in real time on the page, until the motion ends or is interrupted.
 
         ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq).
         """

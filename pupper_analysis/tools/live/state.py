@@ -108,10 +108,9 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield (field, value in page units) for each field of the stand task with a value.
+        """Yield (field, value in page units) for the fields of the stand task with a value.
 
-        The mode of the base position determines whether ``offset`` or ``com`` is yielded. Payload
-        and gains are no fields of the stand task.
+        The mode of the base position determines whether ``offset`` or ``com`` is yielded.
         """
         for name, field in FIELDS.items():
             if name == "offset":

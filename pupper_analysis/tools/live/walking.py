@@ -187,8 +187,7 @@ class WalkSession:
     def _draw_robot(self, state: Array) -> None:
         """Draw the walking robot fixed above the origin; the grid of the ground moves instead.
 
-        ``state`` is MuJoCo's full physics state, shape (size,); nothing is drawn if its
-        configuration is not finite.
+        ``state`` is MuJoCo's full physics state, shape (size,).
         """
         qpos = state[1 + self._stage.robot.mj_convention.qpos_index].copy()
         if not np.isfinite(qpos).all():
@@ -203,11 +202,11 @@ class WalkSession:
 def walking_document(
     stage: Stage, window: PolicyRun, duration: float, fall: Diagnostic | None
 ) -> doc.Document:
-    """Create the report of the last second of walking: actual and commanded speeds, motor torques.
+    """Create the report of the latest walking: actual and commanded speeds, motor torques.
 
     Args:
         stage: Policy on the robot.
-        window: States and targets of the last second.
+        window: States and targets of the last second or less.
         duration: Simulated time since the start [s].
         fall: Description of the fall; None if the robot has not fallen.
     """

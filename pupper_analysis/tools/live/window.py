@@ -83,9 +83,8 @@ class Drop:
 def simulate_drop(robot: Robot) -> Drop:
     """Simulate a drop with the servos at the joint positions of the start pose (``Robot.home``).
 
-    The simulation lasts `DROP_SECONDS` and starts at the height of this pose (v3: 0.28 m). If the
-    lowest foot is less than `DROP_HEIGHT` / 2 above the ground, the robot is raised until this
-    foot is at `DROP_HEIGHT`.
+    The simulation lasts `DROP_SECONDS`, and starts in the state of `make_home_data` (v3: 0.28 m
+    high).
     """
     data = make_home_data(robot)
     model = robot.mj_model
@@ -109,8 +108,7 @@ def simulate_drop(robot: Robot) -> Drop:
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
     """Compare the final state of a simulated drop with the home pose on the ground.
 
-    The home pose is shifted vertically, so that the lowest foot touches the ground. The result
-    contains tilt, height and the bodies other than feet on the ground.
+    The home pose is shifted vertically, so that the lowest foot touches the ground.
     """
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
@@ -129,10 +127,7 @@ def _foot_clearance(robot: Robot, qpos: Array) -> float:
 def make_home_data(robot: Robot) -> mujoco.MjData:
     """Return MuJoCo's data with joints and servo commands at the home pose.
 
-    Motors that are no position servos are commanded 0.
-
-    A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if this foot is
-    less than half of this height above the ground.
+    A free base with feet close to the ground is raised (`DROP_HEIGHT`).
     """
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()
@@ -148,9 +143,6 @@ def make_home_data(robot: Robot) -> mujoco.MjData:
 
 def view_robot(robot: Robot, *, headless: bool) -> None:
     """Show a robot in the start pose (``Robot.home``) until the window is closed.
-
-    A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if the feet are
-    near the ground (`make_home_data`).
 
     The sliders "Control" of the viewer command the servos. A robot with a fixed base is shown
     without gravity.
@@ -189,10 +181,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
 
 def _describe_home(robot: Robot, data: mujoco.MjData) -> str:
-    """Return the text about the start pose.
-
-    It states the heights of base and lowest foot [mm]; of a robot with a fixed base, the commands.
-    """
+    """Return the text about the start pose, with heights of base and lowest foot [mm] if known."""
     if not robot.floating:
         return "base fixed in the home pose, servos commanded to its joint positions"
     qpos, _ = robot.mj_convention.read_state(data)
@@ -245,9 +234,6 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
     """Return reasons why the user's own MJCF may fall although the prepared robot lands stably.
 
     The drop is simulated with the prepared robot, in which, for example, bad servos are replaced.
-    The reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, ball joints
-    with which the unmodified MJCF deviates from the nominal stand, loaded motors without torque,
-    and feet without friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo
@@ -269,11 +255,10 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 
 
 def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
-    """Create the message about motors without torque that must hold a load in the nominal stand.
+    """Create the message about motors without torque that may bear a load in the nominal stand.
 
     Damping and friction may hold the joints of such motors for longer than a drop is simulated.
-    None if no motor has a torque limit of zero, if the nominal stand does not load these motors, or
-    if springs hold their joints. Without a nominal stand, the message is returned.
+    None if no such motor bears a load.
     """
     message = describe_zero_torque_limits(robot)
     if message is None:
