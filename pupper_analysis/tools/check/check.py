@@ -58,7 +58,7 @@ def list_history_remarks(
     """Yield a remark (finding of `check`) for each change of a model file since an old version.
 
     Remarks on the effect of all changes together, found by simulation, follow. Nothing is yielded
-    for a new file, or if the versions cannot be compared.
+    for a new file, for example.
 
     Args:
         file: Present version of the file.
@@ -186,11 +186,9 @@ def check_repository(
     Args:
         config: Configuration; by default the file in the current folder or a folder above.
         update_baseline: Whether to write all findings to the baseline, except changes since a
-            revision. Nothing is written if a file cannot be read or compared, or the check of
-            another tool ends with an error.
-        since: Revision of git. Changes since this revision are reported with the effects. A change
-            is an error if the robot falls or MuJoCo diverges. Changes are never written to a
-            baseline.
+            revision. Nothing is written if the check is incomplete, for example because a file
+            cannot be read.
+        since: Revision of git. Changes since this revision are reported with their effects.
 
     Returns:
         Result for each pair, and all remarks.
@@ -198,9 +196,8 @@ def check_repository(
     Raises:
         ConfigurationError: If no configuration is found, or ``config`` is the text of a model, for
             example.
-        ModelError: If the configuration or the baseline cannot be read or is invalid (mostly with
-            the line), or the files of the revision cannot be read, for example without git or
-            repository.
+        ModelError: If the configuration or the baseline is invalid, or the files of the revision
+            cannot be read, for example without git or repository.
         OutputError: If the baseline cannot be written, or an output file of the command is also a
             file to be checked.
     """
@@ -263,8 +260,7 @@ def _list_changes_since(
 ) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
-    ``found`` are the remarks on the present files. Changes that these report as a difference
-    between URDF and MJCF are left out, and pairs with an error (`REFUSED_KIND`).
+    Changes that ``found``, the remarks on the present files, already report are left out.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
@@ -291,9 +287,6 @@ def _is_failure(remark: Remark, config: GuardConfig) -> bool:
 
 def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
     """Audit and compare the files of a pair, and run the checks of other tools (module ``guard``).
-
-    If a file cannot be read, the files are not compared. After an error of the audit or the
-    comparison, the checks of other tools are not run.
 
     Returns:
         Result of the pair, without the numbers of findings; remarks on the findings.
@@ -346,10 +339,7 @@ def _has_refusal(remarks: Iterable[Remark]) -> bool:
 
 
 def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Yield remarks without duplicates, which occur if a file belongs to several pairs.
-
-    Remarks on differences between two files are never dropped.
-    """
+    """Yield remarks without duplicates, which occur if a file belongs to several pairs."""
     seen = set()
     for remark in remarks:
         key = (remark.identity, str(remark.values), remark.place)

@@ -116,8 +116,7 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     """Return the configuration file that the user typed, or that of the typed or current folder.
 
     Raises:
-        ConfigurationError: If both were typed, or the folder does not exist, is a file, or has no
-            configuration in it or above it.
+        ConfigurationError: If both were typed, or there is no configuration, for example.
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
@@ -141,8 +140,8 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     """Write a first configuration of a folder, and print the next steps.
 
     Raises:
-        ConfigurationError: If ``config`` was typed, the folder is missing, contains a configuration
-            or no model.
+        ConfigurationError: If the folder already contains a configuration, or no model, for
+            example.
         OutputError: If the file cannot be written.
     """
     from pupper_analysis.base.diagnostics import diagnose

@@ -123,9 +123,8 @@ def read_config(path: Path) -> GuardConfig:
     """Read a ``pupper-analysis.toml``: pairs of model files, tolerances and settings.
 
     Raises:
-        ModelError: If the file cannot be read, lacks a required key, contains an invalid key or
-            value, or names a missing file. The message states the line, if known, and the valid
-            keys or values.
+        ModelError: If the file cannot be read, or a key, value or named file is missing or not
+            valid. The message states the line, if known.
     """
     try:
         text, values = read_toml(path)
@@ -208,11 +207,7 @@ KeyPath = tuple[str | int, ...]
 
 
 def find_key_line(text: str, key: KeyPath) -> int | None:
-    """Return the line, from 1, of the TOML statement that defines a key; None if undefined.
-
-    Longer and longer beginnings of the text are parsed, each up to the end of a statement. The key
-    is defined in the last statement of the first beginning that contains the key.
-    """
+    """Return the line, from 1, of the TOML statement that defines a key; None if undefined."""
     start = None
     lines = text.split("\n")
     for number, line in enumerate(lines, start=1):
@@ -254,8 +249,7 @@ class _ConfigReader:
     def locate_key(self, *key: str) -> KeyPath:
         """Return the full path of a key in the configuration, for a message.
 
-        The path starts with the current ``[[pair]]`` if this table contains the key. Otherwise the
-        key belongs to the top-level table, whose settings apply to all pairs.
+        The path starts with the current ``[[pair]]`` if this table contains the key.
         """
         own: KeyPath = ("pair", self._entry, *key)
         return own if _contains_path(self.top, own) else key
@@ -386,8 +380,7 @@ class _ConfigReader:
     def resolve_file(self, key: str, text: str) -> Path:
         """Return the path of an existing file or folder that the configuration names.
 
-        Relative paths in the configuration refer to the folder of the configuration. For
-        ``FILE:NAME``, the result ends with ``:NAME``, and only FILE must exist.
+        Relative paths in the configuration refer to the folder of the configuration.
 
         Args:
             key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
@@ -509,8 +502,7 @@ def list_pair_entries(folder: Path) -> list[dict[str, str]]:
     """List the models in a folder and below as entries of a configuration.
 
     An entry is a URDF, an MJCF, or both. A URDF and an MJCF with the same stem (name without
-    suffix) form an entry if both are in the same folder, or if no other unpaired file has this
-    stem.
+    suffix) form an entry, unless several files could be the partner.
 
     Returns:
         The keys ``name``, ``urdf`` and ``mjcf`` of each [[pair]], paths relative to ``folder``.

@@ -31,8 +31,6 @@ from pupper_analysis.tools.check.remarks import REFUSED_KIND, Remark, count_find
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
     """Create the report of the check of a repository: groups of findings, and the pairs of files.
-
-    `build_document` calls this function for a `RepositoryCheck`.
     """
     groups = group_findings(check.remarks)
     blocks: list[doc.Block] = [_make_remark_block(group) for group in groups if not group[0].known]
@@ -67,10 +65,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
-    """Return the first failing finding with its place, as the short answer.
-
-    Without failures: the numbers of checked pairs and files.
-    """
+    """Return the short answer: the first failing finding with its place, or what was checked."""
     if check.failures:
         first = check.remarks[0]
         place = doc.Name(relative_to_root(first.place or first.file))
@@ -80,16 +75,7 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
-    """Return the command to suggest next, or None; the first case that applies is used.
-
-    - The first failing finding is a finding of `audit`, or an error (`REFUSED_KIND`): ``audit``.
-    - The first failing finding is a difference of URDF and MJCF: ``crosscheck`` of the pair.
-    - Other failures, such as a change since a revision: None.
-    - The baseline has entries that no longer occur, and was not rewritten:
-      ``check --update-baseline``.
-    - A pair has two files: for the first such pair ``crosscheck`` if it has known differences,
-      otherwise ``stand``, or ``hold`` for a fixed base.
-    - No pair has two files: None.
+    """Return the command to suggest next, for example ``audit`` of the first failing file, or None.
     """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
@@ -150,7 +136,7 @@ def _is_audit_rule(remark: Remark) -> bool:
 def _make_remark_block(group: list[Remark]) -> doc.FileFinding:
     """Create the block of a group of remarks: message, quoted lines, effects and repair.
 
-    A group contains remarks with the same cause or the same values; the first defines the message.
+    The first remark of the group defines the message.
     """
     first, *others = group
     notes: list[doc.Words] = []
@@ -205,11 +191,7 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Return a line with the numbers of failing, less severe and known findings of a check.
-
-    The line also has the number of baseline entries that no longer occur, and the name of the
-    baseline if it was rewritten. A number of 0 is omitted, except that of the failing findings.
-    """
+    """Return a line with the numbers of failing, less severe and known findings of a check."""
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,
@@ -282,10 +264,9 @@ def describe_stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
 
 
 def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
-    """Create the annotation of a remark at a place.
+    """Create the annotation of a remark at a place (``file:line``).
 
-    If the remark has a cause, the annotation states the cause and the number of differences that
-    it explains: the size of ``group``.
+    The number of remarks in ``group`` is stated with a common cause.
     """
     both = (remark.place, remark.other_place)
     others = [relative_to_root(location) for location in both if location and location != place]

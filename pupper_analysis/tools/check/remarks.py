@@ -99,9 +99,6 @@ class Remark(Result):
     @property
     def finding(self) -> tuple[object, ...]:
         """Key of the finding to which this remark belongs; remarks of one finding are counted once.
-
-        Remarks of a tool, pair and file with the same cause, or the same kind and values at several
-        elements, have equal keys, if all or none of them are known.
         """
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
@@ -111,9 +108,6 @@ def list_comparison_remarks(
     comparison: FilesCompared, pair: GuardedPair, folder: Path
 ) -> Iterator[Remark]:
     """Yield a remark for each result of the comparison of a URDF with an MJCF.
-
-    Results are differences, parts of the robot that only one file has, joints without a partner,
-    and other reasons against agreement of the files.
 
     Args:
         comparison: Compared files.
@@ -362,11 +356,9 @@ class Baseline:
     end: tuple[str, ...] = ()
 
     def format_text(self, entries: Iterable[BaselineEntry]) -> str:
-        """Return the text of this baseline with other entries, which are sorted.
+        """Return the text of this baseline with other entries, sorted, and the user's comments.
 
-        All comments of the user are kept. A comment stays above its entry: the new entry with the
-        same values, otherwise the first entry with the same identity. Comments whose entry no
-        longer exists move to the end. Blank lines between entries are dropped.
+        A comment stays above its entry, if this still exists.
         """
         written = sorted(
             ((_format_baseline_line(entry), entry) for entry in entries), key=itemgetter(0)
@@ -394,8 +386,7 @@ def read_baseline(path: Path) -> Baseline:
     """Read the accepted remarks and the comments of a baseline; empty if the file does not exist.
 
     Raises:
-        ModelError: If the file cannot be read, or a line is neither blank, a comment nor an entry;
-            the error has the line, if known.
+        ModelError: If the file cannot be read, or a line is not valid.
     """
     try:
         content = read_input(path, MAX_TEXT_BYTES)
@@ -528,9 +519,7 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 def values_agree(first: Any, second: Any) -> bool:
     """Return True if the values of two remarks agree, for example of a finding and the baseline.
 
-    Numbers may differ by `_VALUE_RTOL`, relative to the largest magnitude in both lists; in lists
-    that contain texts, relative to the larger magnitude of the two numbers. Tables need the same
-    keys, lists the same structure.
+    Numbers may differ by `_VALUE_RTOL`, mostly relative to the largest magnitude in both lists.
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(

@@ -207,8 +207,7 @@ class Session:
             )
 
     def simulate(self) -> None:
-        """Queue a simulation of the shown stance; the page then shows the motion and the verdict.
-        """
+        """Queue a simulation of the shown stance, whose motion and verdict the page then shows."""
         self._request_job("simulating", self._simulate_stance)
 
     def push(self) -> None:
@@ -291,8 +290,7 @@ class Session:
         self._panels.show_status(message)
 
     def _run_worker(self) -> None:
-        """Analyse the shown stance closely, and run queued simulations, until the page is closed.
-        """
+        """Analyse the shown stance closely and run queued simulations, until the page is closed."""
         analysed: Answer | None = None
         while not self._closed.is_set():
             self._work_pending.wait()

@@ -48,8 +48,6 @@ from pupper_analysis.tools.stand.stance import Preparation, Stance
 @build_document.register(Preparation)
 def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
     """Create the report of how a robot was loaded: preparation passes and the changes of each pass.
-
-    `build_document` calls this function for a `Preparation`.
     """
     robot = text(
         "robot-free" if loading.floating else "robot-held",
@@ -90,10 +88,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
 def _make_pass_table(
     title: doc.Words, passes: Iterable[PassRun], *, detail: bool = False
 ) -> doc.Table:
-    """Create the table of preparation passes: name, purpose, and a row per change of each pass.
-
-    If ``detail``, the short terminal view omits the table.
-    """
+    """Create the table of preparation passes: name, purpose, and a row per change of each pass."""
     rows: list[tuple[doc.Cell, ...]] = []
     for run in passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
@@ -108,16 +103,13 @@ def _make_pass_table(
 
 MAX_UNREPORTED_RESIDUAL = 1e-4
 """Bound of the residual of the static balance in MuJoCo (`StandVerification.mujoco_residual`) [N, N
-m]. Above the bound, the report warns that the two models differ; this is also a case of
-`_select_next_step`. Chosen, not tuned.
+m]. Above the bound, the report warns that the two models differ. Chosen, not tuned.
 """
 
 
 @build_document.register(Stance)
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     """Create the report of a stance: torques, contact forces, simulation and verdict.
-
-    `build_document` calls this function for a `Stance`.
 
     Args:
         stance: Result.
@@ -200,18 +192,7 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(stance: Stance) -> NextStep:
-    """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
-
-    The last case that applies decides:
-
-    - Most verdicts: the entry of `_NEXT_STEPS`, by default `payload`.
-    - The models differ, or the files describe two robots: `crosscheck`. For a robot of one file,
-      `audit` replaces `crosscheck`.
-    - The stance loses height: `stand` with the height that remains.
-    - Servos are too soft: `stand` with stiffer servos, or with ``--minimum-stiffness``.
-    - The damping gain kd exceeds its bound, and no soft servos cause the failure: `gains`.
-    - The minimum stiffness is already known: `payload` replaces its computation.
-    """
+    """Return the command to run next: on the cause of a failure, otherwise mostly `payload`."""
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
     mismatch = stance.verification.mujoco_residual > MAX_UNREPORTED_RESIDUAL
@@ -249,12 +230,7 @@ def _has_soft_drives(stance: Stance) -> bool:
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
-    """Return the command to run if servos are too soft: `stand` with larger kp and kd.
-
-    The gains are `STIFFNESS_FACTOR` times the present gains; with this factor the unmodified file
-    stands in a simulation. If the gains of the joints differ, the command is instead
-    ``stand --minimum-stiffness``.
-    """
+    """Return the command to run if servos are too soft: `stand` with larger gains, for example."""
     if np.ptp(run.kp) or np.ptp(run.kd):
         return NextStep("stand", ("--minimum-stiffness",))
     kp, kd = (f"{STIFFNESS_FACTOR * values[0]:g}" for values in (run.kp, run.kd))
@@ -262,12 +238,7 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 
 
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
-    """Return the command ``stand`` with gains with which a failing stand stays upright.
-
-    `Stance.soft_servos` contains the factor on the gains of each class (joints with equal gains).
-    None without such gains. None also if the name of a class, read as a pattern, matches other
-    joints than the class contains.
-    """
+    """Return the command ``stand`` with gains with which a failing stand stays upright, or None."""
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
         return None
@@ -284,8 +255,6 @@ def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
     """Yield a warning that URDF and MJCF differ if the predicted forces do not balance in MuJoCo.
-
-    The criterion is a residual above `MAX_UNREPORTED_RESIDUAL`; otherwise nothing is yielded.
     """
     if run.mujoco_residual > MAX_UNREPORTED_RESIDUAL:
         yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
@@ -294,10 +263,7 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """Yield a text with the most loaded motor, the torque or force, and the utilisation [%].
-
-    `find_hardest_motor` defines the most loaded motor.
-    """
+    """Yield a text with the most loaded motor, the torque or force, and the utilisation [%]."""
     statics = stance.statics
     peak = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[peak])
@@ -329,8 +295,7 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
 def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
     """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
-    If the gains of the joints differ, the bounds are factors on all gains, and the gains themselves
-    are not yielded. Nothing is yielded if `Stance.servos` is None or has no joint classes.
+    If the gains of the joints differ, the bounds are factors on all gains.
     """
     servos = stance.servos
     if servos is None or not servos.classes:
@@ -366,19 +331,12 @@ def _round_bound(bound: float | None) -> float | None: ...
 
 
 def _round_bound(bound: float | None) -> float | None:
-    """Round a bound on a servo gain, or on a factor of gains, to two significant digits.
-
-    None if ``bound`` is None.
-    """
+    """Round a bound on a servo gain, or on a factor of gains, to two significant digits."""
     return None if bound is None else float(f"{bound:.2g}")
 
 
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the servos that alone make the stand fail, and the smallest sufficient stiffness.
-
-    The first text is yielded if `Stance.soft_servos` is known; the second if the robot does not
-    stand without feed-forward, and the least kp is above the present kp.
-    """
+    """Yield the servos that alone make the stand fail, and the smallest sufficient stiffness."""
     servos, soft = stance.servos, stance.soft_servos
     if soft is not None:
         yield text(
@@ -458,14 +416,7 @@ def _get_stiffness_unit(stance: Stance) -> str:
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the findings of a stance: minimum kp, sag, and largest force of each hand.
-
-    - Minimum kp, if requested, or the reason for which no kp suffices.
-    - State without feed-forward. If no equilibrium was found: the reason. Otherwise the
-      equilibrium, or only the sag [mm] if `_list_details` yields the equilibrium. The sag is left
-      out if the equilibrium has failures, or if the base is fixed. The reason is left out if
-      `_list_details` yields the reason.
-    - Largest force [N] with which each hand can press.
+    """Yield the findings of a stance, for example minimum kp, sag, and largest force of each hand.
     """
     if stance.minimum_stiffness is not None:
         yield text(
@@ -486,12 +437,7 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
-    """Return True if the report lists the equilibrium without feed-forward only as a detail.
-
-    True in two cases. The equilibrium ``settled`` has no failures, and the feet stay in place when
-    the feed-forward is removed (``release_margin`` of at least `RELEASE_MARGIN`). Or the verdict
-    already states that the robot fails without feed-forward.
-    """
+    """Return True if the report lists the equilibrium without feed-forward only as a detail."""
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)
 
@@ -523,11 +469,7 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 
 
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the details of the report: the equilibrium without feed-forward, and the ground.
-
-    The equilibrium is left out if `_list_findings` yields its text. If no equilibrium was found and
-    the verdict states a failure without feed-forward, the reason is yielded instead.
-    """
+    """Yield the details of the report: the equilibrium without feed-forward, and the ground."""
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)

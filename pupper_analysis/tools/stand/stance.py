@@ -321,9 +321,8 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
         stand: The stand.
 
     Returns:
-        Largest press of each hand. A hand is omitted if the program is infeasible or unbounded.
-        Empty if the task fixes a part of the robot to the world (weld or grip), since this
-        constraint limits the force.
+        Largest press of each hand; a hand without a finite largest press is omitted. Empty if the
+        task welds or grips a part of the robot, since this constraint limits the force.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
