@@ -225,13 +225,10 @@ def analyze_variant(
     Raises:
         StanceUnreachableError: If the stand is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths of a robot without closed loops and joint
-            couplings do not converge.
+        NotSettlingError: If the penetration depths of the feet do not converge.
         ConfigurationError: If the base is fixed, or the task is invalid for the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: For example, if a joint has no position servo, a mass or inertia is invalid, the
-            contacts or the ground cannot be added, or MuJoCo cannot import the URDF of a large
-            robot.
+        ModelError: If a joint has no position servo, or the ground cannot be added, for example.
     """
     rigid_stand = solve_stand(robot, task)
     stand = solve_stand_as_simulated(robot, rigid_stand)
@@ -337,9 +334,8 @@ def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     The calf reaches from the knee to the foot, without the component along the knee axis.
 
     Returns:
-        Thigh and calf length [m]. The thigh is None for a leg with a single joint, and if the
-        preceding joint is a slide. Both are None for a leg without joints, with more than
-        `_MAX_LEG_JOINTS` joints, or with a slide as the last joint.
+        Thigh and calf length [m]; None if unknown, for example for a leg with more than
+        `_MAX_LEG_JOINTS` joints.
     """
     foot = robot.contact_points[0]
     joints = leg_joints(robot, foot)

@@ -145,13 +145,7 @@ def command(
 def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
-    """Analyse robots, and print each result as soon as it is known.
-
-    Args:
-        meant: Requested robots.
-        task: Task of the stand.
-        everything: Print all tables.
-        shown: Print results as text; otherwise nothing is printed.
+    """Analyse robots, and print each result as soon as it is known if ``shown``.
 
     Returns:
         Analyses, and loaded robots with distinct names, both in the order of ``meant``.
@@ -184,10 +178,7 @@ def _analyze_all(
 def _compare_variants(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
-    """Return a row of key figures per robot; variants with ratios to the unscaled variant.
-
-    Robots from files have no ratios.
-    """
+    """Return a row of key figures per robot; variants with ratios to the unscaled variant."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
@@ -205,11 +196,7 @@ def _compare_variants(
 
 
 def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
-    """Write the figures of the analyses into a folder, and print the folder.
-
-    The figures are ``pose_NAME.png`` per robot, the figures of `FIGURES`, and ``variants.png`` with
-    all robots side by side.
-    """
+    """Write the figures of the analyses into a folder, and print the folder."""
     from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants

@@ -47,9 +47,8 @@ robot's sensors. Chosen, not tuned.
 """
 
 MIN_SHOWN_LOSS = 0.1
-"""Smallest height loss [mm] at which the vertical axis of the height figure may end. If all losses
-are smaller, the axis extends to this value, so that rounding errors are not enlarged. Chosen, not
-tuned.
+"""Smallest height loss [mm] at which the vertical axis of the height figure may end, so that
+rounding errors are not enlarged. Chosen, not tuned.
 """
 
 _LOSS_WINDOW = 1.0
@@ -61,10 +60,7 @@ between base height and height of the stand in this interval. Chosen, not tuned.
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw predicted and simulated motor torques of each robot, in percent of the effort limits.
 
-    Magnitudes are drawn, in a panel per robot; motors without a finite positive limit have no
-    marks. Corresponding joints of all legs share a row, with two marks per leg: the torque that
-    Pinocchio predicts, and the torque of the simulation with feed-forward. Other joints have a row
-    each.
+    Magnitudes are drawn, in a panel per robot. Corresponding joints of all legs share a row.
 
     Args:
         analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are
@@ -122,8 +118,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw the base height [mm], relative to the height in the stand, over the simulated time [s].
 
-    The legend of a panel states the mean over the last second of each curve. If a link other than a
-    foot touches the ground, and this is a failure of the simulation, the first contact is marked.
+    The legend of a panel states the mean over the last second of each curve.
 
     Args:
         analyses: Results; ``stand``, ``verification`` and ``sagging`` are drawn.
@@ -245,9 +240,8 @@ def _group_joints(
 ) -> dict[str, list[tuple[int, int | None]]]:
     """Return {row title: (joint index, leg index) of each joint} for the rows of the torque figure.
 
-    The first rows contain corresponding joints of all legs (`_list_legs`), the last rows one other
-    joint each. The leg is None for a joint that several legs share, for a joint outside of legs,
-    and for a robot with a single leg.
+    A row contains corresponding joints of all legs (`_list_legs`), or a single other joint. The leg
+    is None for a joint outside of legs, for example.
     """
     names = [joint.name for joint in analysis.joints]
     by_depth: defaultdict[int, dict[int, int | None]] = defaultdict(dict)
@@ -267,8 +261,6 @@ def _group_joints(
 
 def _join_common_parts(names: Sequence[str]) -> str:
     """Return the common parts of joint names, joined; the first name if there are none.
-
-    The parts of a name are separated by underscores.
 
     For ``leg_front_l_1`` and ``leg_back_r_1`` the result is ``leg_1``.
     """
@@ -290,8 +282,6 @@ def _get_leg_style(leg: int) -> dict[str, Any]:
 
 def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
     """Write the feet of each leg above a panel, right-aligned, with colour and marker of the leg.
-
-    Nothing is written for fewer than two legs, or for more legs than there are colours.
     """
     if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
         return
@@ -331,10 +321,7 @@ def _format_range(values: Array) -> str:
 
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact of a link with the ground that is a failure, in a plot of heights.
-
-    Nothing is marked without such a contact.
-    """
+    """Mark the first contact of a link with the ground that is a failure, in a plot of heights."""
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return
@@ -358,10 +345,7 @@ def _list_ground_contacts(failures: Sequence[Diagnostic]) -> Iterator[tuple[floa
 
 
 def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
-    """Return the title of the gain figure, with disturbance and duration of the first sweep.
-
-    Empty without sweeps.
-    """
+    """Return the title of the gain figure, with disturbance and duration of the first sweep."""
     if not sweeps:
         return ""
     first = sweeps[0]
@@ -377,15 +361,7 @@ def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
 def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUnits) -> None:
     """Draw a heat map of a gain sweep: a cell per pair of gains, a row per kp, a column per kd.
 
-    A cell has the colour and the number of the height deviation in the last second [mm]. It is grey
-    with the word "falls" if the robot falls, and hatched if the robot does not stay at rest
-    (``GainSweep.lasts``).
-
-    Args:
-        axes: Panel; limits, ticks and axis names are set.
-        sweep: Results, a deviation per pair.
-        scale: Logarithmic colour scale of deviations [mm].
-        units: Units of kp and kd in the axis names.
+    A cell has the colour and the number of the height deviation in the last second [mm].
     """
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
     colours = ScalarMappable(scale, _COLOUR_MAP)

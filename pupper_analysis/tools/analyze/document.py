@@ -70,8 +70,6 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
     """Create the report of an analysis: stand, loads, simulations and verdict.
 
-    `build_document` calls this function for an `Analysis`.
-
     Args:
         analysis: Result.
         robot: Robot of the result, for the 3-D view and the names of the files; None if not
@@ -129,15 +127,11 @@ _MAX_SHOWN_FAILURES = 2
 tuned."""
 
 _CROSS_CHECK_CODE = "models-deviate"
-"""Code of the failures that report a deviating quantity of the cross-check. The report joins all
-these failures."""
+"""Code of the failures that report a deviating quantity of the cross-check."""
 
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
-    """List the failures of an analysis, causes before effects.
-
-    All quantities that deviate in the cross-check are a single failure.
-    """
+    """List the failures of an analysis, causes before effects."""
     order = sorted(analysis.failures, key=lambda failure: failure.code != TWO_ROBOTS_CODE)
     others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
     check = analysis.check
@@ -158,10 +152,7 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
 
 
 def _select_next_step(analysis: Analysis) -> doc.NextStep:
-    """Return the command to suggest next.
-
-    ``payload`` for a verified robot, ``crosscheck`` if the cross-check fails, else ``stand``.
-    """
+    """Return the command to suggest next, such as ``payload`` for a verified robot."""
     if analysis.verified:
         return doc.NextStep("payload")
     differs = not all(quantity.passed for quantity in analysis.check.quantities)
@@ -169,14 +160,7 @@ def _select_next_step(analysis: Analysis) -> doc.NextStep:
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
-    """Yield the warnings of the verdict, and failures of the simulation without feed-forward.
-
-    The failures are omitted if the verdict already contains them.
-
-    Args:
-        analysis: Analysis.
-        first: Warnings of the verdict.
-    """
+    """Yield the warnings of the verdict (``first``), and failures without feed-forward."""
     yield from first
     alone = analysis.verdict.commands_alone
     if alone in (None, Ending.HOLDS):
@@ -191,8 +175,6 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     """Yield three lines: mass and largest load, base height, largest deviation of the cross-check.
-
-    The load is the torque of the motor that `find_hardest_motor` selects.
     """
     statics = analysis.statics
     most = find_hardest_motor(statics)
@@ -241,8 +223,6 @@ def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
 
 def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     """Yield the model data: sizes, mass, CoM and leg lengths, then the tables of joints and masses.
-
-    If ``robot`` is not None, its files are named as well.
     """
     yield doc.Lines(
         (
@@ -338,7 +318,7 @@ def _format_length(length: float | None) -> str:
 
 
 def _make_jacobian_table(analysis: Analysis) -> doc.Block:
-    """Create the table of foot Jacobians [m/rad] in world axes, a row per contact point.
+    """Create the table of foot Jacobians in world axes, a row per contact point.
 
     The columns are the three rows of the Jacobian, singular values and condition number.
     """
@@ -369,11 +349,7 @@ def _make_jacobian_table(analysis: Analysis) -> doc.Block:
 
 
 def _make_check_table(analysis: Analysis) -> doc.Block:
-    """Create the table of the cross-check, a row per compared quantity.
-
-    A row describes the largest relative deviation of the quantity: the element, the two evaluations
-    (file and engine) that are compared, the deviation, and whether it is within the tolerance.
-    """
+    """Create the table of the cross-check: the largest relative deviation of each quantity."""
     check = analysis.check
     rows: list[tuple[doc.Cell, ...]] = []
     for quantity in check.quantities:
@@ -556,11 +532,7 @@ def compare_with_base(
 
 
 def _get_verdict_key(verified: bool, stands_without: bool) -> str:
-    """Return the key, in the catalogue of texts, of an analysis verdict, such as "VERIFIED".
-
-    The key of a verified robot whose simulation without feed-forward fails is "VERIFIED with
-    feed-forward".
-    """
+    """Return the key, in the catalogue of texts, of an analysis verdict, such as "VERIFIED"."""
     if not verified:
         return "FAILED"
     return "VERIFIED" if stands_without else "VERIFIED with feed-forward"

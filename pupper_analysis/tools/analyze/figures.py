@@ -54,7 +54,8 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
 """Smallest margin around a robot's skeleton and ground in its tile (part of the picture), relative
-to the tile width [1]. Half of it is the left margin of the scale bar. Chosen, not tuned."""
+to the tile width [1]. Chosen, not tuned.
+"""
 LABEL_HEIGHT = 0.125
 """Height of the strip for the text below a robot, relative to the width of the robot's tile [1].
 Chosen, not tuned."""
@@ -194,11 +195,7 @@ _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def _compile_model(tile: Tile) -> mujoco.MjModel:
-    """Compile a robot's MJCF for the picture: with the ground of the tile, and other lights.
-
-    Planes of the MJCF are hidden, and its lights deleted. For a robot with a fixed base, free
-    joints and keyframes are deleted as well.
-    """
+    """Compile a robot's MJCF for the picture: with the ground of the tile, and other lights."""
     robot = tile.robot
     spec = robot.description.mjcf.copy()
     for geom in spec.geoms:
@@ -251,10 +248,8 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
 def _list_backends() -> tuple[str, ...]:
     """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
-    If the environment variable MUJOCO_GL names a backend, only its module is returned. Otherwise
-    the usual modules of the operating system are returned. Empty if MUJOCO_GL disables OpenGL.
-
     This process cannot select a backend by MUJOCO_GL, because MuJoCo reads the variable on import.
+    Empty if MUJOCO_GL disables OpenGL.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _DISABLING_VALUES:
@@ -271,9 +266,8 @@ def _list_backends() -> tuple[str, ...]:
 def _quiet_attempt() -> Iterator[None]:
     """Suppress warnings while an OpenGL backend is tried, and undo side effects afterwards.
 
-    ``PYOPENGL_PLATFORM`` and ``EGL_LOG_LEVEL`` are restored. After an exception, new modules of
-    OpenGL and submodules of mujoco are removed from ``sys.modules``, so that another backend can be
-    tried. Reason: PyOpenGL binds to a single backend on import, by a variable that MuJoCo sets.
+    PyOpenGL binds to a single backend on import, by a variable that MuJoCo sets. Therefore new
+    modules are removed from ``sys.modules`` after an exception.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)

@@ -120,12 +120,11 @@ def sweep_gains(
     """Simulate a stand under a vertical force on the base, for each pair of kp and kd.
 
     The servos are commanded to the joint positions of the stand, without feed-forward. The force is
-    amplitude sin(2 pi frequency t), from the first step. All pairs run in parallel, on all cores.
-    The default integrator treats kd implicitly; the Euler integrator oscillates at high kd.
+    amplitude sin(2 pi frequency t). The default integrator treats kd implicitly; the Euler
+    integrator oscillates at high kd.
 
     The result does not name a best pair. The base moves less with stiffer servos, but the
-    simulation has no delay and no noise, which limit the stiffness on a real robot. ``lasts`` is
-    False for pairs with which the robot does not stay at rest without the force.
+    simulation has no delay and no noise, which limit the stiffness on a real robot.
 
     Args:
         robot: Robot.
@@ -145,8 +144,8 @@ def sweep_gains(
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
             to another robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both passed, or if the ground or a contact cannot be added.
+        ModelError: If a joint has no motor or no position servo, or the ground cannot be added, for
+            example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
@@ -182,10 +181,8 @@ def sweep_gains(
 def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[float]:
     """Return the values of a gain (kp or kd) with which a sweep simulates the stand.
 
-    Args:
-        given: Values that the caller passed; None for the default.
-        own: Gains of the model's servos, shape (nu,). Required if ``given`` is None: the values are
-            then the median of these gains times ``GAIN_FACTORS``.
+    Default: `GAIN_FACTORS` times the median of ``own``, the gains of the model's servos, shape
+    (nu,).
     """
     if given is not None:
         return [float(value) for value in given]
@@ -237,11 +234,7 @@ class _SweepTrial:
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m].
-
-            The state of rest is None if the pose has failures. If it cannot be computed, no state
-            of rest is stored.
-            """
+            """Store the initial state and the state of rest for a stiffness kp [N m/rad, N/m]."""
             # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
             starts[kp] = place_on_ground(robot, drive, stand, self.torques)
@@ -251,11 +244,7 @@ class _SweepTrial:
                 rests[kp] = None if pose.failures else start
 
         def simulate(cell: GainPair) -> tuple[float, bool]:
-            """Simulate the stand with a pair of gains, kp and kd.
-
-            Returns:
-                Height deviation [m], and whether the robot comes to rest and remains at rest, as
-                for `run`.
+            """Return height deviation [m] and rest of a pair of gains, as in the result of `run`.
             """
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
             watcher = monitor.ContactSampler(robot, drive.model)
@@ -298,8 +287,8 @@ class _SweepTrial:
     def _compute_deviation(self, watcher: monitor.ContactSampler, states: Array) -> float:
         """Compute the standard deviation of the base height in the last second [m].
 
-        The value is infinite if the robot does not stand at the end (`_is_standing`). ``states``
-        are MuJoCo states, a row per time step.
+        Infinite if the robot does not stand at the end. ``states`` are MuJoCo states, a row per
+        time step.
         """
         if not self._is_standing(watcher, states):
             return math.inf
@@ -309,8 +298,7 @@ class _SweepTrial:
     def _is_standing(self, watcher: monitor.ContactSampler, states: Array) -> bool:
         """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout.
 
-        The robot stands if the simulation did not diverge, the base is upright and at its height,
-        and only feet touch the ground (``StandCheck.stands``).
+        The criterion is `StandCheck.stands`, without divergence.
         """
         if monitor.has_diverged(states, self.timestep):
             return False

@@ -30,8 +30,7 @@ from pupper_analysis.tools.check.remarks import REFUSED_KIND, Remark, count_find
 
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
-    """Create the report of the check of a repository: groups of findings, and the pairs of files.
-    """
+    """Create the report of the check of a repository: groups of findings, and pairs of files."""
     groups = group_findings(check.remarks)
     blocks: list[doc.Block] = [_make_remark_block(group) for group in groups if not group[0].known]
     if known := tuple(_describe_known_group(group) for group in groups if group[0].known):
@@ -75,8 +74,7 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
-    """Return the command to suggest next, for example ``audit`` of the first failing file, or None.
-    """
+    """Return the command to suggest next, such as ``audit`` of the first failing file, or None."""
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
     folder = Path(check.config).parent

@@ -38,8 +38,6 @@ from pupper_analysis.tools.payload.limit import VERIFIED_FRACTION, Bound, Payloa
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
     """Create the document of a payload limit: mass, bounds and simulations.
 
-    `build_document` calls this function for a `PayloadLimit`.
-
     Args:
         limit: Result.
         robot: Robot of the result, for the 3-D view and notes; None if not available.
@@ -79,17 +77,7 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(limit: PayloadLimit) -> NextStep:
-    """Return the command to suggest next; the first case that applies is used.
-
-    - Motor limits are unknown, and the upper bound is above 0 kg: `audit`.
-    - The result fails, and the files may explain this: `crosscheck` or `audit`.
-    - The result fails with a payload on the command line: `payload` without that payload.
-    - The result fails without: `stand`, which states the cause.
-    - Otherwise: the command for the bound that limits the payload (`_NEXT_STEPS`).
-
-    In the last case, except for `best`, which searches for a payload, the command adds
-    `VERIFIED_FRACTION` of a finite bound to the payload of the command line.
-    """
+    """Return the command to suggest next, for example to raise the smallest bound."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:
@@ -106,10 +94,7 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
-    """Return the verdict word: UNKNOWN, FAILS, or CARRIES with the kind of torque limits.
-
-    The limits are peak torques, continuous torques, or peak torques of some motors only.
-    """
+    """Return the verdict word: UNKNOWN, FAILS, or CARRIES with the kind of torque limits."""
     if math.isnan(limit.mass) or not limit.passed:
         key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
         return qualify_verdict_word(key, limit.verdict.converted)
@@ -122,8 +107,6 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 
 def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
     """Return the conditions of a payload as values of a text: kind of torque limits, compensation.
-
-    The limits are peak torques, continuous torques, or peak torques of ``count`` motors only.
     """
     count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
     return {
@@ -136,11 +119,7 @@ def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """Return the text of the largest payload [kg] and its position [mm].
-
-    If torque limits of motors that carry the load are unknown, and the upper bound is above 0 kg,
-    the text states this bound and the torque of one of these motors instead.
-    """
+    """Return the text of the largest payload [kg], or of its upper bound, and its position [mm]."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)
     return text(
@@ -169,9 +148,7 @@ def _describe_conditions(limit: PayloadLimit) -> doc.Text:
 def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
     """Return the text of the failure that limits the payload, and of a larger bound.
 
-    The larger bound is the smallest finite bound with another failure; it is left out if there is
-    none. None if the limit is unknown: torque limits are unknown, and the upper bound is above 0
-    kg.
+    None if the limit is unknown.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
@@ -192,11 +169,7 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
 
 
 def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
-    """Return the text of the upper bound of the mass if torque limits are unknown.
-
-    The text also contains the largest torque in `PayloadLimit.stand` of a motor without a stated
-    limit.
-    """
+    """Return the text of the upper bound of the mass if torque limits are unknown."""
     torques = limit.torque_by_joint
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
     torque = format_number(abs(float(torques[hardest])), ".3g")
@@ -213,8 +186,6 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
     """Create the table of payload bounds [kg], smallest first, with the failure above each bound.
-
-    The bound of the simulation is listed only if finite.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (text(_BOUND_KEYS[name]), mass_text(bound.mass), _describe_bound_failure(bound))

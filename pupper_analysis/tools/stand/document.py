@@ -47,8 +47,7 @@ from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 @build_document.register(Preparation)
 def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
-    """Create the report of how a robot was loaded: preparation passes and the changes of each pass.
-    """
+    """Create the report of how a robot was loaded: preparation passes and their changes."""
     robot = text(
         "robot-free" if loading.floating else "robot-held",
         mass=f"{loading.mass:.3f}",
@@ -230,7 +229,7 @@ def _has_soft_drives(stance: Stance) -> bool:
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
-    """Return the command to run if servos are too soft: `stand` with larger gains, for example."""
+    """Return the command to run if servos are too soft, such as `stand` with larger gains."""
     if np.ptp(run.kp) or np.ptp(run.kd):
         return NextStep("stand", ("--minimum-stiffness",))
     kp, kd = (f"{STIFFNESS_FACTOR * values[0]:g}" for values in (run.kp, run.kd))
@@ -416,8 +415,7 @@ def _get_stiffness_unit(stance: Stance) -> str:
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the findings of a stance, for example minimum kp, sag, and largest force of each hand.
-    """
+    """Yield the findings of a stance, such as minimum kp, sag, and largest force of each hand."""
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
