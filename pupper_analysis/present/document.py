@@ -61,9 +61,6 @@ def text(key: str, **values: object) -> Text:
 
 def word(name: str) -> Text | Name:
     """Translate a term of the catalogue ``terms.toml``; return other names, such as joints, as is.
-
-    ``name`` is the key of the term, which becomes a text in both languages. A string without an
-    entry, such as the name of a joint, becomes a `Name`, which is shown untranslated.
     """
     return text(name) if is_term(name) else Name(name)
 
@@ -590,9 +587,8 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 def widen_format(form: str, values: Iterable[float]) -> str:
     """Return a fixed-point format with two significant digits of the largest of several values.
 
-    The format has at least the decimals of ``form``, and at most nine (`_MAX_DECIMALS`). The
-    largest value is the largest finite magnitude. Reason: torques of a robot of a few grams are
-    1e-3 N m, and ``".2f"`` would print 0.00.
+    The format has at least the decimals of ``form``, and at most nine (`_MAX_DECIMALS`). Reason:
+    torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would print 0.00.
 
     Args:
         form: Fixed-point format specification with up to nine decimals, such as ``"+.4f"``.

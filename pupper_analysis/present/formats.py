@@ -133,13 +133,8 @@ def _make_results(
 ) -> Iterator[dict[str, Any]]:
     """Yield a SARIF result object per annotation, with rule, place, fingerprint and fixes.
 
-    By the fingerprint, a server recognises a finding in a later run. The fingerprint depends on
-    kind, file and title, and on the number of earlier annotations with the same kind, file and
-    title. The fingerprint does not depend on the line.
-
-    Args:
-        annotations: Annotations.
-        numbers: {kind: index of the rule}.
+    By the fingerprint, which does not depend on the line, a server recognises a finding in a later
+    run. ``numbers`` is {kind: index of the rule}.
     """
     before: Counter[tuple[str, str, str]] = Counter()
     for annotation in annotations:
@@ -201,8 +196,6 @@ def _make_location(file: str, line: int | None) -> dict[str, Any]:
     """Create a SARIF object for a place in a file: {"artifactLocation": ..., "region": ...}.
 
     Without a line number the place is line 1, because GitHub shows no result without a line.
-    Special characters of a relative path are percent-encoded. An example is the colon: the
-    reference must not begin with a scheme such as "C:".
     """
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
@@ -270,7 +263,7 @@ def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-ana
     """Convert annotations to JUnit XML, with a test case per annotation.
 
     A test case passes if the level of the annotation is notice, or if a baseline contains the
-    annotation. Without annotations there is a single test case, which passes.
+    annotation.
 
     Args:
         annotations: Annotations.

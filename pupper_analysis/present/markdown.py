@@ -43,8 +43,8 @@ _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))
 _REFERENCE_PATTERN = re.compile(
     r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
 )
-"""Positions (empty matches) at which a `_WORD_JOINER` is inserted. Without the character, GitHub
-would convert the text around the position to a mention, reference, link or emoji.
+"""Positions (empty matches) at which a `_WORD_JOINER` is inserted, because GitHub would convert the
+text there to a mention, reference, link or emoji.
 """
 
 _WORD_JOINER = "\u2060"
@@ -56,9 +56,7 @@ character, GitHub does not convert these texts to a mention of a user or to a li
 def write_markdown(report: Report) -> str:
     """Convert a report to Markdown for a comment: the overview, then the documents.
 
-    If the report has an overview, the blocks of the documents are omitted. If the text exceeds
-    `MAX_COMMENT_LENGTH`, all blocks are omitted. The remaining text is cut to this length, and a
-    remark follows.
+    A long text is shortened to about `MAX_COMMENT_LENGTH` characters.
     """
     parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:
@@ -80,10 +78,7 @@ def fold_lines(title: str, lines: Iterable[str]) -> str:
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
-    """Convert a document to Markdown sections: title, messages, blocks and notes.
-
-    If ``whole`` is False, the blocks (tables, plots and others) are omitted.
-    """
+    """Convert a document to Markdown sections: title, messages, blocks if ``whole``, and notes."""
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"
@@ -184,10 +179,7 @@ def _make_listing_parts(block: Listing) -> list[str]:
 
 
 def _format_code(text: str) -> str:
-    """Format a text as inline code of Markdown, so that no character acts as markup.
-
-    The result is empty for a blank text.
-    """
+    """Format a text as inline code of Markdown, so that no character acts as markup."""
     shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""

@@ -152,11 +152,7 @@ class Animation:
         return buffer.getvalue()
 
     def _to_mp4(self) -> bytes:
-        """Return the animation as the content of an MP4 file.
-
-        Raises:
-            MissingPackageError: If ``imageio[ffmpeg]`` is not installed.
-        """
+        """Return the animation as the content of an MP4 file; requires ``imageio[ffmpeg]``."""
         try:
             imageio = import_module("imageio.v2")
             import_module("imageio_ffmpeg")
@@ -228,9 +224,8 @@ def animate_result(
 ) -> Animation:
     """Draw an animation of a result's motion.
 
-    For a result with a single configuration, the camera turns around the robot once. Of a motion
-    with more than `_MAX_FRAMES` configurations, only every second, third etc. configuration is
-    drawn.
+    For a result with a single configuration, the camera turns around the robot once. Of a long
+    motion, only every second, third etc. configuration is drawn.
 
     Args:
         result: Result.
@@ -297,22 +292,13 @@ def _make_configuration_view(config: Configuration, robot: Robot | None = None) 
 
 @make_view.register(SolvedPosture)
 def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> MotionView:
-    """Return the view of a solved posture, with the robot of the posture by default.
-
-    Raises:
-        ConfigurationError: If neither ``robot`` nor the posture specifies the robot.
-    """
+    """Return the view of a solved posture, with the robot of the posture by default."""
     return _make_still_view(_require_robot(posture, robot or posture.robot), posture.qpos)
 
 
 @make_view.register(Stand)
 def _make_stand_view(stand: Stand, robot: Robot | None = None) -> MotionView:
-    """Return the view of a stand on its ground, with the robot of the stand by default.
-
-    Raises:
-        ConfigurationError: If neither ``robot`` nor the stand specifies the robot, or the stand
-            belongs to another robot.
-    """
+    """Return the view of a stand on its ground, with the robot of the stand by default."""
     owner = _require_robot(stand, robot or stand.own_robot)
     return _make_still_view(_place_on_ground(owner, stand), stand.qpos)
 
@@ -320,10 +306,6 @@ def _make_stand_view(stand: Stand, robot: Robot | None = None) -> MotionView:
 @make_view.register(StandVerification)
 def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> MotionView:
     """Return the view of the motion in a simulated stand, with the robot of the stand by default.
-
-    Raises:
-        ConfigurationError: If neither ``robot`` nor the stand specifies the robot, or the stand
-            belongs to another robot.
     """
     stand = run.stand
     owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))
@@ -337,11 +319,7 @@ def _make_still_view(robot: Robot, qpos: Array) -> MotionView:
 
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:
-    """Return ``robot``, the robot of a result; raise an error if it is None.
-
-    Raises:
-        ConfigurationError: If the robot is None; the message contains the type of the result.
-    """
+    """Return ``robot``, the robot of a result; raise a ConfigurationError if it is None."""
     if robot is None:
         kind = type(result).__name__
         raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=kind))
@@ -367,16 +345,7 @@ def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_size(size: Any, frames: int) -> None:
-    """Check the size of pictures.
-
-    Args:
-        size: Width and height [pixel].
-        frames: Number of pictures.
-
-    Raises:
-        ConfigurationError: If the size is no pair of whole numbers from 1 to `_MAX_SIDE`, or all
-            frames have more than `_MAX_PIXELS` pixels.
-    """
+    """Raise a ConfigurationError if width and height of pictures [pixel] are not valid."""
     given = [*size] if isinstance(size, Sequence) or np.ndim(size) == 1 else []
     whole = all(isinstance(side, int | np.integer) and type(side) is not bool for side in given)
     if len(given) != 2 or not whole or not all(1 <= side <= _MAX_SIDE for side in given):
@@ -403,7 +372,7 @@ def _can_open_window() -> bool:
 
 
 def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) -> Array:
-    """Create a camera per configuration. All have the same distance and the same looked-at point.
+    """Create a camera per configuration; all have the same distance and looked-at point.
 
     The sphere around the robot in the first and last configuration fits into the height of the
     picture.
@@ -482,10 +451,7 @@ def draw_views(
 
 
 def _list_drivers() -> tuple[str, ...]:
-    """Return the values of MUJOCO_GL to try; "" is MuJoCo's default.
-
-    If the user has set MUJOCO_GL, only this value is tried.
-    """
+    """Return the values of MUJOCO_GL to try; "" is MuJoCo's default."""
     requested = os.environ.get("MUJOCO_GL", "")
     if requested:
         return (requested,)
@@ -496,8 +462,8 @@ def _list_drivers() -> tuple[str, ...]:
 def _run_drawing(folder: Path, driver: str) -> str | None:
     """Run `offscreen` in another process, to draw the views stored in a folder.
 
-    ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's rendering backend. The result is
-    the reason of a failure; None if the frames were written.
+    ``driver`` is the value of MUJOCO_GL. Returns the reason of a failure; None if the frames were
+    written.
     """
     environment = {**os.environ, "MUJOCO_GL": driver}
     program = Path(__file__).with_name("offscreen.py")

@@ -28,8 +28,7 @@ NUM_VISIBLE_GROUPS = 3
 
 _MAX_GRID_CELLS = 512
 """Number of grid cells along the longest side of a mesh, in the first and finest grid with which
-`_simplify_mesh` reduces the mesh. Vertices in the same cell are merged. Each further grid has 3/4
-of the cells per side. Chosen, not tuned.
+`_simplify_mesh` reduces the mesh. Chosen, not tuned.
 """
 _MIN_MESH_FACES = 100
 """Upper bound of the number of triangles at which a mesh is not simplified (`_simplify_mesh`).
@@ -206,13 +205,8 @@ def evaluate_plane_height(points: Array, place: Array) -> float:
 def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
     """Compute the corners of the support region, shape (m, 3) [m], in the world frame.
 
-    The region contains the horizontal CoM positions at which contact forces can balance the weight
-    (`Stand.corners`). z is the height of the least-squares plane of ``points`` at each corner.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        points: Positions that define the plane, shape (n, 3) [m], in the world frame.
+    The region (`Stand.corners`) is horizontal; z is the height of the least-squares plane of
+    ``points``, shape (n, 3) [m], at each corner.
     """
     corners = compute_polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
     return np.array(
@@ -224,8 +218,7 @@ def compute_polygon_corners(points: Array) -> Array:
     """Compute the corners of the support polygon, shape (m, 3) [m], from contact positions.
 
     ``points``, shape (n, 3) [m], and the corners are expressed in the world frame. Each corner has
-    the height of the point nearest in x and y. Points on one line give the two end points. Equal
-    points give a single corner.
+    the height of the point nearest in x and y.
     """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # not a line or a point
@@ -303,9 +296,8 @@ def collect_visible_shapes(
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the indices of the robot's geoms in the groups that MuJoCo's viewer shows by default.
 
-    These groups are 0 to 2. If no geom is in these groups, all supported geoms are returned.
-    Transparent geoms (alpha 0) are included, although the viewer does not show them. Geoms of the
-    world body and kinds of geoms that are not in `NUM_SIZES` are excluded.
+    These groups are 0 to 2. If no geom is in these groups, geoms of other groups are returned.
+    Geoms of the world body and of unsupported kinds are excluded.
     """
     own = [
         geom
@@ -316,11 +308,9 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Reduce the triangles of a mesh to the fraction ``share`` or fewer, by vertex clustering.
+    """Reduce the triangles of a mesh to about the fraction ``share``, by vertex clustering.
 
-    Grids become coarser until the number of triangles is small enough. A result with up to
-    `_MIN_MESH_FACES` triangles is always small enough. If the coarsest grid leaves more triangles,
-    the result has more.
+    Small meshes (`_MIN_MESH_FACES`) are not reduced further.
     """
     simplified = get_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS

@@ -28,8 +28,8 @@ _ROW_HEIGHT = 0.22
 def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw skeleton, contact forces, CoM and support polygon of a stand, in two panels.
 
-    The views are oblique and from above. If no foot carries load, for example on a robot with a
-    fixed base, the joints and links are drawn without forces.
+    The views are oblique and from above. If no foot carries load, the joints and links are drawn
+    without forces.
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the stand.
@@ -50,8 +50,6 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
 @draw_result.register(SolvedPosture)
 def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw a posture in two panels: as a stand with contact forces, or as joints and links.
-
-    The posture is drawn as a stand if feet carry load. Otherwise the plot contains no forces.
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the posture's stand.
@@ -86,8 +84,7 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
     """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
-    If the torque limit of a motor is known, the utilisation of the motor is beside the bar. The
-    label of the x axis states whether all limits, some limits or no limits are known.
+    Known utilisations are beside the bars.
     """
     from pupper_analysis.present.figures.drawing import BLUE_COLOUR
 

@@ -36,10 +36,8 @@ from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 100
-"""Maximum width [characters] of the line of joined messages in a short answer. If the first message
-exceeds the width, the message ends at a clause, with "…"; without a suitable clause, the line is
-wider. If a later message exceeds the width, this message and all messages after it are only
-counted. Chosen, not tuned.
+"""Maximum width [characters] of the line of joined messages in a short answer; a first message that
+cannot be cut is wider. Messages beyond the width are only counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -85,11 +83,7 @@ _COMMAND_PATTERN = re.compile(r"(?<!\S):(?=:)|#(?=#\[)")
 
 
 def _escape_line(text: str) -> str:
-    """Escape characters that a terminal or a CI system would interpret.
-
-    The escaped characters are control characters, and the first character of a command to the CI
-    system.
-    """
+    """Escape characters that a terminal or a CI system would interpret."""
     return _COMMAND_PATTERN.sub(lambda match: f"\\x{ord(match[0]):02x}", escape_control(text))
 
 
@@ -120,9 +114,7 @@ def print_report(
 ) -> None:
     """Print the documents of a report, and then the overview.
 
-    If the report has an overview and ``everything`` is False, only a summary of each document is
-    printed (`print_summary`). If a document contains tables, findings or other blocks, the last
-    line of the report then names the option ``-v``.
+    The short view of a report with an overview prints only a summary of each document.
 
     Args:
         out: Console.
@@ -203,12 +195,7 @@ def print_summary(out: Console, document: Document, *, next_command: str = "") -
 def _is_left_out(document: Document, block: Block, place: int) -> bool:
     """Return True if the short view (without ``-v``) omits a block of a document.
 
-    The view omits details, tables of a brief document, and findings after `MAX_SHORT_FINDINGS`.
-
-    Args:
-        document: Document with the block.
-        block: Part of the document, such as a table or a finding.
-        place: Number of findings up to the block, including the block.
+    ``place`` is the number of findings up to the block, including the block.
     """
     if isinstance(block, FileFinding) and place > MAX_SHORT_FINDINGS:
         return True
@@ -218,9 +205,7 @@ def _is_left_out(document: Document, block: Block, place: int) -> bool:
 def print_head(out: Console, document: Document, *, everything: bool = False) -> None:
     """Print a document's verdict, title, failures and findings.
 
-    The first failure or finding is on the line of the verdict. If ``everything`` is True, details
-    follow. Otherwise, the messages are printed in the short form. The second and further messages
-    are then joined into one line (`_join_short_messages`).
+    If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed.
     """
     short = not everything
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
@@ -247,11 +232,9 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 
 
 def _join_short_messages(messages: Sequence[Words]) -> Text:
-    """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
+    """Join the short forms of messages into a line of about `MAX_ANSWER_WIDTH` characters.
 
-    The first message is always contained, if necessary only up to the end of a clause. If no clause
-    of the message is suitable (`_end_at_clause`), the line is wider. If another message does not
-    fit, this message and all later messages are only counted.
+    Messages that do not fit are counted.
     """
     line, left = Text(), len(messages)
     for message in messages:
@@ -277,8 +260,7 @@ the name of a link before a colon, state nothing. Chosen, not tuned."""
 def _end_at_clause(message: Text, room: int) -> Text:
     """Cut a message that is wider than ``room`` characters at the last clause that fits; add "…".
 
-    The message is returned as is if it fits, or if no clause is suitable. The clauses that fit may
-    be too short (`_MIN_CUT_SHARE`), or end inside brackets.
+    The message is returned as is without a suitable clause.
     """
     if cell_len(message.plain) <= room:
         return message
@@ -318,10 +300,7 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
 
 
 def _print_left_out(out: Console, document: Document, notes: int) -> None:
-    """Print how many findings, tables and notes the short view omits, and the option ``-v``.
-
-    ``notes`` is the number of omitted notes.
-    """
+    """Print how many findings, tables and notes the short view omits, and the option ``-v``."""
     left, place = [], 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)
@@ -345,10 +324,7 @@ def _make_lines(_: object, __: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
-    """Convert a table to lines: an empty line, the title, the header, the rows and the notes.
-
-    The short view (without ``-v``) omits columns that are details.
-    """
+    """Convert a table to lines: an empty line, the title, the header, the rows and the notes."""
     columns = [
         index for index, one in enumerate(table.columns) if view.everything or not one.detail
     ]
@@ -363,10 +339,7 @@ def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_PrintedLine]:
-    """Convert a finding in a file to lines: title, places and notes.
-
-    The short view (without ``-v``) omits the quoted lines of the file.
-    """
+    """Convert a finding in a file to lines: title, places and notes."""
     head = Text(f"{view.place}. ")
     if block.tag is not None:
         head.append(f"{_to_plain_text(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
@@ -404,10 +377,7 @@ def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
-    """Print a block of a document; ``place`` is the number of a finding, from 1.
-
-    ``everything`` is an option of the view: True also prints details of the block.
-    """
+    """Print a block of a document; ``place`` is the number of a finding, from 1."""
     for line in _make_lines(block, _ViewOptions(out, place, everything)):
         _print_line(out, line.text, indent=line.indent, wrap=line.wrap)
 
@@ -437,12 +407,8 @@ def _get_short_form(words: Words) -> str:
 def _style_words(words: Words, *, short: bool = False) -> Text:
     """Convert words to a text for the terminal, in the style of their emphasis (``mark``).
 
-    If the text begins with a word in capitals, such as HOLDS, only this word is styled. Otherwise
-    only a text with the mark ``"quiet"`` is styled.
-
-    Args:
-        words: Text.
-        short: Whether to use the short form of the text, if there is one.
+    A word in capitals at the start, such as HOLDS, is styled alone. ``short`` selects the short
+    form.
     """
     plain = _get_short_form(words) if short else _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")
@@ -501,13 +467,8 @@ class _PrintedColumn(NamedTuple):
 def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
     """Lay out a table as lines; divide a table that is too wide into parts below each other.
 
-    Each part begins with the first column. A part fits the width of the console if its first two
-    columns fit. A table is not divided if the first column is wider than half of the console.
-
-    Args:
-        out: Console.
-        table: Table.
-        chosen: Indices of the displayed columns.
+    ``chosen`` contains the indices of the displayed columns. Each part begins with the first
+    column.
     """
     first, *others = [_measure_column(table, index, wraps=index != chosen[0]) for index in chosen]
     width, parts = max(out.width, _MIN_TERMINAL_WIDTH), [[first]]
@@ -547,9 +508,7 @@ def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
 
 
 def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int) -> list[Text]:
-    """Render columns with rich, to ``width`` characters.
-
-    If the columns cannot be wrapped to this width, the smallest width is used.
+    """Render columns with rich, to ``width`` characters, or more if they cannot be wrapped so far.
     """
     from rich.box import Box  # both are slow to import, and short answers contain no table
     from rich.table import Table as Grid

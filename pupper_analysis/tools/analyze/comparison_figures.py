@@ -281,8 +281,7 @@ def _get_leg_style(leg: int) -> dict[str, Any]:
 
 
 def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
-    """Write the feet of each leg above a panel, right-aligned, with colour and marker of the leg.
-    """
+    """Write the feet of each leg above a panel, right-aligned, in colour and marker of the leg."""
     if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0
@@ -321,7 +320,7 @@ def _format_range(values: Array) -> str:
 
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact of a link with the ground that is a failure, in a plot of heights."""
+    """Mark the first contact of a link with the ground, a failure, in a plot of heights."""
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return

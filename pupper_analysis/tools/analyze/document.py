@@ -174,8 +174,7 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
-    """Yield three lines: mass and largest load, base height, largest deviation of the cross-check.
-    """
+    """Yield lines with mass and largest load, base height, and worst cross-check deviation."""
     statics = analysis.statics
     most = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[most])
@@ -222,8 +221,7 @@ def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
 
 
 def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
-    """Yield the model data: sizes, mass, CoM and leg lengths, then the tables of joints and masses.
-    """
+    """Yield the model data: sizes, mass, CoM, leg lengths, and the tables of joints and masses."""
     yield doc.Lines(
         (
             text(

@@ -98,8 +98,7 @@ class Remark(Result):
 
     @property
     def finding(self) -> tuple[object, ...]:
-        """Key of the finding to which this remark belongs; remarks of a finding are counted once.
-        """
+        """Key of the finding to which this remark belongs; equal keys are counted once."""
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
 

@@ -106,8 +106,7 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 
 
 def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
-    """Return the conditions of a payload as values of a text: kind of torque limits, compensation.
-    """
+    """Return the conditions of a payload as values of a text, such as the kind of torque limits."""
     count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
     return {
         "compensated": limit.depends_on_feedforward,
@@ -119,7 +118,7 @@ def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:
-    """Return the text of the largest payload [kg], or of its upper bound, and its position [mm]."""
+    """Return the text of the largest payload [kg], or its upper bound, and its position [mm]."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)
     return text(
@@ -185,8 +184,7 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Create the table of payload bounds [kg], smallest first, with the failure above each bound.
-    """
+    """Create the table of payload bounds [kg], smallest first, with the failure above each."""
     rows: list[tuple[doc.Cell, ...]] = [
         (text(_BOUND_KEYS[name]), mass_text(bound.mass), _describe_bound_failure(bound))
         for name, bound in limit.bounds.items()

@@ -253,8 +253,7 @@ def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
 
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
-    """Yield a warning that URDF and MJCF differ if the predicted forces do not balance in MuJoCo.
-    """
+    """Yield a warning that the models differ if the predicted forces do not balance in MuJoCo."""
     if run.mujoco_residual > MAX_UNREPORTED_RESIDUAL:
         yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
             "warn"
