@@ -78,7 +78,7 @@ KNEE_HOUSING_RADIUS = 0.025
 """Radius of the housing around the third motor [m]."""
 
 KNEE_HOUSING_HALF_LENGTH = 0.015
-"""Half length of that housing along y [m]."""
+"""Half length of the third motor's housing along y [m]."""
 
 FOOT_OUTWARD = 0.018
 """Distance of the foot from the plane of the leg, along y of the calf frame [m]."""
@@ -255,16 +255,16 @@ HIP_CAN_RADIUS = 0.026
 """Radius of the first motor's can [m]."""
 
 HIP_CAN_INWARD = 0.022
-"""Distance that the can reaches towards the torso [m]."""
+"""Distance that the first motor's can reaches towards the torso [m]."""
 
 HIP_CAN_OUTWARD = 0.020
-"""Distance that the can reaches away from the torso [m]."""
+"""Distance that the first motor's can reaches away from the torso [m]."""
 
 HIP_FINS = (0.0165, 0.0215, 0.0265)
-"""Positions of the grooves along the can [m]."""
+"""Positions of the grooves along the first motor's can [m]."""
 
 HIP_BOLTS = BoltCircle(8, 0.0195, 0.012)
-"""Bolts in the outer face of the can."""
+"""Bolts in the outer face of the first motor's can."""
 
 HIP_BADGE_RADIUS, HIP_BADGE_SUNK = 0.009, 0.0006
 """Radius of the disc in the recess, and its depth below the can's face [m]."""
@@ -295,19 +295,20 @@ KNEE_FINS = (0.0102, 0.015, 0.0198)
 """Positions of the grooves along the third motor's housing [m]."""
 
 KNEE_BOLTS = BoltCircle(6, 0.018, 0.0115)
-"""Bolts in the housing."""
+"""Bolts in the housing of the third motor."""
 
 BAR_RADIUS = 0.005
 """Radius of the edges of the thigh's bar [m]."""
 
 BAR_HALF_WIDTH = 0.011
-"""Half width of the bar along y [m]."""
+"""Half width of the thigh's bar along y [m]."""
 
 BAR_KNEE_CORNERS = ((-0.017, 0.0), (0.016, 0.008))
-"""Corners of the bar at the knee [m]: backwards and upwards from the knee, angles at zero."""
+"""Corners of the thigh's bar at the knee [m]: backwards and upwards from the knee, angles at zero.
+"""
 
 POCKET_DEPTH = 0.0035
-"""Depth of the pockets in both sides of the bar [m]."""
+"""Depth of the pockets in both sides of the thigh's bar [m]."""
 
 POCKET_RIM = 0.0045
 """Width of the bar's rim around a pocket [m]."""
@@ -326,7 +327,7 @@ DISC_RADIUS = 0.0225
 """Radius of the disc on the knee [m]."""
 
 DISC_BOLTS = BoltCircle(6, 0.0165, 0.0095)
-"""Bolts in the disc."""
+"""Bolts in the disc on the knee."""
 
 DISC_NEAR, DISC_FAR = 0.0135, 0.0255
 """Ends of the disc along y [m]; the knee housing ends at 0.015."""
@@ -351,7 +352,7 @@ COLLAR_NEAR, COLLAR_FAR = FOOT_DISTANCE - 1.25 * FOOT_RADIUS, FOOT_DISTANCE - 0.
 """Ends of the collar along z [m], across the surface of the foot's ball."""
 
 COLLAR_RADIUS = 0.0115
-"""Radius of the collar [m]."""
+"""Radius of the calf's collar [m]."""
 
 
 def place(mesh: Trimesh, axis: ArrayLike, at: ArrayLike = (0.0, 0.0, 0.0)) -> Trimesh:

@@ -61,6 +61,8 @@ def text(key: str, **values: object) -> Text:
 
 def word(name: str) -> Text | Name:
     """Translate a term of the catalogue ``terms.toml``; return other names, such as joints, as is.
+
+    A string without an entry becomes a `Name`, which is shown untranslated.
     """
     return text(name) if is_term(name) else Name(name)
 

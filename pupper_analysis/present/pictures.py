@@ -305,8 +305,7 @@ def _make_stand_view(stand: Stand, robot: Robot | None = None) -> MotionView:
 
 @make_view.register(StandVerification)
 def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> MotionView:
-    """Return the view of the motion in a simulated stand, with the robot of the stand by default.
-    """
+    """Return the view of the motion in a simulated stand; default robot: that of the stand."""
     stand = run.stand
     owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))
     on_ground = owner if stand is None else _place_on_ground(owner, stand)

@@ -508,8 +508,7 @@ def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
 
 
 def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int) -> list[Text]:
-    """Render columns with rich, to ``width`` characters, or more if they cannot be wrapped so far.
-    """
+    """Render columns with rich, to about ``width`` characters, as far as they can be wrapped."""
     from rich.box import Box  # both are slow to import, and short answers contain no table
     from rich.table import Table as Grid
 

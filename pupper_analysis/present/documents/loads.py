@@ -222,9 +222,6 @@ def torque_table(
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     """Create the text that lists where torque limits come from: attributes and files (origins).
 
-    The most frequent origin is first. If there are several origins, the text contains the number of
-    joints of each.
-
     Args:
         origins: Statement of each joint's limit; None for a joint without limit.
     """
@@ -304,10 +301,7 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
 
 
 def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
-    """Create the table of contact forces [N], with notes below the table.
-
-    The notes contain the wrenches of welds and grips, and the centres of pressure [m] of feet with
-    several contact points.
+    """Create the table of contact forces [N], with notes on welds, grips and centres of pressure.
     """
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [

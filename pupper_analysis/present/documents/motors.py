@@ -11,8 +11,6 @@ from pupper_analysis.present.document import join_words, text
 
 def describe_motor_energy(energy: MotorEnergy | None) -> Iterable[doc.Words]:
     """Yield a text on the electrical energy of the motors in a simulation; nothing without motors.
-
-    If numbers of the motors are unknown, the text names the numbers.
     """
     if energy is None:
         return

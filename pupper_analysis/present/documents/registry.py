@@ -56,8 +56,7 @@ tuned.
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    The cell of a large list, mapping or array contains its size or shape, for example if it has
-    more than `MAX_SHOWN_ENTRIES` entries.
+    The cell of a large list, mapping or array contains its size or shape, for example.
     """
     if hasattr(value, "phrase"):  # such as the description of a stand task
         return diagnostic_text(value.phrase())
@@ -68,11 +67,7 @@ def value_cell(value: object) -> Cell:
 
 
 def _write_value(value: object) -> str:
-    """Format the value of a result's field as text, with the entries of short containers.
-
-    A list, mapping or array is short if it has one to `MAX_SHOWN_ENTRIES` entries. A short array
-    also has one or two dimensions. Other containers are shortened, for example to their size or
-    shape. Nested containers and results are written in the same way, floats with six digits.
+    """Format the value of a result's field as text; large containers are shortened to their size.
     """
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
@@ -118,9 +113,7 @@ def make_fields_document(result: Result) -> doc.Document:
 
 
 _PACKAGE_NAME = "pupper_analysis"
-"""Name of the top package. The builder of a result is searched in the modules ``document`` of the
-package of the result's class and of the parent packages. The search ends below the top package.
-"""
+"""Name of the top package, below which the search for the builder of a result ends."""
 
 
 @singledispatch
@@ -201,10 +194,7 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Create the title of a report from its documents: kind of result, and all titles.
-
-    If the documents have different kinds, the kind is "report".
-    """
+    """Create the title of a report from its documents: kind of result, and all titles."""
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}
@@ -215,12 +205,8 @@ def _make_title(documents: Sequence[Document]) -> Words:
 def load_builder(kind: type) -> None:
     """Import the module that registers the builder of a result type's document, if there is one.
 
-    The search has two steps, first for the type and then for each base class:
-
-    1. A module ``document`` is searched in the package of the class, and in the parent packages
-    below ``pupper_analysis``.
-    2. If there is none, the modules ``document`` of the tools of this package are searched for a
-    registration of the class.
+    A module ``document`` is searched in the package of the type and its parent packages, then in
+    the tools of this package.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

@@ -32,8 +32,7 @@ def cite_page(name: str, heading: str) -> Text:
 def files_text(robot: Robot | None) -> Text:
     """Create the sentence that names the URDF and MJCF from which results were computed.
 
-    The sentence also states if one model was converted from the other, or if the URDF was changed
-    after reading. Without a robot, no file is named.
+    Without a robot, no file is named.
     """
     if robot is None:
         return text("source-own-files")
@@ -52,7 +51,7 @@ def files_text(robot: Robot | None) -> Text:
 def is_urdf_changed(robot: Robot) -> bool:
     """Return True if the text of a robot's URDF differs from the file, or the file is unreadable.
 
-    A URDF that was converted from an MJCF has no file. The result is False for such a URDF.
+    False for a URDF that was converted from an MJCF, which has no file.
     """
     if robot.description.converted == "urdf":
         return False
@@ -66,12 +65,10 @@ def quote_line(place: str | None, *paths: str) -> str:
 
     Args:
         place: ``file:line``; ``file`` is a name or a path.
-        *paths: Candidate files. Included files are searched in the same folder and in subfolders
-            named in ``place``.
+        *paths: Candidate files. Included files are searched relative to their folders.
 
     Returns:
-        Lines, joined by newlines, without indentation; empty if ``place`` contains no line number,
-        or if none of the files has a non-blank line with this number.
+        Lines, joined by newlines, without indentation; empty if the line is not found.
     """
     file, _, line = (place or "").rpartition(":")
     if not file or not line.isdigit() or int(line) < 1:
@@ -90,8 +87,7 @@ def quote_line(place: str | None, *paths: str) -> str:
 def _join_element_lines(rows: list[str]) -> str:
     """Join the lines of the XML tag that ends on the last of ``rows``, the lines of a file.
 
-    If the tag starts before the last `MAX_QUOTED_LINES` lines, the last line alone is returned.
-    After `MAX_QUOTED_CHARACTERS` characters, the text is cut.
+    A long tag is shortened (`MAX_QUOTED_LINES`, `MAX_QUOTED_CHARACTERS`).
     """
     begin = len(rows) - 1
     while begin > max(0, len(rows) - MAX_QUOTED_LINES) and not rows[begin].lstrip().startswith("<"):

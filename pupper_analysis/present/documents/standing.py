@@ -43,10 +43,7 @@ def task_text(task: StandTask) -> Text:
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Create the notes of a report on a robot: its files, and changes by the preparation.
-
-    Without a robot nothing is returned.
-    """
+    """Create the notes of a report on a robot: its files, and changes by the preparation."""
     return (
         ()
         if robot is None
@@ -75,8 +72,8 @@ def ground_word(depths: Iterable[float], run: StandVerification | None = None) -
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
-        run: Simulation with feed-forward. For rigid ground, the text also contains the height loss
-            of the base in this simulation, if the robot does not collapse and the loss is positive.
+        run: Simulation with feed-forward, from which the text for rigid ground states the height
+            loss of the base, if any.
     """
     if max(depths, default=0.0):
         return text("on-simulated-ground")
@@ -146,9 +143,8 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss of the base [mm] in the last second of a simulation.
 
-    The loss is the requested height ``task`` [m] minus the mean height. The attribute
-    ``run.height_loss`` is the mean over another second: the last second before the nudge, the
-    velocity disturbance that tests stability.
+    The loss is the requested height ``task`` [m] minus the mean height. ``run.height_loss`` belongs
+    to an earlier second, before the nudge.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))

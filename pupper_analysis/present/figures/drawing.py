@@ -252,11 +252,7 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
-    """Return the legend of a drawing as {text: class of the style sheet}.
-
-    An only entry that repeats a text of the drawing, such as the name of an axis, is omitted. If
-    the drawing has a note, the note is the last entry, with an empty class.
-    """
+    """Return the legend of a drawing as {text: class of the style sheet}, with its note."""
     entries = {get_english(words): kind for words, kind in drawing.legend}
     words = {get_english(mark["words"]) for mark in drawing.marks if mark["tag"] == "text"}
     if len(entries) == 1 and words.issuperset(entries):

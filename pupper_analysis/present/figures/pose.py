@@ -182,11 +182,7 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
 
 
 def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
-    """Merge the meshes of the base to one part, simplified to about `_MAX_BASE_FACES` triangles.
-
-    In each mesh, vertices in the same cell of a grid are merged. Even the coarsest grid
-    (`_COARSEST_CELLS`) may leave more triangles.
-    """
+    """Merge the meshes of the base to one part, simplified to about `_MAX_BASE_FACES` triangles."""
     sizes = [float(np.ptp(mesh.vertices, axis=0).max()) for mesh in meshes]
     longest, cells = max(sizes), _FINEST_CELLS
     while sum(len(mesh.faces) for mesh in meshes) > _MAX_BASE_FACES and cells >= _COARSEST_CELLS:
@@ -379,8 +375,7 @@ def make_skeleton_figure(
 ) -> Figure:
     """Draw the joints and links of a robot in a configuration, without forces, in two panels.
 
-    Each line connects a joint, a contact point, or the frame of a body at the end of a chain, with
-    the next joint towards the base, or with the base frame. The views are oblique and from above.
+    The views are oblique and from above.
 
     Args:
         robot: Robot.
@@ -413,14 +408,9 @@ def make_skeleton_figure(
 def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
     """List the lines that draw the links of a robot: from joint to joint, and to contact points.
 
-    The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
-    the frames of the bodies without joints on the last link, or at a contact point. Such frames on
-    other links, for example of sensors, are omitted. If a body has several joints, the first joint
-    is used.
-
     Returns:
         Pairs: MuJoCo id of the body at the end of the line; line, shape (2, 3) [m], in the world
-        frame.
+            frame, the end nearer to the base first.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -464,8 +454,7 @@ def _draw_stand(
 ) -> None:
     """Draw a stand without its forces into Matplotlib axes, in a parallel projection.
 
-    Drawn are silhouettes of the base, legs, support polygon, feet and centre of mass. The matrix
-    ``projection``, shape (2, 3), maps positions in the world [m] to the image.
+    The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
 
     def line(points: Array, *marks: str, **how: Any) -> None:
@@ -570,11 +559,7 @@ def _measure_support(seen: StandingScene) -> float:
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
-    """Draw a scale bar with a round length, labelled in mm, below the view from above.
-
-    The length is one of `_SCALE_LENGTHS`. The lower limit of the y axis is moved to make space for
-    the bar.
-    """
+    """Draw a scale bar with a round length, labelled in mm, below the view from above."""
     limit = 0.6 * _measure_support(seen) or 0.3 * float(np.ptp(axes.get_xlim()))
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)
     length = max(fitting, default=_SCALE_LENGTHS[0])
@@ -588,6 +573,6 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
 
 
 _SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Possible lengths of the scale bar [m]. The longest length up to 0.6 times the size of the support
-polygon is drawn. If all lengths are longer, the shortest is drawn. Chosen, not tuned.
+"""Possible lengths of the scale bar [m], up to about 0.6 times the size of the support polygon.
+Chosen, not tuned.
 """

@@ -91,8 +91,7 @@ def draw_svg(plot: Plot) -> Drawing:
 
 _MIN_HEIGHT_RATIO = 1e-3
 """Lower bound of the range of a line plot's vertical axis, divided by the larger magnitude of its
-ends [1]. A smaller range is extended to the bound. Otherwise the tick labels, with six digits,
-would be equal.
+ends [1]. In a smaller range, the tick labels, with six digits, would be equal.
 """
 
 
@@ -172,16 +171,14 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 _X_MARGIN = 0.03
 """Margin of the horizontal axis [1], relative to the range of the values, if the plot contains
-points, or a curve whose x values decrease somewhere, such as a closed curve. Without margin, the
-axes of the plot would cover half of the outermost points. Curves over time have no margin. Chosen,
+points or a closed curve, for example: the axes would cover half of the outermost points. Chosen,
 not tuned.
 """
 
 
 _ROUNDING_RATIO = 1e-9
 """Upper bound [1] of the magnitude of a negative value, divided by the largest value or limit, that
-counts as a rounding error. Up to the bound, the bar plot shows only the positive side, above the
-bound both sides. Chosen, not tuned.
+counts as a rounding error, so that a bar plot has no negative side. Chosen, not tuned.
 """
 
 
@@ -189,9 +186,7 @@ bound both sides. Chosen, not tuned.
 def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
 
-    The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars. The axis
-    extends to the largest magnitude of a value or limit. If a value is negative, the axis extends
-    in both directions.
+    The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars.
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
@@ -264,8 +259,7 @@ def _shorten_name(words: Words) -> Words:
 def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.intp]:
     """Select the points of a line to draw; return their indices in ``points``, shape (n, 2).
 
-    The drawn points are the finite points, thinned to `MAX_LINE_POINTS` including the first and the
-    last. The marked point ``marked_index`` is also drawn, if finite.
+    These are finite points, thinned to about `MAX_LINE_POINTS`.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     if len(finite) <= MAX_LINE_POINTS:
@@ -275,10 +269,7 @@ def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.
 
 
 def _compute_range(values: Array, margin: float) -> tuple[float, float]:
-    """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``.
-
-    Equal values get a range that is not empty.
-    """
+    """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``."""
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
     return low - margin * span, high + margin * span if high > low or margin else high + span

@@ -96,9 +96,8 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
 def _serialise_stand(scene: StandScene) -> dict[str, Any]:
     """Convert the scene of a stand to JSON data, {key: value}, for the viewer of a page.
 
-    The result contains the data of `_serialise_robot`. Further entries are contacts (point [m],
-    force [N]), support polygon, steps, ground and centre of mass [m], all in the world frame.
-    ``layers`` lists the parts that the reader can show or hide.
+    Contacts (point [m], force [N]), support polygon, ground and centre of mass [m], for example,
+    are in the world frame.
     """
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
@@ -137,9 +136,7 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
 def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
     """Convert the scene of a moving robot to JSON data, {key: value}, for the viewer of a page.
 
-    The data are those of `_serialise_robot`, and a level ground at height 0 below the first pose of
-    the base. The base must be free. Lengths are in m. Contacts, support polygon, steps and CoM are
-    empty.
+    The ground is level, at height 0. The base must be free.
     """
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
@@ -160,8 +157,7 @@ def _serialise_robot(
     """Convert a robot to JSON data, {key: value}: bodies, shapes, meshes, motions, joints, extent.
 
     The extent is the centre (``middle``) and half the diagonal (``radius``) [m] of the box around
-    the robot at the configuration ``qpos``, shape (nq,), in the world frame. ``axes`` are the
-    joints at ``qpos``.
+    the robot at ``qpos``, shape (nq,), in the world frame.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     low, high = compute_extent(model, data)
@@ -182,10 +178,9 @@ def _serialise_robot(
 
 
 def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Convert a motion to JSON data: body poses at up to `MAX_FRAMES` finite configurations.
+    """Convert a motion to JSON data (`pack_poses`) at up to `MAX_FRAMES` finite configurations.
 
-    The result is that of `pack_poses`. The kinematics in ``data`` are evaluated at each
-    configuration, which changes ``data``.
+    The kinematics in ``data`` are changed.
     """
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
@@ -271,9 +266,7 @@ def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
 def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
     """Convert a joint to JSON data, {key: value}, for the viewer of a page.
 
-    The data are name, index of the body (without the world), anchor [m] and axis in the body frame,
-    type of motion (``motion``), and position [rad, m]. Motor torque and effort limit [N m, N] are
-    None if unknown or not shown.
+    Anchor [m] and axis are expressed in the body frame; position in rad or m, torque in N m or N.
     """
     return {
         "name": escape_control(one.name),
@@ -359,10 +352,7 @@ class ViewerLibrary:
 def load_viewer_library() -> ViewerLibrary | None:
     """Load three.js, the script of the 3-D view, from the installed package MeshCat.
 
-    The result is None in two cases:
-
-    - The package is not installed or unreadable.
-    - The script does not export three.js: it does not contain `_EXPORT_MARKER`.
+    None if the package or its script cannot be used, for example because it is not installed.
     """
     package = find_spec(_VIEWER_PACKAGE)  # which does not import it
     if package is None or package.origin is None:
@@ -513,8 +503,8 @@ def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """Convert a block, such as a plot or 3-D view, for the HTML template; plots become SVG.
 
-    The data of a 3-D view are appended to ``scenes``. A view without a scene becomes a remark. If
-    the scene contains nothing to show, the result is None. Other blocks are unchanged.
+    The data of a 3-D view are appended to ``scenes``. None for a view that contains nothing to
+    show.
     """
     if isinstance(block, Plot):
         return draw_svg(block)
@@ -531,10 +521,7 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
 
 
 def _collect_script_words() -> dict[str, dict[str, str]]:
-    """Collect the words that the scripts of a page display, as {language: {key: word}}.
-
-    Examples are names of quantities and of joint motions in the 3-D view.
-    """
+    """Collect the words that the scripts of a page display, as {language: {key: word}}."""
     word_keys = {
         "no_library": "view-without-three-js",
         "no_webgl": "view-without-webgl",
