@@ -349,7 +349,7 @@ SLOT_RADIUS = 0.0034
 """Half width of the slot through the shank [m]."""
 
 COLLAR_NEAR, COLLAR_FAR = FOOT_DISTANCE - 1.25 * FOOT_RADIUS, FOOT_DISTANCE - 0.7 * FOOT_RADIUS
-"""Ends of the collar along z [m], across the surface of the foot's ball."""
+"""Ends of the calf's collar along z [m], across the surface of the foot's ball."""
 
 COLLAR_RADIUS = 0.0115
 """Radius of the calf's collar [m]."""
@@ -623,8 +623,8 @@ def main(output: Path) -> None:
 
         python scripts/build_meshes.py --output my_meshes
 
-    To change the looks, edit the named constants at the top of this file. Those marked "from the
-    Pupper v3 model" place joints, motors and feet: leave them alone.
+    To change the looks, edit the named constants at the top of this file, but not those that place
+    joints, motors and feet (see the docstring of this module).
     """
     output.mkdir(parents=True, exist_ok=True)
     for name, build in PARTS.items():

@@ -301,8 +301,7 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
 
 
 def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
-    """Create the table of contact forces [N], with notes on welds, grips and centres of pressure.
-    """
+    """Create the table of contact forces [N], with notes on centres of pressure, for example."""
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [
         text(

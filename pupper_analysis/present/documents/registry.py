@@ -67,8 +67,7 @@ def value_cell(value: object) -> Cell:
 
 
 def _write_value(value: object) -> str:
-    """Format the value of a result's field as text; large containers are shortened to their size.
-    """
+    """Format the value of a result's field as text; large containers are shortened."""
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
     if isinstance(value, float):

@@ -244,8 +244,7 @@ class _SweepTrial:
                 rests[kp] = None if pose.failures else start
 
         def simulate(cell: GainPair) -> tuple[float, bool]:
-            """Return height deviation [m] and rest of a pair of gains, as in the result of run().
-            """
+            """Return height deviation [m] and rest of a pair of gains, as `run` returns them."""
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
             watcher = monitor.ContactSampler(robot, drive.model)
             states = roll_out(

@@ -140,10 +140,8 @@ Chosen, not tuned.
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
-``BINDING_BOUND_RTOL`` applies to the smallest bound, except if this is the bound of the servos.
-``BOUND_RTOL`` applies to the other bounds, and is relative to the first mass that fails. Each bound
-is the lower end of the bracket. ``BOUND_RTOL`` is also the relative distance below the smallest
-bound at which a simulation checks the servos. Chosen, not tuned.
+``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it; ``BOUND_RTOL``
+applies to the other bounds. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
