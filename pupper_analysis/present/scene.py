@@ -205,8 +205,8 @@ def evaluate_plane_height(points: Array, place: Array) -> float:
 def _find_balance_corners(robot: Robot, stand: Stand, points: Array) -> Array:
     """Compute the corners of the support region, shape (m, 3) [m], in the world frame.
 
-    The region (`Stand.corners`) is horizontal; z is the height of the least-squares plane of
-    ``points``, shape (n, 3) [m], at each corner.
+    x and y are those of `Stand.corners`; z is the height there of the least-squares plane of
+    ``points``, shape (n, 3) [m].
     """
     corners = compute_polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
     return np.array(
@@ -308,9 +308,9 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Reduce the triangles of a mesh to about the fraction ``share``, by vertex clustering.
+    """Reduce the triangles of a mesh to the fraction ``share`` or fewer, by vertex clustering.
 
-    Small meshes (`_MIN_MESH_FACES`) are not reduced further.
+    Small meshes (`_MIN_MESH_FACES`) are not reduced; the coarsest grid may leave more triangles.
     """
     simplified = get_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS

@@ -210,12 +210,13 @@ def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
 
 _MIN_STATED_CLEARANCE = 1e-3
 """Lower bound of the robot's height above the ground at reset [m], above which the message about
-the simulation from a keyframe states the height. Chosen, not tuned.
+the simulation of the published file (`OwnRun`) states the height. Chosen, not tuned.
 """
 
 _DETAIL_CODE = "own-run"
-"""Code of the statement about the simulation from a keyframe. The short answer omits the statement
-if it is favourable."""
+"""Code of the statement about the simulation of the published file (`OwnRun`). The short answer
+omits the statement if it is favourable.
+"""
 
 _LEADING_CODES = ("servos-given",)
 """Codes of the statements that the short answer contains even if the statements support the stand.
@@ -337,7 +338,7 @@ def name_only_format(converted: str) -> str:
 
 
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
-    """Yield the statements of a verdict about the published file, simulated from a keyframe."""
+    """Yield the statements of a verdict about the simulation of the published file (`OwnRun`)."""
     for run in (
         ()
         if keyframe_run is None

@@ -55,8 +55,8 @@ class SmallPayload:
     def compute_rows(self, stand: Stand) -> Array | None:
         """Compute the inequalities a + b m >= 0 that a stand imposes on the payload mass m [kg].
 
-        Torques and minimum-tangential contact forces are linear in m, on the line through two
-        equilibria, without and with ``mass``. This is exact on level ground while every normal
+        Torques and minimum-tangential contact forces are taken as linear in m, on the line through
+        two equilibria, without and with ``mass``. This is exact on level ground while every normal
         force is positive.
 
         Args:
@@ -140,8 +140,9 @@ def _compute_buckling_modes(
 
     The stiffness is linear in m: K(m) = K_0 + m G, with the geometric stiffness G of the payload's
     weight and its contact forces, on motions without slip. The stand buckles in a mode v if K(m) v
-    = 0, which is the generalised eigenvalue problem -G v = mu K_0 v with mu = 1 / m. K is replaced
-    by its symmetric part, which is exact on level ground.
+    = 0, which is the generalised eigenvalue problem -G v = mu K_0 v with mu = 1 / m. The ground
+    stiffness is taken at constant ``penetrations``. On a slope K is not symmetric, and is replaced
+    by its symmetric part.
 
     Args:
         config: Configuration of the stand.

@@ -345,7 +345,8 @@ class StanceSearch:
     def run(self) -> None:
         """Search for the best stance, and store it in ``best``.
 
-        Descents in which the feet move together precede descents with independent feet.
+        Descents in which the feet move together provide initial guesses for descents with
+        independent feet.
         """
         space = self.space
         if not (space.high > space.low).any():

@@ -214,9 +214,10 @@ class StanceSpace:
 
     @property
     def is_symmetric(self) -> bool:
-        """True if pose, ground and feet of the initial stand task are left-right symmetric.
+        """True if the initial stand task is known to be left-right symmetric.
 
-        Contacts and joint values of the task are not checked, for example.
+        Tasks with moved feet or steps do not count as symmetric. Contacts, for example, are not
+        checked.
         """
         task, ground = self.nominal.task, self.nominal.task.ground
         side_slope = abs(math.sin(ground.uphill)) * ground.slope

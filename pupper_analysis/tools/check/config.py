@@ -501,8 +501,7 @@ def _format_pair(entry: dict[str, str]) -> str:
 def list_pair_entries(folder: Path) -> list[dict[str, str]]:
     """List the models in a folder and below as entries of a configuration.
 
-    An entry is a URDF, an MJCF, or both. A URDF and an MJCF with the same stem (name without
-    suffix) form an entry, unless several files could be the partner.
+    An entry is a URDF, an MJCF, or a URDF and an MJCF with the same stem (name without suffix).
 
     Returns:
         The keys ``name``, ``urdf`` and ``mjcf`` of each [[pair]], paths relative to ``folder``.

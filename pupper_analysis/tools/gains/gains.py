@@ -250,7 +250,7 @@ class GainStudy(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the robot stands stably with the present gains, which are within their bounds.
+        """Whether the robot stands stably with the present gains, within torque and encoder bounds.
 
         False also if the robot is predicted not to stand without feed-forward, or if an invalid
         servo of the file was replaced.

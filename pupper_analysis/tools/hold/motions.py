@@ -129,7 +129,8 @@ class JointMotions:
         """Return the range of displacements along a motion that joint limits permit.
 
         A displacement is that of the independent joint, from the posture ``qpos``, (nu,). For a
-        nonlinear motion, `move_along` checks the ranges of the dependent joints.
+        nonlinear motion, `move_along` checks the ranges of the dependent joints. The range of a
+        linear motion contains 0, even if the posture exceeds a limit.
 
         Returns:
             Lower bound; upper bound [rad, m].
@@ -192,8 +193,7 @@ class JointMotions:
     def _add_couplings(self, closure: Closure) -> None:
         """Set the motions of the independent (free) joints of a robot with loops or couplings.
 
-        A motion in constant proportions, from the closure's Jacobian, is nonlinear if it opens a
-        loop.
+        Motions that open a loop if its joints move in constant proportions are marked as nonlinear.
         """
         count, following = len(self.origin), closure.dependent_joints
         rows = closure.jacobian(self.origin)

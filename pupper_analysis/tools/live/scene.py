@@ -325,7 +325,8 @@ class Scene:
         return self._figures[name]
 
     def _prepare_robot(self, robot: Robot) -> None:
-        """Replace meshes, figures and joint discs if the robot of the page has changed."""
+        """Prepare meshes and joint discs for another robot, and remove the figures of the last one.
+        """
         if robot is self._robot:
             return
         for figure in self._figures.values():

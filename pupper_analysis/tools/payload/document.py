@@ -77,7 +77,7 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(limit: PayloadLimit) -> NextStep:
-    """Return the command to suggest next, for example to raise the smallest bound."""
+    """Return the command to suggest next, such as `best` with the objective payload."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:

@@ -334,9 +334,9 @@ def payload_limit(
     """Find the largest point mass that a robot can carry in a stance.
 
     For each mass the loaded stance is solved on the simulated ground, with feed-forward for the
-    loaded robot. The stance with 97 % (``VERIFIED_FRACTION``) of the smallest bound is then judged
-    and simulated with twelve nudges of the base. If the stance fails, a smaller mass is bisected by
-    simulations.
+    loaded robot. If the smallest bound is positive and finite, the stance with 97 %
+    (``VERIFIED_FRACTION``) of this bound is judged and simulated with twelve nudges of the base. If
+    the stance fails, a smaller mass is bisected by simulations.
 
     Args:
         robot: The robot.
@@ -541,8 +541,8 @@ failure."""
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the payload bound of the servos, raised if the robot holds more mass in simulation.
 
-    The given bound depends on the modes at the start of a simulation. `stand` evaluates the modes
-    later, after the feet have crept.
+    The given bound depends on the modes at the start of a simulation; `stand` evaluates them later,
+    after the feet have crept. A bound that is set by a command out of range is kept.
     """
     bound = bounds["servos"]
     if not 0 < bound.mass < math.inf or bound.failure is Failure.COMMAND:
@@ -698,8 +698,7 @@ class _PayloadSearch:
     def find_bounds(self) -> dict[str, Bound]:
         """Find the payload bounds of stance, motors and servos: {"stance": bound [kg], ...}.
 
-        The mass is increased until the criteria fail; each exceeded bound is bisected. Simulations
-        check the bound of the servos (`_confirm_servo_bound`).
+        Simulations check the bound of the servos (`_confirm_servo_bound`).
         """
         find_causes = {
             "stance": self.find_stance_failure,
