@@ -637,7 +637,7 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
     """Return the values of a message about servo gains: lowest and highest gains, and units.
 
-    The highest gains (``kp_most``, ``kd_most``) are None if all gains are equal.
+    A highest gain (``kp_most``, ``kd_most``) is None if it equals the lowest gain.
     """
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {

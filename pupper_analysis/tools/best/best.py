@@ -74,12 +74,12 @@ def best_stance(
 
     Bounds of the coordinates, widened to contain the initial task:
 
-    - Base x, y and height: interval that a search from the initial stand reaches; for the height
-    without a fraction ``HEIGHT_RESERVE`` at either end.
+    - Base x, y and height: reachable interval around the initial stand; for the height without a
+      fraction ``HEIGHT_RESERVE`` at either end.
     - Roll, pitch, yaw: within ``MAX_BASE_ROTATION`` of the initial task.
     - Feet: up to ``MAX_OUTWARD_STEP`` times the largest reachable height, along x and along y;
-    inwards also up to ``MAX_INWARD_STEP`` times the smallest distance of a free foot from the
-    centre of the feet.
+      inwards also up to ``MAX_INWARD_STEP`` times the smallest distance of a free foot from the
+      centre of the feet along the same axis.
 
     The smallest singular value of the Jacobian of each contact point must be at least
     ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs, which need no

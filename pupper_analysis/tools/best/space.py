@@ -441,7 +441,10 @@ def _differentiate_orientation(roll: float, pitch: float) -> Array:
 
 
 def _compute_min_singular_values(config: Configuration) -> Array:
-    """Compute the smallest singular value of each contact point's Jacobian, shape (n,) [m/rad]."""
+    """Compute the smallest singular value of each contact point's Jacobian by the joints, (n,).
+
+    Units: m/rad, or m/m for slides.
+    """
     columns = np.array([jacobian[:, 6:] for jacobian in config.foot_jacobians().values()])
     values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]
     return values

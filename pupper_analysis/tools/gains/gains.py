@@ -311,8 +311,8 @@ def study_gains(
         delay: Time between measurement and effect of a command [s].
         error: Position error [rad] at which the servo torque of hinges must not exceed the torque
             limit. It bounds kp. Default: no such bound.
-        encoder_bits: Resolution of the encoders of hinges [bits per turn]. Velocities are computed
-            from differences of the readings.
+        encoder_bits: Resolution of the encoders of hinges [bits per turn], which bounds kd. Velocities
+            are computed from differences of the readings. Default: no such bound.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.

@@ -89,7 +89,7 @@ class ReachLoad(Tabular):
 
 @check_arguments
 def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
-    """Compute reach of the tool and largest motor utilisation in 600 random postures.
+    """Compute reach of the tool and largest motor utilisation in each of 600 random postures.
 
     The reach is the horizontal distance of the tool from the first joint of its chain, and the
     height in the world frame [m]. The utilisation is static torque / limit [1].

@@ -325,8 +325,7 @@ class Scene:
         return self._figures[name]
 
     def _prepare_robot(self, robot: Robot) -> None:
-        """Prepare meshes and joint discs for another robot, and remove the figures of the last one.
-        """
+        """Prepare meshes and joint discs for another robot, and remove the figures of the last."""
         if robot is self._robot:
             return
         for figure in self._figures.values():

@@ -489,9 +489,9 @@ class _PayloadSimulations:
         return self._verdicts[mass]
 
     def judge_with_feedforward(self, mass: float) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], simulated only with feed-forward.
+        """Return the verdict of `judge_simulation` for the stance with a payload [kg].
 
-        As `judge_simulation`, without a simulation with position commands alone.
+        There is no simulation with position commands alone.
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
@@ -776,7 +776,7 @@ class _PayloadSearch:
     def find_stance_failure(self, mass: float) -> FailureCause:
         """Return the failure of the stance with a payload [kg], or None.
 
-        Motors and servos are not considered.
+        There is no stand, or a part other than a foot touches the ground, for example.
         """
         loaded = self.get_loaded_stand(mass)
         if loaded.stand is None or loaded.statics is None:
