@@ -465,7 +465,7 @@ _CONFIG_HEADER: Final = """\
 
 
 def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
-    """Write a configuration that lists all models in a folder and below.
+    """Write a configuration that lists the models found in a folder and below.
 
     Args:
         folder: Top folder of the repository.
@@ -499,7 +499,7 @@ def _format_pair(entry: dict[str, str]) -> str:
 
 
 def list_pair_entries(folder: Path) -> list[dict[str, str]]:
-    """List the models in a folder and below as entries of a configuration.
+    """List the models found in a folder and below as entries of a configuration.
 
     An entry is a URDF, an MJCF, or a URDF and an MJCF with the same stem (name without suffix).
 

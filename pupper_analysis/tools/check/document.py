@@ -206,7 +206,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
 
 
 def relative_to_root(place: str) -> str:
-    """Convert ``file:line`` to a path relative to the repository's root, as CI services expect."""
+    """Make the path in ``file:line`` relative to the repository's root, as CI services expect."""
     file, line = Annotation("", "", "", place).file_and_line
     return relative_to_checkout(file) if line is None else f"{relative_to_checkout(file)}:{line}"
 

@@ -310,9 +310,9 @@ def study_gains(
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
         error: Position error [rad] at which the servo torque of hinges must not exceed the torque
-            limit. It bounds kp. Default: no such bound.
-        encoder_bits: Resolution of the encoders of hinges [bits per turn], which bounds kd. Velocities
-            are computed from differences of the readings. Default: no such bound.
+            limit, which bounds kp. Default: no such bound.
+        encoder_bits: Resolution of the encoders of hinges [bits per turn], which bounds kd:
+            velocities are computed from differences of the readings. Default: no such bound.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
@@ -320,9 +320,8 @@ def study_gains(
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
             gains are stable.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, if the torque limit of a motor is smaller than the torque of the stand, or
-            if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no position servo, or the torque limit of a motor is smaller than
+            the torque of the stand, for example.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
     """
     _check_resolution(error, encoder_bits)

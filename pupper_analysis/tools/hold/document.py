@@ -153,9 +153,7 @@ def _format_payload_limit(payload: float) -> doc.Words:
 
 
 def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
-    """Yield a line with the posture, its most utilised motor if known, and the largest payload
-    [kg].
-    """
+    """Yield a line with the posture, its most utilised motor (if known), and the payload [kg]."""
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(

@@ -63,9 +63,8 @@ class Access:
     def find_refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
         """Return the reason to refuse a request to the page server; None if it is allowed.
 
-        A request is refused if it names the server by an unknown host name (unless a token is
-        required), if its origin is another page, or if the required token is missing. Assets of the
-        page need no token.
+        A request is refused, for example, if it comes from a page of another server, or if a
+        required token is missing. Assets of the page need no token.
 
         Args:
             path: Requested path with the query.

@@ -244,7 +244,7 @@ class Controls:
             return self._state
 
     def set_state(self, state: State, *, notify: bool) -> None:
-        """Set the sliders, fields and buttons of a stance to the values of a state.
+        """Set the controls of the page to the values of a state.
 
         Args:
             state: New state, in the units of the page.
@@ -503,7 +503,7 @@ class Range:
 
 
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
-    """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
+    """Return {name of a slider: range}, in the units of the page.
 
     Most ends are proportional to size, mass or gains of the robot, and rounded up. Sliders of
     joints are not included.

@@ -42,8 +42,8 @@ def live_stance_document(
     Args:
         answer: State of the page, with the stand if there is a stand.
         sag: Predicted equilibrium, or the reason why there is none; None until computed.
-        judged: Verdict without simulation; None if the state is not valid, or the stance is out of
-            reach or not in balance.
+        judged: Predicted or simulated verdict; None without a verdict, for example if the stance is
+            out of reach.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
     blocks: list[doc.Block] = []
