@@ -171,8 +171,8 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 _X_MARGIN = 0.03
 """Margin of the horizontal axis [1], relative to the range of the values, if the plot contains
-points or a closed curve, for example: the axes would cover half of the outermost points. Chosen,
-not tuned.
+points or a closed curve, for example. Without a margin, the axes would cover half of the outermost
+points. Chosen, not tuned.
 """
 
 

@@ -225,7 +225,8 @@ def analyze_variant(
     Raises:
         StanceUnreachableError: If the stand is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths of the feet do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
+            converge.
         ConfigurationError: If the base is fixed, or the task is invalid for the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If a joint has no position servo, or the ground cannot be added, for example.

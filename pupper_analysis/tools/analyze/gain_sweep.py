@@ -144,8 +144,8 @@ def sweep_gains(
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
             to another robot.
-        ModelError: If a joint has no motor or no position servo, or the ground cannot be added, for
-            example.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            passed, or if the ground cannot be added, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
         UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """

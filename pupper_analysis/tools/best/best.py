@@ -115,8 +115,8 @@ def best_stance(
             missing or zero, for example.
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
-        ModelError: If the objective is the payload, and the model has no position servos, for
-            example.
+        ModelError: If the objective is the payload, and the model has no position servos while kp
+            and kd are not both given, for example.
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
         NotSettlingError: If the penetration depths of the feet do not converge.
@@ -259,7 +259,8 @@ def study_best(
         UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
             contact that the task names.
         NotSettlingError: If the penetration depths of the feet do not converge.
-        ModelError: If the robot has no position servos, for example.
+        ModelError: If the robot has no position servos while kp and kd are not both given, for
+            example.
         NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
             task.
     """

@@ -317,11 +317,12 @@ def study_gains(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance.
-        NotSettlingError: If the depths of the feet in the soft ground do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
+            converge.
         ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
             gains are stable.
-        ModelError: If a joint has no position servo, or the torque limit of a motor is smaller than
-            the torque of the stand, for example.
+        ModelError: If a joint has no position servo while kp and kd are not both given, or the
+            torque limit of a motor is smaller than the torque of the stand, for example.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
     """
     _check_resolution(error, encoder_bits)

@@ -102,13 +102,14 @@ def simulate_payload(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
-        ModelError: If a joint has no motor or no position servo, or the loaded model cannot be
-            built, for example.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            given, or if the loaded model cannot be built, for example.
         UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
             robot does not have.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
-        NotSettlingError: If the penetration depths of the feet do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
+            converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
     trial = simulate_nudges(
@@ -354,11 +355,12 @@ def payload_limit(
     Raises:
         StanceUnreachableError: If the stance is out of reach without payload.
         StaticsInfeasibleError: If the stance slides or tips without payload.
-        NotSettlingError: If the penetration depths of the feet do not converge without payload.
+        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
+            converge without payload.
         ConfigurationError: If an argument is out of range or invalid for the robot, for example a
             payload on a base that is fixed.
-        ModelError: If a joint has no motor or no position servo, or the loaded model cannot be
-            built, for example.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            given, or if the loaded model cannot be built, for example.
         UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
             robot does not have.
     """
