@@ -299,10 +299,7 @@ def _make_legend(drawing: Drawing) -> list[Artist]:
 def _make_handle(name: str, kind: str, *, dot: bool = False) -> Artist:
     """Create a legend entry of Matplotlib: a text with a line, a dot or a patch as symbol.
 
-    Args:
-        name: Text of the entry.
-        kind: Class of the style sheet, or a colour; empty for a text without a symbol.
-        dot: True if the plot marks points instead of a line.
+    ``kind`` is a class of the style sheet, or a colour; empty for a text without a symbol.
     """
     if not kind:
         return Line2D([], [], ls="", label=name)

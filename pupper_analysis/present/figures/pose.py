@@ -222,12 +222,8 @@ def _list_joint_positions(
 def _make_projection(elevation: float, azimuth: float) -> Array:
     """Return the matrix of a parallel projection, shape (2, 3), from the world to the image.
 
-    The rows are the image's right and up directions in world axes.
-
-    Args:
-        elevation: Angle of the viewer above the horizontal [deg]; at 90, the view is from above.
-        azimuth: Horizontal angle of the viewer about z, counterclockwise from +x [deg]: at 0, the
-            viewer is on the +x side.
+    The rows are the image's right and up directions in world axes. The viewer is at the angle
+    ``elevation`` above the horizontal, and ``azimuth`` about z, counterclockwise from +x [deg].
     """
     up, around = math.radians(elevation), math.radians(azimuth)
     return np.array(

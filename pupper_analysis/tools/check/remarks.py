@@ -419,9 +419,6 @@ def read_baseline(path: Path) -> Baseline:
 def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
     """Split the lines above a baseline's first entry, and leave out the header of the file.
 
-    Args:
-        lines: Lines above the first entry; the last blank line separates the two parts.
-
     Returns:
         The user's text at the top of the file, and the comment of the first entry.
     """

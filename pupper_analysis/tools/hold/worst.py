@@ -172,19 +172,11 @@ class TorqueSearch:
     def _find_peak(
         self, joint: int, sign: float, qpos: Array, motion: int, current: float, *, fine: bool
     ) -> float:
-        """Find the displacement along a motion at which ``sign`` times a joint torque is largest.
+        """Find the displacement [rad, m] along a motion at which a signed joint torque is largest.
 
-        Args:
-            joint: Index of the joint whose torque is maximised.
-            sign: 1 or -1: direction of maximisation.
-            qpos: Posture at zero displacement, shape (nu,).
-            motion: Index of the motion.
-            current: ``sign`` times the torque at ``qpos`` [N m, N].
-            fine: Also search between the samples of a motion whose closed loops are solved
-                numerically.
-
-        Returns:
-            Displacement [rad, m].
+        ``qpos``, shape (nu,), is the posture at zero displacement, and ``current`` the signed
+        torque there [N m, N]. ``fine`` also searches between the samples of a motion whose closed
+        loops are solved numerically.
         """
         motions = self._motions
         low, high = motions.find_range(qpos, motion)
