@@ -209,7 +209,7 @@ def _sample_surface(shape: Shape) -> Array | None:
 def _list_joint_positions(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, body: int
 ) -> list[Array]:
-    """Return the positions (3,) [m] of the joints between the base and a body, base first."""
+    """Return the positions (3,) [m] of the joints from the base to a body, base first."""
     points: list[Array] = []
     while body not in (base, 0):
         first = int(model.body_jntadr[body])

@@ -170,7 +170,7 @@ def check_state(model: PageSolver, state: State) -> None:
 
 
 def serve(page: ServedPage, *, browser: bool, wait: Callable[[], object]) -> None:
-    """Open a browser, and serve a page until ``wait`` returns or raises.
+    """Serve a page until ``wait`` returns or raises.
 
     Args:
         page: Page.
