@@ -26,7 +26,7 @@ PROJECT_FOLDER = Path(__file__).resolve().parents[1]
 
 
 def read_versions(root: Path = PROJECT_FOLDER) -> dict[str, str]:
-    """Return {file: version in the file}; for the changelog, the first release; "none" without."""
+    """Return {file: version}; for the changelog the topmost release; "none" if not found."""
     text = {
         name: (root / name).read_text(encoding="utf-8")
         for name in (

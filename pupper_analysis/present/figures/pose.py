@@ -524,7 +524,7 @@ def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> N
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
-    """Draw contact forces as red arrows that end at the feet, in a parallel projection.
+    """Draw contact forces as red arrows that end at the contacts, in a parallel projection.
 
     The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """

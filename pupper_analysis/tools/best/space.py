@@ -226,7 +226,7 @@ class StanceSpace:
         return asymmetry < 1e-9 and not uneven
 
     def coupled_directions(self) -> Array:
-        """Return the directions of the search space in which all feet move together.
+        """Return the directions of the search space in which the feet move together.
 
         Returns:
             A direction per column, shape (n, k) [m or rad]: base coordinates, then length of the
@@ -273,9 +273,9 @@ class StanceSpace:
     def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM may be closer to the edge of the support region than the task requires. Only the
-        default initial guesses are tried, because stands in other IK branches are rare, and the
-        search solves thousands of stands.
+        The CoM may be closer to the edge of the support region than the task requires. Other IK
+        branches than those of the default initial guesses are not searched, because stands there
+        are rare, and the search solves thousands of stands.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].
