@@ -15,10 +15,8 @@ def main(command: str | None = None, *arguments: str) -> None:
     While the command line is imported, Ctrl-C prints a line instead of a traceback, and a missing
     package of another project prints a line and exits with status 2.
 
-    Args:
-        command: Name of the command; None: the first command-line argument.
-        *arguments: Arguments of ``command``, placed before the command-line arguments; not used if
-            ``command`` is None.
+    ``command`` is the name of the command; by default the first command-line argument.
+    ``arguments`` are arguments of ``command``, placed before the command-line arguments.
     """
     use_one_blas_thread()
     try:

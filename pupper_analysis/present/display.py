@@ -47,9 +47,7 @@ def check_display() -> None:
 def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Simulate a model in a window of MuJoCo's viewer, in real time, until the window is closed.
 
-    Args:
-        model: Model.
-        data: Initial state.
+    ``data`` contains the initial state.
 
     Raises:
         DisplayError: If no window can be opened.

@@ -70,9 +70,7 @@ def word(name: str) -> Text | Name:
 def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     """Join texts and names into one text in both languages, with a short form if a part has one.
 
-    Args:
-        parts: Texts and names to join.
-        comma: Catalogue key of the separator. Default: the comma of each language.
+    ``comma`` is the catalogue key of the separator.
     """
     listed = list(parts)
     between = text(comma)
@@ -254,12 +252,7 @@ class Text:
 
 
 def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
-    """Convert a diagnostic to a text in English and Chinese.
-
-    Args:
-        diagnostic: Diagnostic.
-        mark: Emphasis, one of the values of ``Text.mark``.
-    """
+    """Convert a diagnostic to a text in English and Chinese, with the emphasis ``mark``."""
     short = getattr(diagnostic, "short", "")  # a phrase has none
     return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, short)
 
@@ -589,12 +582,9 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 def widen_format(form: str, values: Iterable[float]) -> str:
     """Return a fixed-point format with two significant digits of the largest of several values.
 
-    The format has at least the decimals of ``form``, and at most nine (`_MAX_DECIMALS`). Reason:
-    torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would print 0.00.
-
-    Args:
-        form: Fixed-point format specification with up to nine decimals, such as ``"+.4f"``.
-        values: Numbers in the displayed unit.
+    The format has at least the decimals of ``form``, such as ``"+.4f"``, and at most nine
+    (`_MAX_DECIMALS`). Reason: torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would
+    print 0.00.
     """
     start, decimals = form[:-1].split(".")
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
@@ -610,23 +600,15 @@ not tuned: smaller torques than 1e-8 N m are rounding errors."""
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
     """Create two table cells with numbers to compare, with enough digits to show the difference.
 
-    Args:
-        first: Number, in the displayed unit.
-        second: Number, in the displayed unit.
-        form: Format specification with the smallest number of digits, such as ``".4g"``.
-
-    Returns:
-        Cell of ``first``; cell of ``second``.
+    The numbers are in the displayed unit. ``form`` has the smallest number of digits: ``".4g"``.
     """
     texts = format_pair(float(first) + 0.0, float(second) + 0.0, form)
     return Number(texts[0], float(first)), Number(texts[1], float(second))
 
 
 def vector_cell(values: Sequence[float] | Array, form: str) -> Name:
-    """Create a table cell with the numbers of a vector, separated by spaces.
+    """Create a table cell with the numbers of a vector, shape (n,), separated by spaces.
 
-    Args:
-        values: Numbers in the displayed unit, shape (n,).
-        form: Format specification of each number, such as ``"+.3f"``.
+    ``form`` is the format of each number, such as ``"+.3f"``.
     """
     return Name(" ".join(number_cell(value, form).text for value in values))

@@ -263,12 +263,8 @@ def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-ana
     """Convert annotations to JUnit XML, with a test case per annotation.
 
     A test case passes if the level of the annotation is notice, or if a baseline contains the
-    annotation.
-
-    Args:
-        annotations: Annotations.
-        suite_name: Name of the test suite: the command and the files. CI servers show the results
-            of several commands under the names of the suites.
+    annotation. ``suite_name`` is the command and the files: CI servers show the results of several
+    commands under the names of the suites.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]
@@ -302,10 +298,7 @@ def write_annotations(
 ) -> str:
     """Convert annotations to text in a format of ``ANNOTATION_WRITERS``, such as ``sarif``.
 
-    Args:
-        style: Format.
-        annotations: Annotations.
-        suite_name: Name of the test suite in JUnit XML.
+    ``suite_name`` is the name of the test suite in JUnit XML.
 
     Raises:
         KeyError: If the format is unknown.

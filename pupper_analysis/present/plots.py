@@ -83,9 +83,7 @@ def make_figure_title(document: Document) -> Name:
 def make_axes(title: str, height: float) -> Axes:
     """Create a new figure of ``pyplot``, as wide as a page, with a single panel; return its axes.
 
-    Args:
-        title: Title of the figure.
-        height: Height [inch].
+    ``height`` is in inches.
     """
     from pupper_analysis.present.figures.drawing import make_page_figure
 

@@ -147,10 +147,7 @@ def describe_scene(
 ) -> StandingScene:
     """Collect what a view of a stand shows besides shapes: ground, CoM, axes, forces, polygon.
 
-    Args:
-        robot: Robot.
-        stand: Stand.
-        statics: Static equilibrium; None to omit forces and torques.
+    Without ``statics``, forces and torques are omitted.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
@@ -187,15 +184,10 @@ def _collect_contacts(
 
 
 def evaluate_plane_height(points: Array, place: Array) -> float:
-    """Evaluate the height of the least-squares plane through points.
+    """Return z [m] of the least-squares plane through ``points``, shape (n, 3) [m], at a place.
 
-    Args:
-        points: Points, shape (n, 3) [m]. For fewer than three points, the plane is the minimum-norm
-            solution.
-        place: x and y [m] at which the height is evaluated, shape (2,) or longer.
-
-    Returns:
-        z [m].
+    ``place`` contains x and y [m]. For fewer than three points, the plane is the minimum-norm
+    solution.
     """
     known = np.column_stack([points[:, :2], np.ones(len(points))])
     plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
@@ -232,13 +224,8 @@ def describe_joint_axes(
 ) -> list[JointAxis]:
     """List each joint's axis and anchor in the body and world frames, position and motor load.
 
-    Args:
-        config: Robot in the configuration.
-        positions: Joint positions, shape (nu,) [rad or m].
-        statics: Static equilibrium; None to omit torques.
-
-    Returns:
-        An entry per joint, in actuator order.
+    The joints are in actuator order; ``positions`` has the shape (nu,) [rad or m]. Without
+    ``statics``, torques are omitted.
     """
     robot = config.robot
     model = robot.mj_model
@@ -271,11 +258,8 @@ def collect_visible_shapes(
 ) -> tuple[list[VisibleShape], dict[int, Mesh]]:
     """Read the visible geoms of a robot, and simplify the meshes.
 
-    Args:
-        model: MuJoCo model of the robot.
-        max_faces: Approximate upper bound of the triangles of all meshes. If the meshes have more
-            triangles, each mesh is reduced by about the same factor. A mesh with up to
-            `_MIN_MESH_FACES` triangles is not reduced.
+    ``max_faces`` is the approximate upper bound of the triangles of all meshes. If the meshes have
+    more triangles, large meshes are reduced by about the same factor.
 
     Returns:
         Shapes, and {index of a mesh: mesh}.
@@ -323,13 +307,8 @@ def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
 def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
     """Merge the vertices of a mesh that are in the same cell of a grid.
 
-    Args:
-        mesh: Mesh.
-        cells: Number of cells along the longest side of the bounding box. Vertices at the upper end
-            of a side may be in a further cell.
-
-    Returns:
-        Mesh with the mean vertex of each cell, without collapsed triangles.
+    ``cells`` is the number of cells along the longest side of the bounding box. The result has the
+    mean vertex of each cell, and no collapsed triangles.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes",
     1993 (vertex clustering).

@@ -96,11 +96,7 @@ class SafeConsole(Console):
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Create a console of rich that escapes control characters of strings.
-
-    Args:
-        stderr: Whether to write to standard error instead of standard output.
-    """
+    """Create a console of rich that escapes control characters of strings."""
     return SafeConsole(stderr=stderr, highlight=False, emoji=False, markup=False)
 
 
@@ -156,13 +152,9 @@ def print_document(
 ) -> None:
     """Print a document: verdict, key figures, blocks (tables, findings and others) and notes.
 
-    Args:
-        out: Console.
-        document: Document.
-        everything: Whether to print also details, all notes, and the blocks that are omitted by
-            default.
-        next_command: Command line to run next, printed below the key figures; empty for none.
-        hidden_notes: Number of notes on the robot that the caller does not print.
+    ``everything`` adds details, all notes, and the blocks that are omitted by default.
+    ``next_command`` is printed below the key figures. ``hidden_notes`` is the number of notes that
+    the caller does not print.
     """
     print_head(out, document, everything=everything)
     if next_command:
@@ -282,13 +274,10 @@ def print_table(out: Console, table: Table) -> None:
 
 
 def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = False) -> None:
-    """Print notes; each note is a line.
+    """Print notes in the given order; each note is a line.
 
-    Args:
-        out: Console.
-        notes: Notes, the most important first.
-        everything: Whether to print all notes. If False, at most `MAX_SHORT_NOTES` lines are
-            printed: the first notes, and the number of omitted notes.
+    Unless ``everything``, at most `MAX_SHORT_NOTES` lines are printed: the first notes, and the
+    number of omitted notes.
     """
     shown = notes
     if not everything and len(notes) > MAX_SHORT_NOTES:

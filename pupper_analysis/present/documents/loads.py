@@ -41,11 +41,8 @@ motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 def utilisation_cell(share: float, limit: float) -> doc.Number:
     """Create a table cell with a motor utilisation in percent, with a bar and a warning colour.
 
-    The cell shows a dash if the limit is zero, or if the limit or the utilisation is not finite.
-
-    Args:
-        share: Utilisation |torque| / limit [1].
-        limit: Effort limit [N m]; of a slide [N].
+    ``share`` is |torque| / limit [1]. The cell shows a dash if the utilisation is unknown, for
+    example.
     """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
@@ -54,12 +51,7 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
 
 
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:
-    """Create a table cell with a torque limit, or "unknown" if the limit is not finite.
-
-    Args:
-        limit: Torque limit [N m]; infinite if no file states a limit.
-        form: Format specification.
-    """
+    """Create a table cell with a torque limit, or "unknown" if the limit is not finite."""
     return doc.number_cell(limit, form) if math.isfinite(limit) else text("limit-unknown")
 
 
@@ -156,20 +148,12 @@ def load_blocks(
 
 
 def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return the factors, shape (nu,), that convert joint positions [rad, m] to [deg, mm].
-
-    Args:
-        units: Units of the positions, rad or m, shape (nu,).
-    """
+    """Return the factors, shape (nu,), that convert joint positions [rad, m] to [deg, mm]."""
     return np.array([READ_IN[unit][0] for unit in units])
 
 
 def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Words]:
     """Create the note below a table that the values of slides have other units (N, mm).
-
-    Args:
-        names: Names of the joints.
-        units: Unit of each joint position, rad or m (slide).
 
     Returns:
         List with the note, which names the slides; empty without a slide.
@@ -190,10 +174,7 @@ def torque_table(
 ) -> doc.Table:
     """Create the table of motor torques, limits and utilisations.
 
-    Args:
-        statics: Static equilibrium.
-        limits: Effort limits, shape (nu,) [N m; of slides N].
-        more: Further columns, {column: values of shape (nu,)}.
+    ``limits`` [N m; of slides N] and the values of ``more``, further columns, have the shape (nu,).
     """
     form = doc.widen_format("+.4f", statics.joint_torques.tolist())
     rows: list[tuple[doc.Cell, ...]] = [
@@ -220,11 +201,7 @@ def torque_table(
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
-    """Create the text that lists where torque limits come from: attributes and files (origins).
-
-    Args:
-        origins: Statement of each joint's limit; None for a joint without limit.
-    """
+    """Create the text that lists where torque limits come from: attributes and files (origins)."""
     counts = Counter(
         None if origin is None else (origin.attribute, origin.file) for origin in origins
     )
@@ -243,10 +220,7 @@ def torque_plot(
 ) -> doc.BarPlot:
     """Create the bar plot of motor torques [N m, N]: predicted, simulated and limits.
 
-    Args:
-        statics: Static equilibrium with the predicted torques.
-        simulated: Torques of a simulation, shape (nu,) [N m, N].
-        limits: Effort limits, shape (nu,) [N m, N].
+    ``simulated`` torques and ``limits`` have the shape (nu,).
     """
     bars = [
         doc.PlotBar(
@@ -331,11 +305,7 @@ def view_block(
 ) -> doc.SceneView:
     """Create the 3-D view of a stand; without a robot, a view that contains no scene.
 
-    Args:
-        robot: Robot; None if not available.
-        stand: Stand.
-        statics: Static equilibrium; None to omit loads.
-        motions: Motions that the view can play.
+    Without ``statics``, loads are omitted.
     """
     return doc.SceneView(
         text("view-title"),

@@ -119,13 +119,8 @@ _PACKAGE_NAME = "pupper_analysis"
 def build_document(result: object, _: Robot | None = None) -> Document:
     """Create the document of a result; without a registered builder, a list of the fields.
 
-    The module of the builder must have been imported. `make_document` imports the module and calls
-    this function.
-
-    Args:
-        result: Result.
-        _: Robot of the result. Registered builders use the robot for 3-D views, and to quote lines
-            of the model files. None if the robot is not available.
+    The module of the builder must have been imported (`make_document`). Builders use the robot, for
+    example, for 3-D views.
 
     Raises:
         TypeError: If ``result`` is no result.
@@ -140,9 +135,8 @@ def build_document(result: object, _: Robot | None = None) -> Document:
 def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
     """Create tables and plots that compare results of one type; none without an implementation.
 
-    Args:
-        _: First result, whose type selects the registered implementation.
-        __: All results, including the first.
+    The first argument, the first result, selects the implementation; the second contains all
+    results.
     """
     return ()
 
@@ -150,10 +144,7 @@ def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
 def make_document(result: Result, robot: Robot | None = None, name: str = "") -> Document:
     """Import the builder of a result's type, and create the document of the result.
 
-    Args:
-        result: Result.
-        robot: Robot of the result; None if not available.
-        name: Title if the builder provides no title. Default: the name of the type.
+    ``name`` is the title if the builder provides no title; by default the name of the type.
 
     Raises:
         TypeError: If ``result`` is no result.
@@ -172,12 +163,9 @@ def build_report(
 ) -> Report:
     """Create the documents of several results, and the blocks that compare the results.
 
-    Results are compared if there are at least two results, all of the same type.
-
-    Args:
-        results: (name, result) pairs. The name is used if the document has no title.
-        robots: Robots of the results. A robot belongs to the results with the name of the robot.
-        overview: Further blocks, which come first.
+    Results are compared if all have the same type. ``results`` are (name, result) pairs; the name
+    is used if the document has no title. A robot belongs to the results with the name of the robot.
+    The blocks of ``overview`` come first.
     """
     known = {robot.name: robot for robot in robots}
     named = list(results)

@@ -22,9 +22,7 @@ Chosen, not tuned."""
 def cite_page(name: str, heading: str) -> Text:
     """Create the text that refers to a section of the documentation, as source of numbers.
 
-    Args:
-        name: Page, such as ``explanation/statics.md``.
-        heading: Heading of the section.
+    ``name`` is the page, such as ``explanation/statics.md``.
     """
     return text("source-docs", page=name, heading=Name(heading))
 
@@ -62,10 +60,8 @@ def quote_line(place: str | None, *paths: str) -> str:
     """Quote the XML tag at a place in a model file: the line, with earlier lines of the tag.
 
     An XML reader reports the line on which a tag ends; earlier lines may belong to the tag.
-
-    Args:
-        place: ``file:line``; ``file`` is a name or a path.
-        *paths: Candidate files. Included files are searched relative to their folders.
+    ``place`` is ``file:line``; ``paths`` are candidate files, relative to which included files are
+    searched.
 
     Returns:
         Lines, joined by newlines, without indentation; empty if the line is not found.

@@ -28,9 +28,8 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:
     """Create the columns of a table that has a quantity per row: name, values, unit.
 
-    Args:
-        *values: Headers of the value columns. Default: ``value``.
-        of: Catalogue key of the first header.
+    ``values`` are the headers of the value columns, ``of`` is the catalogue key of the first
+    header.
     """
     named = values or (text("value"),)
     middle = (Column(name) for name in named)
@@ -54,9 +53,8 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 def ground_text(depths: Iterable[float]) -> Text:
     """Create the sentence that states for which ground a stand was solved: soft or rigid.
 
-    Args:
-        depths: Penetrations of the feet into MuJoCo's soft ground [m], which the stand compensates;
-            all zero for rigid ground.
+    ``depths`` are penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid
+    ground.
     """
     deepest = max(depths, default=0.0)
     if not deepest:
@@ -70,10 +68,8 @@ def ground_text(depths: Iterable[float]) -> Text:
 def ground_word(depths: Iterable[float], run: StandVerification | None = None) -> Text:
     """Create the short text that states for which ground a stand was solved: soft or rigid.
 
-    Args:
-        depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
-        run: Simulation with feed-forward, from which the text for rigid ground states the height
-            loss of the base, if any.
+    ``depths`` are penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid
+    ground. For rigid ground, the text states the height loss of the base in ``run``, if any.
     """
     if max(depths, default=0.0):
         return text("on-simulated-ground")
@@ -113,9 +109,7 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
 def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
     """Create the plot of the simulated base height [mm] over time [s], with the requested height.
 
-    Args:
-        runs: Simulations; each is a line.
-        task: Requested height of the base [m].
+    Each of ``runs`` is a line; ``task`` is the requested height [m].
     """
     series = [
         doc.Series(
@@ -171,9 +165,8 @@ def run_rows(
 ) -> tuple[tuple[doc.Cell, ...], ...]:
     """Create the rows of a table of simulated quantities, with a column per simulation.
 
-    Args:
-        runs: Simulations, or other results with the same quantities, such as ``SteadyState``.
-        names: Catalogue keys of the quantities. Default: all.
+    ``runs`` may also be other results with the same quantities, such as ``SteadyState``. ``names``
+    are catalogue keys of the quantities; by default all.
     """
     rows: list[tuple[doc.Cell, ...]] = []
     for name, unit, of, format, scale in _RUN_QUANTITIES:

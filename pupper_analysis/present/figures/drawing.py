@@ -136,13 +136,9 @@ def make_plots_figure(
 ) -> Figure:
     """Draw plots in a figure with a panel per plot.
 
-    Args:
-        plots: Plots, at least one.
-        title: Title of the figure. Default: the title of the first plot.
-        names: Title of each panel. Default: the titles of the plots, if there are several.
-        max_columns: Largest number of panels in a row.
-        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
-            or ``pyplot.figure``.
+    Default of ``title``: the title of the first plot. Default of ``names``, the titles of the
+    panels: the titles of the plots, if there are several. ``create`` returns an empty figure, as
+    ``pyplot.figure`` does.
     """
     drawings = [draw_svg(plot) for plot in plots]
     columns = min(len(plots), max_columns)
@@ -230,9 +226,7 @@ def _make_dot(kind: str) -> dict[str, Any]:
 def _make_line_style(kind: str, width: float) -> dict[str, Any]:
     """Return the options of Matplotlib for a line: ``color``, ``ls``, ``lw`` [pt] and ``zorder``.
 
-    Args:
-        kind: Class of the HTML report's style sheet, such as ``s0`` or ``limit``.
-        width: Default line width [pt].
+    ``kind`` is a class of the HTML report's style sheet; ``width`` is the default line width [pt].
     """
     colour = _CLASS_COLOURS.get(kind, GREY_COLOUR)
     return {
@@ -273,9 +267,7 @@ size (measured with DejaVu Sans). The widths decide whether two entries fit side
 def _count_legend_columns(drawing: Drawing, size: float) -> int:
     """Return the number of columns of a panel's legend: 2 if they fit into the width, else 1.
 
-    Args:
-        drawing: Plot with the legend.
-        size: Font size, relative to the width of the panel.
+    ``size`` is the font size, relative to the width of the panel.
     """
     longest = max(map(len, _collect_legend(drawing)), default=0)
     width = 2 * size * (_LEGEND_LETTER_WIDTH * longest + _LEGEND_SYMBOL_WIDTH)
@@ -319,12 +311,7 @@ def make_page_figure(
 ) -> Figure:
     """Create an empty figure with a title, as wide as a page.
 
-    Args:
-        title: Title.
-        height: Height [inch].
-        layout: Layout engine of Matplotlib.
-        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``: ``Figure``, or
-            ``pyplot.figure`` for a figure that notebooks show.
+    ``height`` is in inches. ``create`` returns an empty figure, as ``pyplot.figure`` does.
     """
     figure = create(figsize=(PAGE_WIDTH, height), dpi=FIGURE_DPI, layout=layout)
     figure.suptitle(

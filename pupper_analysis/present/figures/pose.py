@@ -146,9 +146,7 @@ class Skeleton:
 def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     """Compute the lines of the limbs and the shapes of the base that a figure of a robot draws.
 
-    Args:
-        robot: Robot.
-        qpos: Configuration, shape (nq,), with the joints in actuator order.
+    ``qpos`` has the shape (nq,), with the joints in actuator order.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -274,15 +272,9 @@ _COM_PROJECTION_STYLE: dict[str, Any] = {
 def write_pose_figure(
     robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path
 ) -> None:
-    """Draw legs, base, contact forces, centre of mass and support polygon of a stand.
+    """Draw legs, base, contact forces, centre of mass and support polygon of a stand as PNG.
 
     The left panel is an oblique view, the right panel a view from above.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        statics: Static equilibrium.
-        path: PNG file.
 
     Raises:
         OutputError: If the file cannot be written, or is an existing file of another kind.
@@ -304,14 +296,7 @@ def make_pose_figure(
 ) -> Figure:
     """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
-    Both panels show legs, base, contact forces, centre of mass and support polygon.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        statics: Static equilibrium.
-        create: Function that creates an empty figure: ``Figure``, or ``pyplot.figure`` for
-            notebooks.
+    ``create`` returns an empty figure, as ``pyplot.figure`` does.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     title = textwrap.wrap(_make_title(robot, stand), _TITLE_LETTERS)
@@ -371,13 +356,8 @@ def make_skeleton_figure(
 ) -> Figure:
     """Draw the joints and links of a robot in a configuration, without forces, in two panels.
 
-    The views are oblique and from above.
-
-    Args:
-        robot: Robot.
-        qpos: Configuration, shape (nq,), with the joints in actuator order.
-        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
-            or ``pyplot.figure``.
+    The views are oblique and from above. ``qpos`` has the shape (nq,); ``create`` returns an empty
+    figure, as ``pyplot.figure`` does.
     """
     segments = [line for _, line in _list_links(robot, qpos)]
     title, height = f"{robot.name}: joints and links", 0.6 * drawing.PAGE_WIDTH
@@ -511,10 +491,7 @@ def _draw_stand(
 def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> None:
     """Fill a silhouette and draw its edges, with holes and separate parts.
 
-    Args:
-        axes: Axes.
-        silhouette: Silhouette in the units of the axes. Points and lines are omitted.
-        **style: Options of Matplotlib's patches.
+    ``style`` contains options of Matplotlib's patches. Points and lines are omitted.
     """
     polygons = [part for part in shapely.get_parts(silhouette) if part.geom_type == "Polygon"]
     rings = [ring for part in polygons for ring in (part.exterior, *part.interiors)]

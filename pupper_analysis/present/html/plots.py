@@ -280,13 +280,8 @@ def draw_grid(
 ) -> list[Mark]:
     """Create the SVG marks of vertical and horizontal grid lines, each with the value.
 
-    All lengths are in user units of the SVG (CSS pixels); y points down.
-
-    Args:
-        across: {value: x coordinate of the vertical line}.
-        up: {value: y coordinate of the horizontal line}.
-        wide: Width of the grid.
-        tall: Height of the grid.
+    ``across`` is {value: x coordinate of the vertical line}, ``up`` is {value: y coordinate of the
+    horizontal line}; ``wide`` and ``tall`` are the size of the grid [CSS pixels]. y points down.
     """
     marks: list[Mark] = []
     for value, at in across.items():
@@ -303,12 +298,7 @@ def draw_axes(
 ) -> list[Mark]:
     """Create the SVG marks of the x and y axis, with names and units.
 
-    Args:
-        x: Name of the x axis.
-        y: Name of the y axis.
-        wide: Length of the x axis [CSS pixels].
-        tall: Length of the y axis [CSS pixels].
-        units: Units of the x and y axis; empty for no unit.
+    ``wide`` and ``tall`` are the lengths of the axes [CSS pixels].
     """
     up = draw_words(14, TOP_MARGIN + tall / 2, y, "middle", units[1])
     return [
@@ -356,14 +346,10 @@ def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
 
 
 def draw_words(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
-    """Create the SVG mark of a text at (x, y) [CSS pixels].
+    """Create the SVG mark of a text at (x, y) [CSS pixels]; y, of the base line, points down.
 
-    Args:
-        x: Horizontal position.
-        y: Vertical position of the base line; y points down.
-        words: Text.
-        anchor: Part of the text that is at ``x``: ``start``, ``middle`` or ``end``.
-        unit: Unit that follows the text in brackets; empty for none.
+    ``anchor`` is the part of the text at ``x``: ``start``, ``middle`` or ``end``. ``unit`` follows
+    the text in brackets.
     """
     return {
         "tag": "text",

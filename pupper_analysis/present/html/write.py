@@ -232,10 +232,7 @@ def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
     """Compute the axis-aligned box that contains a robot in a configuration.
 
     The box contains the bounding spheres of the visible geoms and the origins of the body frames.
-
-    Args:
-        model: Model.
-        data: Configuration, with evaluated kinematics.
+    The kinematics of ``data`` must be evaluated.
 
     Returns:
         Lower and upper bounds, shape (3,) [m], in the world frame.
@@ -455,11 +452,7 @@ def _name_results(
 
 
 def render_page(shown: Report, language: str = "en") -> str:
-    """Convert a report to the text of a single HTML page.
-
-    Args:
-        shown: Report.
-        language: Initial language, ``"en"`` or ``"zh"``.
+    """Convert a report to the text of a single HTML page, initially in ``language``.
 
     Raises:
         KeyError: If the language is unknown.

@@ -58,14 +58,9 @@ between base height and height of the stand in this interval. Chosen, not tuned.
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw predicted and simulated motor torques of each robot, in percent of the effort limits.
+    """Draw predicted and simulated motor torques, in percent of the effort limits, as a PNG file.
 
     Magnitudes are drawn, in a panel per robot. Corresponding joints of all legs share a row.
-
-    Args:
-        analyses: Results; ``statics``, ``verification``, ``joints`` and ``foot_jacobians`` are
-            drawn.
-        path: PNG file.
 
     Raises:
         ConfigurationError: If there is no robot.
@@ -116,13 +111,9 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw the base height [mm], relative to the height in the stand, over the simulated time [s].
+    """Draw the base height [mm], relative to the stand, over the simulated time [s] as a PNG file.
 
     The legend of a panel states the mean over the last second of each curve.
-
-    Args:
-        analyses: Results; ``stand``, ``verification`` and ``sagging`` are drawn.
-        path: PNG file.
 
     Raises:
         ConfigurationError: If there is no robot.
@@ -161,14 +152,7 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw heat maps of the gain sweeps: height deviation in the last second, by kp and kd.
-
-    All panels share a logarithmic colour scale. Cells state the value; a robot that falls is
-    grey, and gains at which the robot does not stay at rest are hatched.
-
-    Args:
-        analyses: Results; ``sweep`` and the gains of ``verification`` are drawn.
-        path: PNG file.
+    """Draw heat maps of the gain sweeps as a PNG file: height deviation [mm] by kp and kd.
 
     Raises:
         ConfigurationError: If there is no robot.

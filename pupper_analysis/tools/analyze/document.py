@@ -70,10 +70,7 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
     """Create the report of an analysis: stand, loads, simulations and verdict.
 
-    Args:
-        analysis: Result.
-        robot: Robot of the result, for the 3-D view and the names of the files; None if not
-            available.
+    Without ``robot``, the 3-D view is empty.
     """
     runs = (analysis.verification, analysis.sagging)
     first, more = split_verdict_lines(analysis.verdict)
@@ -502,12 +499,8 @@ def compare_with_base(
 ) -> ComparisonRow:
     """Return the key figures of an analysis as a table row, with ratios to the unscaled robot.
 
-    Args:
-        analysis: Analysis.
-        base: Name of the variant before scaling, or the robot's files.
-        mass: Mass of the unscaled variant [kg]; None for a robot from files.
-        thigh: Thigh length of the unscaled variant [m]. None for a robot from files, or if the
-            variant has no thigh.
+    ``mass`` [kg] and ``thigh`` length [m] are those of the unscaled variant; None if unknown.
+    ``base`` is the name of this variant, or the robot's files.
     """
     assert analysis.stand.task.height is not None
     return ComparisonRow(

@@ -114,12 +114,7 @@ class Tile:
 
 
 def project_points(points: Array) -> Array:
-    """Project world points orthographically onto the image plane of the figures.
-
-    The camera is above the robot and has a fixed direction (`CAMERA_AZIMUTH`, `CAMERA_ELEVATION`).
-
-    Args:
-        points: Shape (n, 3) [m], in the world frame.
+    """Project world points, shape (n, 3) [m], orthographically onto the image plane of the figures.
 
     Returns:
         Shape (n, 2) [m]: components along `IMAGE_RIGHT` and `IMAGE_UP`.
@@ -131,12 +126,8 @@ def project_points(points: Array) -> Array:
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
     """Assign a tile of the picture to each robot, in rows, all at the same scale.
 
-    In a row, the lowest points of robot and ground are at the same height of the picture.
-
-    Args:
-        poses: (robot, configuration in MuJoCo's coordinates of shape (nq,)) pairs.
-        width: Width of the picture [pixels].
-        columns: Tiles in a row.
+    ``poses`` contains pairs of a robot and its configuration in MuJoCo's coordinates, shape (nq,).
+    ``width`` is that of the picture [pixels], ``columns`` the number of tiles in a row.
     """
     lines = [compute_skeleton(robot, qpos) for robot, qpos in poses]
     grounds = []

@@ -59,9 +59,6 @@ class SmallPayload:
         two equilibria, without and with ``mass``. This is exact on level ground while every normal
         force is positive.
 
-        Args:
-            stand: Stand.
-
         Returns:
             Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.
             The rows limit buckling, torques, normal forces and the sinking of feet.
@@ -118,10 +115,8 @@ class SmallPayload:
 def largest_feasible_mass(rows: Array) -> float:
     """Compute the largest mass m [kg] that satisfies constraints a + b m >= 0 with b < 0.
 
-    The mass is infinite without such a constraint, and negative if one is violated without payload.
-
-    Args:
-        rows: (a, b) of each constraint, shape (k, 2) [1, 1/kg], as in `SmallPayload.compute_rows`.
+    ``rows`` contains (a, b), shape (k, 2) [1, 1/kg]. The mass is infinite without such a
+    constraint, and negative if one is violated without payload.
     """
     binding = rows[rows[:, 1] < 0]
     return float(np.min(-binding[:, 0] / binding[:, 1], initial=math.inf))

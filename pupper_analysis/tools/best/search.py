@@ -217,11 +217,8 @@ class StanceSearch:
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
         """Evaluate the stance with given coordinates, and update the best stance of this search.
 
-        Results are cached by the coordinates, whatever ``near`` is.
-
-        Args:
-            coordinates: Coordinates in the search space (`StanceSpace`), shape (n,) [m or rad].
-            near: Stand with almost the same coordinates; see `StanceSpace.find_stand`.
+        ``coordinates`` has the shape (n,) [m or rad]. Results are cached by the coordinates,
+        whatever ``near`` (`StanceSpace.find_stand`) is.
 
         Returns:
             Evaluated stance, even if it violates a constraint (``allowed`` is False). None if no
@@ -257,10 +254,6 @@ class StanceSearch:
 
     def evaluate_stand(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
         """Compute the scaled objective of a stand, and the values of its constraints.
-
-        Args:
-            coordinates: Coordinates of the stand in the `StanceSpace`, shape (n,) [m or rad].
-            stand: Stand.
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the

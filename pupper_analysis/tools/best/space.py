@@ -112,11 +112,9 @@ class StanceSlack:
         """Return the constraint slacks of a stance as a vector for the nonlinear program, (n,).
 
         The order is ``singular_values``, ``joints``, ``edges``, ``penetration``. ``edges`` and
-        ``penetration`` [m] are multiplied by 10, to have the magnitude of the others.
-
-        Args:
-            reduction: Small number that is subtracted from all entries except ``penetration``, so
-                that the program ends at stances without violations.
+        ``penetration`` [m] are multiplied by 10, to have the magnitude of the others. ``reduction``
+        is subtracted from all entries except ``penetration``, so that the program ends at stances
+        without violations.
         """
         slacks = [
             self.singular_values - reduction,
@@ -318,10 +316,6 @@ class StanceSpace:
         The positions of the joints follow from J dq = dp - J_base dx with the Jacobians of all
         contact points.
 
-        Args:
-            stand: Stand of this space.
-            config: Configuration of the stand.
-
         Returns:
             A velocity per coordinate, in the order of ``qvel``, shape (nv, n). None if the contact
             points do not determine the joints, for example (redundant or singular legs).
@@ -357,11 +351,8 @@ class StanceSpace:
     ) -> Array | None:
         """Compute the derivatives of `StanceSlack.to_vector` by the coordinates of a stand.
 
-        Args:
-            stand: Stand of this space, without penetrations that the initial stand does not have.
-            config: Configuration of the stand.
-            motions: Derivatives of the configuration by n coordinates, shape (nv, n), from
-                `compute_motions`.
+        The stand must have no penetrations that the initial stand does not have. ``motions`` is the
+        result of `compute_motions`, shape (nv, n).
 
         Returns:
             Shape (k, n). None if the corners of the support region are not the contact points.

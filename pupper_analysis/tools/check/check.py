@@ -58,13 +58,8 @@ def list_history_remarks(
     """Yield a remark (finding of `check`) for each change of a model file since an old version.
 
     Remarks on the effect of all changes together, found by simulation, follow. Nothing is yielded
-    for a new file, for example.
-
-    Args:
-        file: Present version of the file.
-        before: Function that returns the path of the old version of a file.
-        pair: Pair that the file belongs to.
-        folder: Folder of the configuration.
+    for a new file, for example. ``before`` returns the path of a file's old version; ``folder`` is
+    that of the configuration.
     """
     old = before(file)
     if not old.is_file():

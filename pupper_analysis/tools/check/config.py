@@ -92,8 +92,7 @@ class GuardConfig:
 def find_config(start: Path | None = None) -> Path:
     """Return the path of the configuration file (`CONFIG_NAME`) in a folder or the folders above.
 
-    Args:
-        start: Folder; by default the current folder.
+    Default: the current folder.
 
     Raises:
         ConfigurationError: If none of these folders contains a configuration.
@@ -380,12 +379,8 @@ class _ConfigReader:
     def resolve_file(self, key: str, text: str) -> Path:
         """Return the path of an existing file or folder that the configuration names.
 
-        Relative paths in the configuration refer to the folder of the configuration.
-
-        Args:
-            key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
-                ``contract``. For a tool, ``text`` may also be a folder, or ``FILE:NAME``.
-            text: Path in the configuration.
+        Relative paths refer to the folder of the configuration. If ``key`` is the name of a tool,
+        ``text`` may also be a folder, or ``FILE:NAME``.
 
         Raises:
             ModelError: If there is no such file (or, for a tool, folder).
@@ -415,10 +410,7 @@ class _ConfigReader:
     ) -> None:
         """Raise an error for an invalid key or value of a table or of its `_TABLE_VALUES`.
 
-        Args:
-            table: Table of the configuration.
-            within: Path of the table.
-            valid: {valid key: required kind of its value}.
+        ``within`` is the path of the table, ``valid`` is {valid key: required kind of its value}.
         """
         for key, value in table.items():
             if key not in valid:
@@ -438,12 +430,9 @@ class _ConfigReader:
     def make_key_error(
         self, key: KeyPath, valid: Iterable[str], *, rule: bool = False
     ) -> ModelError:
-        """Return the error for a key of the configuration that its table does not allow.
+        """Return the error for a key that its table does not allow, with the ``valid`` keys.
 
-        Args:
-            key: Path of the key.
-            valid: Allowed keys, which the message lists.
-            rule: Whether the key should be the name of an audit rule.
+        ``rule`` is True if the key should be the name of an audit rule.
         """
         within = ".".join(part for part in key[:-1] if isinstance(part, str))
         code = "rule-unknown" if rule else "key-unknown"
@@ -466,9 +455,6 @@ _CONFIG_HEADER: Final = """\
 
 def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Write a configuration that lists the models found in a folder and below.
-
-    Args:
-        folder: Top folder of the repository.
 
     Returns:
         Path of the file, and names of the pairs.

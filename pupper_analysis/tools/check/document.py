@@ -217,12 +217,8 @@ def make_check_annotations(
     """Create annotations for a CI service from the remarks of a check.
 
     Remarks that make the check fail have the level "error", whatever their severity. Of remarks
-    with a common cause, only the first is annotated.
-
-    Args:
-        check: Check.
-        in_a_change: Whether the annotations are for the page of a pull request, which shows changed
-            lines only: each difference is then annotated in both files.
+    with a common cause, only the first is annotated. ``in_a_change`` annotates each difference in
+    both files, for the page of a pull request, which shows changed lines only.
     """
     found = []
     for group in group_findings(check.remarks):

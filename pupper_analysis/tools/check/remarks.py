@@ -108,10 +108,7 @@ def list_comparison_remarks(
 ) -> Iterator[Remark]:
     """Yield a remark for each result of the comparison of a URDF with an MJCF.
 
-    Args:
-        comparison: Compared files.
-        pair: Pair of the files.
-        folder: Folder of the configuration, to which paths are relative.
+    Paths are relative to ``folder``.
     """
     file = relative_path(comparison.urdf, folder)
     causes = {
@@ -171,12 +168,8 @@ def list_guard_remarks(
 ) -> Iterator[Remark]:
     """Convert the findings of another tool, such as ``contract``, to remarks of ``check``.
 
-    Args:
-        tool: Name of the tool.
-        findings: Findings with ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and
-            ``places`` (``file:line``; two for a difference).
-        pair: Pair of models to which the findings belong.
-        folder: Folder of the configuration, to which the files of the remarks are relative.
+    Findings have ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and ``places``
+    (``file:line``; two for a difference). Files of the remarks are relative to ``folder``.
     """
     for finding in findings:
         file, _, line = finding.places[0].rpartition(":")
@@ -201,12 +194,8 @@ def make_error_remark(
 ) -> Remark:
     """Create the remark about a file that cannot be read, or a check that ended with an error.
 
-    Args:
-        error: Error of the audit, the comparison or another tool.
-        check: ``audit``, ``crosscheck`` or the name of another tool.
-        pair: Pair of the file.
-        path: File.
-        folder: Folder of the configuration, to which the file of the remark is relative.
+    ``check`` is ``audit``, ``crosscheck`` or the name of another tool. The file of the remark is
+    relative to ``folder``.
     """
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
@@ -466,12 +455,7 @@ not overwritten."""
 
 
 def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry]) -> None:
-    """Write a baseline in place of the one that was read, with the user's comments.
-
-    Args:
-        path: The file.
-        before: Content as read.
-        entries: The new entries.
+    """Write a baseline in place of the one that was read (``before``), with the user's comments.
 
     Raises:
         OutputError: If the file cannot be written, is not a baseline, or has changed since reading.

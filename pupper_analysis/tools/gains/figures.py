@@ -12,11 +12,9 @@ from pupper_analysis.tools.gains.gains import GainStudy
 
 
 def gain_figure(study: GainStudy, path: str | Path) -> None:
-    """Draw the largest stable damping over the stiffness, with reference and recommended gains.
+    """Draw the largest stable damping over the stiffness as a PNG file, with marked gains.
 
-    Args:
-        study: Stable gains of a robot.
-        path: PNG file that is written.
+    The reference gains and the recommended gains are marked.
 
     Raises:
         OutputError: If the file cannot be written.

@@ -576,9 +576,8 @@ class _Gains:
     ) -> tuple[float | None, float | None]:
         """Find the interval of gain factors, around a stable factor, in which the stand is stable.
 
-        Args:
-            gains: Function that returns kp and kd of all joints, shape (nu,), for a factor.
-            inside: A stable factor.
+        ``gains`` returns kp and kd of all joints, shape (nu,) each, for a factor; ``inside`` is
+        stable.
 
         Returns:
             Lower and upper end of the interval; None for an end at which no tried factor is
@@ -616,11 +615,9 @@ class _Gains:
     ) -> GainBound:
         """Confirm a stability bound of the gains, found by the linear model, in simulations.
 
-        Args:
-            factor: Factor on the reference gains at which the linear model becomes unstable; None
-                if there is no such factor.
-            gains: Function that returns kp and kd of all joints for a factor.
-            below: Whether smaller factors (otherwise larger factors) are unstable.
+        ``factor`` is the bound of the linear model on the reference gains, None without a bound.
+        ``gains`` returns kp and kd of all joints for a factor. ``below``: smaller factors are
+        unstable.
         """
         if factor is None:
             return GainBound(None, None, 0.0, ())

@@ -30,11 +30,7 @@ def write_gains(
 ) -> WrittenNumbers:
     """Write the recommended kp and kd of each joint into copies of the robot's files.
 
-    Args:
-        study: Gains of the robot.
-        robot: Robot, as loaded from its files.
-        folder: Output folder.
-        files: URDF and MJCF to copy, if different from the files from which the robot was loaded.
+    ``files`` are the URDF and MJCF to copy, if different from the files of the robot.
 
     Raises:
         ConfigurationError: If the study has no recommendation.

@@ -54,12 +54,7 @@ tuned."""
 
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
-    """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
-
-    Args:
-        hold: Result.
-        robot: Robot of the result, for notes; None if not available.
-    """
+    """Create the report of a held posture: torques, worst postures, tool limits and verdict."""
     limits, run = hold.limits.tolist(), hold.verification
     return judged_document(
         text("held-posture"),

@@ -12,11 +12,7 @@ from pupper_analysis.tools.hold.hold import Hold
 
 
 def hold_figure(hold: Hold, path: str | Path) -> None:
-    """Draw motor torques, utilisation over the reach, and forces on the tool, in a figure.
-
-    Args:
-        hold: Posture with results.
-        path: PNG file to write.
+    """Draw motor torques, utilisation over the reach, and forces on the tool as a PNG file.
 
     Raises:
         OutputError: If the file cannot be written.

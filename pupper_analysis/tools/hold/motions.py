@@ -154,12 +154,9 @@ class JointMotions:
         )
 
     def move_along(self, qpos: Array, motion: int, length: float) -> Array | None:
-        """Displace an independent joint of a posture, and move the joints that depend on it.
+        """Displace an independent joint by ``length`` [rad, m], and move its dependent joints.
 
-        Args:
-            qpos: Joint positions of the posture, shape (nu,) [rad, m].
-            motion: Index of the independent joint in ``free``.
-            length: Displacement of the independent joint [rad, m].
+        ``motion`` is the index of the independent joint in ``free``; ``qpos`` has the shape (nu,).
 
         Returns:
             Displaced posture, shape (nu,). None if a loop cannot be closed within the ranges of its

@@ -100,10 +100,7 @@ class TorqueSearch:
     ) -> tuple[float, Array]:
         """Find the posture with the largest static torque of a motor, by several searches.
 
-        Args:
-            joint: Index of the joint.
-            sign: 1 or -1: direction of maximisation.
-            starts: Start postures, each of shape (nu,).
+        ``sign`` (1 or -1) is the direction of maximisation; ``starts`` are postures, shape (nu,).
 
         Returns:
             ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if no tried posture has a
@@ -127,14 +124,9 @@ class TorqueSearch:
     ) -> tuple[float, Array]:
         """Find a local maximum of a motor torque over the postures, one joint motion at a time.
 
-        A motion moves an independent joint with the joints coupled to it.
-
-        Args:
-            joint: Index of the joint.
-            sign: 1 or -1: direction of maximisation.
-            qpos: Start posture, shape (nu,) [rad, m].
-            fine: Also search between the samples of a motion whose closed loops are solved
-                numerically.
+        The search starts at ``qpos``, shape (nu,) [rad, m], in the direction ``sign`` (1 or -1).
+        ``fine`` also searches between the samples of a motion whose closed loops are solved
+        numerically.
 
         Returns:
             ``sign`` times the torque [N m, N], or -`_UNDEFINED_TORQUE` if no examined posture has a

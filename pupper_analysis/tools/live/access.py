@@ -64,11 +64,7 @@ class Access:
         """Return the reason to refuse a request to the page server; None if it is allowed.
 
         A request is refused, for example, if it comes from a page of another server, or if a
-        required token is missing. Assets of the page need no token.
-
-        Args:
-            path: Requested path with the query.
-            headers: Headers of the request.
+        required token is missing. Assets of the page need no token. ``path`` contains the query.
         """
         host = headers.get("Host", "")
         if not self.token and _parse_host_name(host) not in {*_LOOPBACK_NAMES, self._host}:

@@ -244,11 +244,9 @@ class Controls:
             return self._state
 
     def set_state(self, state: State, *, notify: bool) -> None:
-        """Set the controls of the page to the values of a state.
+        """Set the controls of the page to the values of a state, in the units of the page.
 
-        Args:
-            state: New state, in the units of the page.
-            notify: Whether to call the callback for changes of the state.
+        If ``notify``, the callback for changes of the state is called.
         """
         with self._lock:
             self._state = state

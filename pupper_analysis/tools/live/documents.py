@@ -39,11 +39,8 @@ def live_stance_document(
 ) -> doc.Document:
     """Create the report of a stance for the live page: stand, sag, torques and contact forces.
 
-    Args:
-        answer: State of the page, with the stand if there is a stand.
-        sag: Predicted equilibrium, or the reason why there is none; None until computed.
-        judged: Predicted or simulated verdict; None without a verdict, for example if the stance is
-            out of reach.
+    ``sag`` is the predicted equilibrium, or the reason why there is none; None until computed.
+    ``judged`` is the predicted or simulated verdict.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
     blocks: list[doc.Block] = []
@@ -92,11 +89,8 @@ def refusal_document(
 ) -> doc.Document:
     """Create the report of a stance that is out of reach, with the reason, for the live page.
 
-    Args:
-        answer: State of the page whose stance is out of reach.
-        error: Error with the reason and the nearest reachable stance; None if the slower
-            computation has found the stance to be reachable.
-        pending: True while the reason is computed; ``error`` is then None.
+    ``pending`` is True while ``error`` is computed. Afterwards, ``error`` is None if the slower
+    computation has found the stance to be reachable.
     """
     blocks: list[doc.Block] = []
     message: doc.Words = text("out-of-reach")
@@ -129,11 +123,7 @@ def simulation_document(stance: Stance) -> doc.Document:
 
 
 def live_push_document(trial: PushTrial) -> doc.Document:
-    """Create the report of a simulated push against the standing robot, for the live page.
-
-    Args:
-        trial: Result of a push: impulse, direction, and whether the robot recovers.
-    """
+    """Create the report of a simulated push against the standing robot, for the live page."""
     document = trial_document(trial)
     return replace(document, blocks=(*document.blocks, _SIMULATION_NOTE))
 

@@ -109,9 +109,6 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
 
     Takes about a second, longer if the task does not prescribe the CoM position. None if the stance
     is reachable.
-
-    Args:
-        answer: Answer to the request of the page: robot, and task that may be out of reach.
     """
     assert answer.robot is not None
     try:
@@ -140,10 +137,8 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
     """Predict the verdict of a stance without simulation; None without a stand in balance.
 
-    Args:
-        answer: Solved state.
-        closely: True to include the stability of the linearised dynamics, which takes some tens of
-            milliseconds.
+    ``closely`` includes the stability of the linearised dynamics, which takes some tens of
+    milliseconds.
     """
     if answer.robot is None or answer.statics is None:
         return None
@@ -159,9 +154,6 @@ def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
 def simulate_stance(answer: Answer) -> Stance:
     """Simulate and judge a stance in the same way as the command ``stand``.
 
-    Args:
-        answer: Stance that was solved for the state of the page: robot, task and gains.
-
     Raises:
         PupperAnalysisError: If the simulation is not possible.
     """
@@ -173,10 +165,7 @@ def simulate_stance(answer: Answer) -> Stance:
 def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
     """Simulate a push of the robot in its stance, with position commands without feed-forward.
 
-    Args:
-        answer: Solved stance of the page, with robot and stand.
-        impulse: Impulse [N s].
-        direction: Direction of the horizontal push, from the forward axis of the base [rad].
+    ``impulse`` is in N s; ``direction`` is the horizontal angle from the base's forward axis [rad].
 
     Raises:
         PupperAnalysisError: If the simulation is not possible.

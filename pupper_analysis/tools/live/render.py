@@ -89,13 +89,8 @@ def find_free_port(host: str, port: int | None) -> int:
 def start_server(host: str, port: int, label: str, access: Access | None = None) -> Any:
     """Start a viser server that cannot be shared on the internet from the page.
 
-    Connections without a request, or with a malformed request, are not logged as errors.
-
-    Args:
-        host: Address of the server.
-        port: Free port.
-        label: Title of the page.
-        access: Access control; by default that of the host.
+    ``port`` must be free; ``label`` is the title of the page. Default of ``access``: the access
+    control of the host.
     """
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -109,13 +104,7 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
 
 
 def make_address(server: Any, host: str, access: Access) -> str:
-    """Return the address (URL) that a browser opens to show a page.
-
-    Args:
-        server: viser's server.
-        host: Address of the server.
-        access: Access control, whose token is part of the address.
-    """
+    """Return the address (URL) that a browser opens to show a page, with the access token."""
     shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     query = f"?token={access.token}" if access.token else ""
     return f"http://{shown}:{server.get_port()}/{query}"
@@ -218,9 +207,7 @@ class Translator:
     def __call__(self, key: str, **values: object) -> str:
         """Return a text of the catalogue in the language of the page.
 
-        Args:
-            key: Key of the text.
-            **values: Values of the placeholders.
+        ``values`` fill the placeholders.
 
         Raises:
             KeyError: If the catalogue does not contain the key.

@@ -288,12 +288,9 @@ class Scene:
         self._get_figure("ghost").show(True)
 
     def draw_twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
-        """Draw a simulated configuration as a second figure beside the stand.
+        """Draw a simulated configuration, shape (nq,), as a second figure beside the stand.
 
-        Args:
-            robot: Robot.
-            qpos: Configuration, shape (nq,) [m, quaternion, rad].
-            ground: Ground, whose slope direction determines the side.
+        The slope direction of ``ground`` determines the side.
         """
         figure = self._get_figure("twin")
         along = np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
@@ -302,12 +299,7 @@ class Scene:
         figure.show(True)
 
     def hide(self, name: str) -> None:
-        """Hide a figure, if it exists.
-
-        Args:
-            name: ``stand``, ``ghost`` (transparent figure of a stance) or ``twin`` (simulated
-                figure beside the stand).
-        """
+        """Hide a figure (``stand``, ``ghost`` or ``twin``), if it exists."""
         if name in self._figures:
             self._figures[name].show(False)
 

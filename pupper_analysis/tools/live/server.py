@@ -170,13 +170,7 @@ def check_state(model: PageSolver, state: State) -> None:
 
 
 def serve(page: ServedPage, *, browser: bool, wait: Callable[[], object]) -> None:
-    """Serve a page until ``wait`` returns or raises.
-
-    Args:
-        page: Page.
-        browser: True to open a browser.
-        wait: Function that blocks until the end.
-    """
+    """Serve a page until ``wait`` returns or raises."""
     try:
         if browser:
             webbrowser.open(page.address)

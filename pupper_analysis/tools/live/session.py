@@ -110,19 +110,11 @@ class Panels:
         self._result.content = render.render_panel(document, self.translator)
 
     def show_waiting(self, key: str) -> None:
-        """Show in the simulation panel that a simulation is running.
-
-        Args:
-            key: Key of the message in the catalogue of texts.
-        """
+        """Show a text of the catalogue in the simulation panel while a simulation is running."""
         self._result.content = render.render_waiting(text(key), self.translator)
 
     def show_hint(self, key: str) -> None:
-        """Show a message in place of a simulation result.
-
-        Args:
-            key: Key of the message in the catalogue of texts.
-        """
+        """Show a text of the catalogue in place of a simulation result."""
         self._result.content = render.render_hint(text(key), self.translator)
 
     def clear_results(self) -> None:
@@ -220,9 +212,7 @@ class Session:
     def _request_job(self, words: str, job: Callable[[Answer], None]) -> None:
         """Queue a simulation of the current stance; without a balanced stance, show a hint.
 
-        Args:
-            words: Catalogue key of the text that is shown while the user waits.
-            job: Function that simulates the stance and shows the result.
+        ``words`` is the catalogue key of the text that is shown while the user waits.
         """
         with self._lock:
             if self._answer is None or self._answer.statics is None:

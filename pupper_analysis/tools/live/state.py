@@ -100,11 +100,7 @@ class State:
         return self.values[name] if name in self.values else find_default_value(SLIDER_FIELDS[name])
 
     def with_values(self, **values: Any) -> State:
-        """Return a copy of the page's state with changed values.
-
-        Args:
-            **values: {name of the field: value in the units of the page}.
-        """
+        """Return a copy of the page's state with changed values, {field: value in page units}."""
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
@@ -150,12 +146,8 @@ class State:
         """Return a copy of this state with the numbers of a stand task, in the units of the page.
 
         A field whose value in this state is None, such as a height that was not requested, stays
-        None.
-
-        Args:
-            task: Task with the same feet, and with the same mode of the base position as in this
-                state (``place``): CoM centred or inside the support polygon, or an offset of the
-                base.
+        None. The task must have the feet and the mode of the base position (``place``) of this
+        state.
         """
         values = {
             name: convert_to_page_units(SLIDER_FIELDS[name], value)
@@ -256,10 +248,7 @@ def parse_angle(degrees: float) -> float:
 def make_state(task: StandTask, **robot_values: Any) -> State:
     """Return the state of the page of ``live`` that requests a stand task.
 
-    Args:
-        task: Stand task.
-        **robot_values: Further fields of the `State`, which concern the robot, in the units of the
-            page.
+    ``robot_values`` are further fields of the `State`, which concern the robot, in page units.
 
     Raises:
         ConfigurationError: If the page has no slider for a value of the task.

@@ -117,11 +117,7 @@ class WalkSession:
     def push(self, x: float, y: float) -> None:
         """Request a push in a horizontal direction, during the next action of the policy.
 
-        The velocity change [m/s] is the value of the slider times the length of (x, y).
-
-        Args:
-            x: Component along world x.
-            y: Component along world y.
+        The velocity change [m/s] is the value of the slider times (x, y), in world axes.
         """
         size = float(self.impulse.value) * self._stage.robot.total_mass
         with self._lock:
@@ -204,11 +200,8 @@ def walking_document(
 ) -> doc.Document:
     """Create the report of the latest walking: actual and commanded speeds, motor torques.
 
-    Args:
-        stage: Policy on the robot.
-        window: States and targets of the last second or less.
-        duration: Simulated time since the start [s].
-        fall: Description of the fall; None if the robot has not fallen.
+    ``window`` contains at most the last second, ``duration`` is the simulated time since the start
+    [s].
     """
     tracking, torques = (
         evaluate_tracking(stage, window, 0.0),

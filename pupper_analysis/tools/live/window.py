@@ -145,12 +145,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
     """Show a robot in the start pose (``Robot.home``) until the window is closed.
 
     The sliders "Control" of the viewer command the servos. A robot with a fixed base is shown
-    without gravity.
-
-    Args:
-        robot: Robot.
-        headless: Print mass, start pose, next command and sensor readings instead of opening a
-            window.
+    without gravity. If ``headless``, mass, start pose and sensor readings are printed instead.
 
     Raises:
         DisplayError: If no window can be opened.
@@ -201,11 +196,7 @@ def _format_sensor_count(count: int) -> str:
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     """Drop a robot in simulation, and print whether the robot stands at the end.
 
-    Actions in the window do not change the result.
-
-    Args:
-        robot: The robot.
-        headless: Open no window.
+    If not ``headless``, a window opens first; actions in the window do not change the result.
 
     Returns:
         True if the robot stands stably, the files state the masses of all links, and

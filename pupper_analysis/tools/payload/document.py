@@ -38,9 +38,7 @@ from pupper_analysis.tools.payload.limit import VERIFIED_FRACTION, Bound, Payloa
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
     """Create the document of a payload limit: mass, bounds and simulations.
 
-    Args:
-        limit: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if not available.
+    Without ``robot``, the 3-D view is empty.
     """
     trial_texts = () if limit.trial is None else (_describe_nudged_trials(limit.trial),)
     return judged_document(

@@ -110,9 +110,7 @@ m]. Above the bound, the report warns that the two models differ. Chosen, not tu
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     """Create the report of a stance: torques, contact forces, simulation and verdict.
 
-    Args:
-        stance: Result.
-        robot: Robot of the result, for the 3-D view and notes; None if not available.
+    Without ``robot``, the 3-D view is empty.
     """
     run = stance.verification
     stand = stance.stand

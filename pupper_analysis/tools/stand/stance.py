@@ -232,8 +232,7 @@ class SimulatedStance:
     def complete(self, *, stiffness: bool = False) -> Stance:
         """Create the complete result: add, for example, bounds of servo gains and forces of hands.
 
-        Args:
-            stiffness: Also compute the minimum stiffness of the servos (a second or two).
+        ``stiffness`` adds the minimum stiffness of the servos, which takes a second or two.
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stance.
@@ -380,14 +379,6 @@ def explain_loading(
     """Prepare a robot from two files, and list the preparation steps that were run.
 
     All steps that the robot needs are run, including the steps that `make_robot` postpones.
-
-    Args:
-        urdf: The URDF.
-        mjcf: The MJCF.
-        request: Options of the user, for example feet, joint pairs and keyframe.
-
-    Returns:
-        List of the steps (passes) with the changes and findings of each step, and the robot.
 
     Raises:
         ModelError: If no robot can be made from the files.
