@@ -84,6 +84,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         and not verdict.overloaded_motors
     )
     fails = verdict.code is VerdictCode.OWN_DRIVES_FAIL or stands_otherwise
+    # No simulation of a file with an impossible mass or inertia has a meaning.
     deciding = [
         remark
         for remark in verdict.remarks

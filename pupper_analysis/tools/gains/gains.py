@@ -398,6 +398,8 @@ def _select_reference(
     stable_pair = gains.find_stable_pair()
     if stable_pair is not None:
         return gains, stable_pair, False
+    # For example, a humanoid with equal gains at ankles and wrists: the weight requires a stiff
+    # ankle, and a wrist with this kd oscillates.
     inertias = loop.compute_joint_inertias()
     for members in groups:
         inertias[list(members)] = np.exp(np.log(inertias[list(members)]).mean())

@@ -147,6 +147,7 @@ class JointMotions:
         """Return the number of joint positions that are tested along a motion."""
         if not self.nonlinear[motion]:
             return _NUM_LINEAR_SAMPLES
+        # Equal spacing over the joint range: each closed position is computed once, then cached.
         return (
             _NUM_LOOP_SAMPLES
             if len(np.intersect1d(self._coupled_joints[motion], self.free)) == 1

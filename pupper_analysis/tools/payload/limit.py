@@ -591,6 +591,7 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
         return Bound(math.inf, Failure.NOTHING, ())
     if not _holds_in_simulation(simulations.judge(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
+    # The bound is usually just below the static limit: search downwards with doubled steps.
     high, distance = static_limit, _FIRST_DISTANCE_RATIO * SIMULATION_RTOL * static_limit
     low = high - distance
     while low > 0.0 and (low_cause := find_cause(low)) is not None:
