@@ -110,7 +110,7 @@ class OutputPath(click.Path):
         self._holds = holds
 
     def get_kind(self, given: Mapping[str, Any]) -> OutputKind | Folder | None:
-        """Return what a command-line command writes to this path: a file format, or a folder.
+        """Return the file format or folder content that a command-line command writes to this path.
 
         Args:
             given: {parameter: value} of the command.
@@ -123,9 +123,7 @@ class OutputPath(click.Path):
     def check_suffix(self, option: str, path: Path, kind: OutputKind) -> None:
         """Check that the suffix of an output file does not belong to another format.
 
-        Figures and pages must have a suffix of their own format, or none, because programs choose
-        by the suffix how to open a file. Files of other kinds may also have a suffix that belongs
-        to no known format (`FORMAT_SUFFIXES`). Kinds without suffixes of their own are not checked.
+        Programs choose by the suffix how to open a file.
 
         Args:
             option: Name of the option, for errors.
@@ -164,17 +162,18 @@ A short report with a single document prints this number below the results."""
 
 
 _FIXED_BASE_CODE = "base-is-fixed"
-"""Code of the error that a command about stands raises for a robot with a fixed base.
-`Command.invoke` adds a command line that accepts the robot (`complete_fixed_base_command`), or that
-of `audit` if MuJoCo refuses a free base (`_AUDITED_CODES`)."""
+"""Code of the error about a robot with a fixed base, in a command about stands. `Command.invoke`
+adds the command line of a suitable command, for example `hold`, to this error.
+"""
 
 
 _AUDITED_CODES = (
     *("mjcf-not-compiled", "inertia-refused"),
     *("link-without-mass", "moving-link-without-mass", "robot-without-mass"),
 )
-"""Codes of errors of models that MuJoCo refuses. `Command.invoke` adds the command line of `audit`,
-which names the elements and proposes repairs."""
+"""Codes of errors about models that MuJoCo refuses. `Command.invoke` adds the command line of
+`audit`, which proposes repairs.
+"""
 
 
 class Command(click.Command):
@@ -206,8 +205,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words of the command line into the parameters of the command.
 
-        Errors of click get more helpful messages. For example, the error about an unknown option
-        suggests similar options.
+        Several errors of click are replaced by more helpful ones, for example with similar options.
 
         Args:
             ctx: Context of the command.
@@ -217,8 +215,7 @@ class Command(click.Command):
             Words that click has not processed.
 
         Raises:
-            click.UsageError: If a word is not valid, for example a unit apart from its number, or
-            if an option has two different values.
+            click.UsageError: If a word is not valid, for example a unit apart from its number.
         """
         _refuse_other_dashes(ctx, args, [name for one in self.params for name in one.opts])
         _refuse_separate_units(ctx, args)
@@ -279,8 +276,7 @@ class Command(click.Command):
     def _refuse_options_without_hyphens(self, ctx: click.Context, words: Sequence[str]) -> None:
         """Refuse words such as ``height=12cm`` and ``-height``, where a known option lacks hyphens.
 
-        Click reads the first as a robot, and the second as the options ``-h``, ``-e`` and so on. A
-        word without hyphens is accepted if it follows an option or has no equals sign.
+        Click reads ``height=12cm`` as a robot, and ``-height`` as options ``-h``, ``-e`` and so on.
 
         Raises:
             click.UsageError: If there is such a word.
@@ -297,13 +293,10 @@ class Command(click.Command):
                 raise click.NoSuchOption(name, message, ctx=ctx)
 
     def _refuse_repetition(self, ctx: click.Context) -> None:
-        """Refuse an option with two different values, of which one would be ignored.
-
-        An option ``NAME=VALUE`` may be repeated for other names. Equal repetitions are accepted.
+        """Refuse an option with two different values, because click would ignore one of them.
 
         Raises:
-            click.UsageError: If an option that is not repeatable, or a name in a repeatable option,
-                has two different values.
+            click.UsageError: If there is such an option, also a repeated NAME in ``NAME=VALUE``.
         """
         repeatable = copy.copy(self)
         repeatable.params = [copy.copy(parameter) for parameter in self.params]
@@ -328,7 +321,7 @@ class Command(click.Command):
                     raise click.UsageError(str(message), ctx)
 
     def _list_metavars(self, ctx: click.Context) -> dict[str | None, str]:
-        """Return {name of an argument: word in usage lines, such as ``URDF``}, for this command."""
+        """Return {name of an argument: word in usage lines, such as ``URDF``} for this command."""
         arguments = [one for one in self.params if isinstance(one, click.Argument)]
         return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
 
@@ -351,14 +344,11 @@ class Command(click.Command):
     def invoke(self, context: click.Context) -> Any:
         """Check that the output files of the command can be written, and run the command.
 
-        Files that the parameters name are registered as inputs: no result may replace an input. An
-        error about an argument of a function is changed to name the typed option instead.
+        Files that the parameters name are registered as inputs: a result must not replace an input.
 
         Raises:
-            OutputError: If a result cannot or must not be written, or two results have the same
-                path.
-            ConfigurationError: If the suffix of a result belongs to another format, or if the
-                command raises this error.
+            OutputError: If a result cannot or must not be written, for example.
+            ConfigurationError: For example if the suffix of a result belongs to another format.
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
@@ -407,14 +397,10 @@ class Command(click.Command):
             raise
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:
-        """Find the typed option that set the function argument which an error names.
+        """Return the typed option, such as ``--payload``, that set a function's argument; else
+        empty.
 
-        Args:
-            context: Context of the command.
-            field: Name of the argument in the error, such as ``mass``.
-
-        Returns:
-            Option, such as ``--payload``; empty if no such option was typed.
+        ``field`` is the name of the argument in an error, such as ``mass``.
         """
         own = f"--{field.removeprefix('--').replace('_', '-')}"
         for option in self.params:
@@ -437,26 +423,22 @@ _OPTIONS_OF_ARGUMENTS = {
     "xacro_args": ("--xacro-arg",),
     "count": ("--plan",),
 }
-"""{argument of a function: command-line options that set the argument}, if the names differ. With
-the options, an error about an argument names the typed option."""
+"""{argument of a function: command-line options that set the argument}, for options with another
+name. An error about an argument names the typed option instead.
+"""
 
 
 _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
-"""Pattern of the start of an option's form ``NAME=VALUE``, for example ``FOOT=LENGTH``. In
-``[JOINTS=]NM`` the name is optional; without the name, the value is for all joints.
+"""Pattern of the start of an option's form ``NAME=VALUE``, for example ``FOOT=LENGTH``. The groups
+are ``[`` and ``]`` of an optional name, as in ``[JOINTS=]NM``.
 """
 
 
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
-    """Split a value ``NAME=VALUE`` of an option into the name and the whole text, as typed.
+    """Return the name in a value ``NAME=VALUE`` of an option, and the whole text as typed.
 
-    Two different values with the same name contradict each other. The name is:
-
-    - Value ``NAME=VALUE`` of a repeatable option of this form: ``NAME``.
-    - Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
-      name.
-    - Other values of a repeatable option: the value itself, so that two values never contradict
-      each other.
+    Two different values with the same name contradict each other. A value without a name gets a
+    substitute: the value itself, or an empty name.
     """
     text = str(value)
     if not option.multiple:
@@ -471,14 +453,13 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
-"""Units of options whose values are typed without a unit (gains, torques, rates). Most errors about
-a value with such a unit contain the number to type instead.
+"""Units that may not be typed after a number (gains, torques, rates). Errors about such a value
+contain the number to type instead, if possible.
 """
 
 
 _DASHES = "\u2010\u2011\u2012\u2013\u2014\u2015\u2212"
-"""Hyphens, dashes and the minus sign of Unicode, which word processors and web pages insert in
-place of ``-``."""
+"""Hyphens, dashes and the minus sign of Unicode, which word processors insert in place of ``-``."""
 
 _DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
 """Pattern of a dash that is the sign of a number."""
@@ -487,12 +468,10 @@ _DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
 def _refuse_other_dashes(
     context: click.Context, words: Sequence[str], options: Sequence[str]
 ) -> None:
-    """Refuse a known option or a number that begins with another dash than ``-``.
-
-    An existing file of such a name is accepted.
+    """Refuse a known option or a number that begins with a Unicode dash in place of ``-``.
 
     Raises:
-        click.UsageError: If there is such a word.
+        click.UsageError: If there is such a word. Names of existing files are accepted.
     """
     for word in words:
         wanted = ""
@@ -508,10 +487,8 @@ def _refuse_other_dashes(
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
     """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
-    A unit that is also the name of an existing file is accepted.
-
     Raises:
-        click.UsageError: If there are such words.
+        click.UsageError: If there are such words. Names of existing files are accepted.
     """
     known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
     known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
@@ -532,11 +509,9 @@ _NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?[a-z°]*", re.
 def _refuse_separate_values(
     context: click.Context, words: Sequence[str], params: Sequence[click.Parameter]
 ) -> None:
-    """Refuse the numbers of a point or of a value ``NAME=NUMBER`` that are typed as separate words.
+    """Refuse numbers that are typed as separate words, such as ``--payload-at 0 0 8cm``.
 
-    Examples are ``--payload-at 0 0 8cm`` in place of ``0,0,8cm``, and ``--joints elbow -45deg`` in
-    place of ``elbow=-45deg``. Click reads such a number as a robot, or as an option ``-4``. A
-    number that is also the name of an existing file is accepted.
+    Click reads such a number as a robot, or a negative number as an option ``-4``.
 
     Raises:
         click.UsageError: If there are such words. The message contains the words to type.
@@ -571,11 +546,7 @@ def _refuse_separate_values(
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
-    """Extend the error about a word that is no choice of a parameter by a similar choice.
-
-    Without a similar choice, the error about an argument states the usage of the command, and the
-    error about an option is unchanged.
-    """
+    """Return the error about a word that is no choice, with a similar choice or the usage."""
     found = _INVALID_CHOICE.match(error.message)
     typed = "" if found is None else found[1]
     names = {str(name).lower(): str(name) for name in choice.choices}
@@ -602,19 +573,9 @@ _SYNONYMS = {
 
 
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
-    """Find options to suggest for an unknown option: synonyms, else similar names.
-
-    The first of these lists that is not empty is returned:
-
-    1. Synonyms of the option (`_SYNONYMS`).
-    2. Options whose names contain all words of the unknown name, and more.
-    3. Options with similar names.
+    """Return options to suggest for an unknown option: `_SYNONYMS`, else similar names.
 
     Names are compared without the leading hyphens, because these make all short names similar.
-
-    Args:
-        unknown: Unknown option, such as ``--limit``.
-        known: Options of the command.
     """
     names = {name.strip("-"): name for name in known if name.startswith("--")}
     wanted = unknown.strip("-")
@@ -627,15 +588,7 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
 
 
 def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
-    """Find options to suggest for an unknown option: those whose help contains its words.
-
-    A plural with s is found as well. The result is empty if the help of more than
-    `_MAX_OPTIONS_ABOUT` options contains the words, or if a word is shorter than
-    `_MIN_WORD_LENGTH`.
-
-    Args:
-        unknown: Unknown option, such as ``--impulse``.
-        parameters: Parameters of the command-line command.
+    """Return options to suggest for an unknown option: their help contains the words of its name.
     """
     words = unknown.strip("-").lower().split("-")
     if min(map(len, words)) < _MIN_WORD_LENGTH:
@@ -651,13 +604,13 @@ def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> 
 
 
 _MAX_OPTIONS_ABOUT = 3
-"""Maximum number of options that `_find_options_about` returns. If the help texts of more options
-contain the word, it does not identify an option; for example "robot". Chosen, not tuned.
+"""Maximum number of suggested options of `_find_options_about`. A word in the help of more options,
+such as "robot", does not identify an option. Chosen, not tuned.
 """
 
 _MIN_WORD_LENGTH = 4
 """Minimum length [characters] of the words that `_find_options_about` searches for. Shorter words,
-such as "x" or "at", occur in many help texts. Chosen, not tuned.
+such as "at", occur in many help texts. Chosen, not tuned.
 """
 
 
@@ -678,7 +631,7 @@ def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., 
 
 
 def _collect_options(command: click.Command, context: click.Context) -> dict[str, Any]:
-    """Collect the options that are typed, or set by the file of ``--stance``: {option: value}.
+    """Return {option: value} of the options that have no default value, for the record of a run.
 
     Paths of results and ``--force`` are not included.
     """
@@ -695,7 +648,7 @@ def _collect_options(command: click.Command, context: click.Context) -> dict[str
 
 
 def _list_named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
-    """Yield the paths of files that the parameters may name as inputs, and of files in folders."""
+    """Yield paths that the parameters may name as inputs; a path need not exist."""
     for parameter in command.params:
         reads = isinstance(parameter, click.Argument) or isinstance(parameter.type, click.Path)
         if not reads or isinstance(parameter.type, OutputPath):
@@ -712,9 +665,7 @@ def _list_named_files(command: click.Command, context: click.Context) -> Iterato
 
 
 def _prepare_outputs(command: Command, context: click.Context) -> None:
-    """Check that all results may and can be written, and register the files as outputs.
-
-    If a result goes to standard output (``-``), all other output is redirected to standard error.
+    """Check that the results of a command can be written, and register the files as outputs.
 
     Raises:
         OutputError: If a result cannot or must not be written, or two have the same path.
@@ -839,8 +790,8 @@ class ModelFileType(click.Path):
     ) -> Path:
         """Convert a typed word to the path of a model file.
 
-        For ``-``, standard input is read, up to one byte more than `xml.MAX_BYTES`. The result is
-        the path under which the content is available until the command ends.
+        For ``-``, standard input is read. Its content is available under the returned path until
+        the command ends.
 
         Raises:
             ConfigurationError: If ``-`` is typed twice, or standard input cannot be read.
@@ -858,18 +809,17 @@ MODEL_FILE = ModelFileType()
 
 
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
-    """Sort two model files by format: the URDF first; the user may type both in any order.
+    """Sort two model files by format: the URDF first. The user may type both in any order.
 
     A path may be the name of a variant of the package's own robot (such as ``v3``), which has both
-    formats. The variant then stands for the format that the other file does not have. The typed
-    order is kept if a file cannot be read.
+    formats.
 
     Args:
         one: First typed path.
         other: Second typed path.
 
     Returns:
-        Path of the URDF; path of the MJCF.
+        Path of the URDF; path of the MJCF. If a file cannot be read, the paths as typed.
 
     Raises:
         ConfigurationError: If both files are URDFs, or both are MJCFs.
@@ -911,11 +861,10 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     ) -> float:
         """Parse the text of an option, for example ``5deg``, into the SI unit of the quantity.
 
-        A number without a unit is in the SI unit. Numbers from Python, such as default values, are
-        accepted as well.
+        A number without a unit is in the SI unit.
 
         Args:
-            value: Text of the user, or a number.
+            value: Text of the user, or a number, such as a default value.
             param: Parameter of the command, for errors.
             ctx: Context of the command, for errors.
 
@@ -923,9 +872,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
             Value in the SI unit, for example [m] or [rad].
 
         Raises:
-            click.BadParameter: If the text is no such quantity. Also if a typed number without unit
-            is probably a length in millimetres, an angle in degrees, a time in milliseconds or a
-            mass in grams. A number from Python is checked for this only if it is a length.
+            click.BadParameter: If the text is no such quantity, or probably lacks its unit
+                (`lacks_unit`).
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -951,9 +899,7 @@ def parse_quantity(kind: str, text: str) -> float:
         if the text has a unit.
 
     Raises:
-        ValueError: If the text is no number, or has an unknown unit. Also if a number without unit
-            is probably a length in mm, an angle in degrees, a time in milliseconds or a mass in
-            grams (`lacks_unit`).
+        ValueError: If the text is no such quantity, or probably lacks its unit (`lacks_unit`).
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -979,8 +925,8 @@ MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
 }
 """{quantity: upper bound of the absolute value of a number without a unit [SI unit]}. A larger
-finite number is refused, since it is probably in another unit. Quantities that are not listed have
-no bound."""
+number is refused, since it is probably in another unit.
+"""
 
 _MISSING_UNIT_CODES = {
     "length": "length-without-unit",
@@ -989,18 +935,17 @@ _MISSING_UNIT_CODES = {
     "mass": "mass-without-unit",
 }
 """{quantity of `MAX_BARE_NUMBERS`: code of the message about a larger number without a unit}. The
-message has the number as value, under the name of the quantity."""
+name of the quantity is also the name of the message's value.
+"""
 
 
 def lacks_unit(kind: str, value: float) -> bool:
     """Return True if a number without a unit is probably not in the SI unit.
 
-    Such a number is finite, and its absolute value exceeds the bound of its quantity in
-    `MAX_BARE_NUMBERS`.
+    Such a number is finite and beyond the bound of its quantity in `MAX_BARE_NUMBERS`.
 
     Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``. The result is False for a quantity
-            without a bound.
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``.
         value: Number, taken in the SI unit of the quantity.
     """
     return MAX_BARE_NUMBERS.get(kind, math.inf) < abs(value) < math.inf
@@ -1014,7 +959,7 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
         text: Text; the first equals sign separates name and value.
 
     Raises:
-        ConfigurationError: If the text has another form; the message names the option.
+        ConfigurationError: If the text has another form.
     """
     name, separator, value = text.partition("=")
     if not (name and separator and value):
@@ -1024,14 +969,7 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 
 
 def _find_assignment_form(option: str) -> str:
-    """Describe the form ``NAME=VALUE`` of an option for an error, with the example in its help.
-
-    For example ``FOOT=LENGTH, e.g. FR=30mm``. The result is ``NAME=VALUE`` if the running command
-    has no such option, or if the form of the option has no equals sign.
-
-    Args:
-        option: Name of the option, with or without ``--``.
-    """
+    """Return the form ``NAME=VALUE`` of an option, with an example from its help, if any."""
     parameter = _find_running_option(option)
     form = "" if parameter is None else parameter.metavar or ""
     if parameter is not None and "=" in form:
@@ -1041,11 +979,7 @@ def _find_assignment_form(option: str) -> str:
 
 
 def _find_running_option(name: str) -> click.Option | None:
-    """Find an option of the running command-line command by name; None if there is none.
-
-    Args:
-        name: Name of the option, with or without ``--``.
-    """
+    """Return the option with this name (with or without ``--``) of the running command, or None."""
     context = click.get_current_context(silent=True)
     for parameter in () if context is None else context.command.params:
         names = [known.lstrip("-") for known in parameter.opts]
@@ -1055,7 +989,7 @@ def _find_running_option(name: str) -> click.Option | None:
 
 
 def _find_unit(option: click.Parameter | None) -> str:
-    """Return the unit of an option's number, as stated in parentheses in its help; else empty."""
+    """Return the unit of an option's number from its help text, such as ``N m/rad``; else empty."""
     text = option.help or "" if isinstance(option, click.Option) else ""
     unit = _UNIT_IN_HELP.search(text)
     return "" if unit is None else unit[1]
@@ -1092,7 +1026,7 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
         text: Text; the number has no unit.
 
     Raises:
-        ConfigurationError: If the text has another form; the message names the option.
+        ConfigurationError: If the text has another form.
     """
     name, value = parse_assignment(option, text)
     try:
@@ -1116,10 +1050,7 @@ def _write_decimal_point(text: str) -> str:
 
 
 def _omit_unit(text: str) -> str:
-    """Return the number of a text such as ``12.5Nm``, whose unit must not be typed.
-
-    Empty for other texts, also for ``%`` and for numbers with an exponent.
-    """
+    """Return the number of a text such as ``12.5Nm``, whose unit must not be typed; else empty."""
     match = re.fullmatch(r"([+-]?\d+(?:\.\d+)?)\s*([A-Za-z].*)", text)
     units = [unit.lower() for unit in _UNTYPED_UNITS]
     return match[1] if match is not None and match[2].replace(" ", "").lower() in units else ""
@@ -1138,7 +1069,7 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
         Value in the SI unit of the quantity.
 
     Raises:
-        ConfigurationError: If the text is no valid value; the message names the option.
+        ConfigurationError: If the text is no valid value.
     """
     try:
         return parse_quantity(kind, text)
@@ -1154,17 +1085,17 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
         text: Text; the position is an angle or a length, with or without a unit.
 
     Raises:
-        ConfigurationError: If the text has another form; the message names the option.
+        ConfigurationError: If the text has another form.
     """
     name, value = parse_assignment(option, text)
     return name, parse_measure(option, "position", value, text)
 
 
 def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
-    """Create the message about an invalid number with unit on the command line, with the remedy.
+    """Create the message about an invalid number with unit, with a correction if possible.
 
     Args:
-        kind: Kind of the quantity, a key of ``UNIT_FACTORS``.
+        kind: Quantity, a key of ``UNIT_FACTORS``.
         text: Invalid text.
         given: Whole typed value that contains ``text``, if longer.
     """
@@ -1184,10 +1115,7 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
 
 
 def _spell_unit(kind: str, text: str) -> str:
-    """Correct the spelling of a quantity's unit, for example ``12cm`` for ``12CM``.
-
-    Empty if the text is no number with a unit of the quantity.
-    """
+    """Return a number with its unit spelt correctly, such as ``12cm`` for ``12CM``; else empty."""
     number = _NUMBER_START.match(text)
     if number is None:
         return ""
@@ -1199,10 +1127,7 @@ def _spell_unit(kind: str, text: str) -> str:
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Show a progress message on standard error while a context is active.
-
-    After ``MIN_REPORTED_TIME``, the message contains the elapsed time, or the number of completed
-    parts and an estimate of the remaining time. Nothing is shown if standard error is no terminal.
+    """Show a progress message while a context is active, if standard error is a terminal.
 
     Args:
         what: Message, for example ``simulating``.
@@ -1212,10 +1137,7 @@ def show_progress(what: str) -> AbstractContextManager[object]:
 
 @contextmanager
 def _display_progress(what: str) -> Iterator[None]:
-    """Display a message and the progress on a terminal's standard error, until the context ends.
-
-    ``what`` is the message.
-    """
+    """Display the message ``what`` and the progress on standard error until the context ends."""
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.text import Text
@@ -1237,10 +1159,9 @@ def _display_progress(what: str) -> Iterator[None]:
 
 
 def format_progress(clock: ProgressClock) -> str:
-    """Format the progress of a computation, for a progress message.
+    """Format the progress of a computation: completed parts and remaining or elapsed time [s].
 
-    The text contains completed parts and remaining time [s]. If the remaining time is unknown, it
-    contains the elapsed time [s]. The text is empty before ``MIN_REPORTED_TIME``.
+    The text is empty before ``MIN_REPORTED_TIME``.
 
     Args:
         clock: Clock of the computation.
@@ -1272,8 +1193,8 @@ def show_results(
         robots: Robots of the results; Markdown includes the notes of the robots.
         overview: Blocks that compare the results, printed in addition.
         everything: True to print all tables and notes. Ignored for Markdown.
-        next_step: Command to suggest as next. Default: the next step of the only result. Ignored
-            for Markdown.
+        next_step: Command to suggest as next. Default: that of a single result. Ignored for
+            Markdown.
     """
     from pupper_analysis.present.documents.registry import build_report
 
@@ -1295,8 +1216,8 @@ def show_report(
         report: Report.
         style: ``text`` or ``markdown``.
         everything: True to print all tables and notes. Ignored for Markdown.
-        next_step: Command to suggest as next. Default: the next step of the document, if the report
-            contains a single document. Ignored for Markdown.
+        next_step: Command to suggest as next. Default: that of a single document. Ignored for
+            Markdown.
     """
     if style == "markdown":
         from pupper_analysis.base.provenance import collect_provenance
@@ -1322,8 +1243,7 @@ def show_report(
 def confirm_written(path: Path | str) -> None:
     """Print the path of a written file, unless the file was standard output.
 
-    The path is printed on standard output if the output format of the command is text, that is
-    ``--format text`` or no such option. Otherwise it is printed on standard error.
+    If standard output carries another format than text, the path is printed on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT
     from pupper_analysis.present.formats import escape_control
@@ -1383,9 +1303,9 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
     """Finish a command-line command: write results as JSON; exit with status 1 if a check failed.
 
     Args:
-        json_path: Path of the option ``--json``; None if not typed: no file is written.
+        json_path: Path of the option ``--json``; None to write no file.
         content: Results.
-        passed: Whether all checks of the command passed. If False, this function does not return.
+        passed: Whether all checks of the command passed.
 
     Raises:
         click.exceptions.Exit: If ``passed`` is False.
@@ -1407,15 +1327,13 @@ def parse_point(
         option: Name of the option, for error messages.
         text: Lengths separated by commas, each with or without a unit: ``10mm,0,0``.
         size: Number of coordinates, 2 or 3.
-        choices: Words that the option accepts in place of coordinates, for the error message. The
-            caller must handle these words before the call.
+        choices: Words that the option accepts in place of coordinates, for the error message only.
 
     Returns:
         ``size`` coordinates [m].
 
     Raises:
-        ConfigurationError: If the text has another form or number of coordinates, or a length is
-            probably in mm; the message names the option.
+        ConfigurationError: If the text has another form, or a length is probably in mm.
     """
     try:
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
@@ -1444,8 +1362,7 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
         (x, y, z) [m]; or the name of the frame, followed by (x, y, z) [m] expressed in this frame.
 
     Raises:
-        ConfigurationError: If the text has another form, or a length is probably in mm; the message
-            names the option.
+        ConfigurationError: If the text has another form, or a length is probably in mm.
     """
     is_frame = text.count(",") in (0, 3) and not _NUMBER_START.match(text)
     frame, _, place = text.partition(",") if is_frame else ("", "", text)
