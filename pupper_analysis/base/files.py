@@ -66,20 +66,15 @@ def hidden_beside(target: Path) -> Path:
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
 """Age [s] after which `remove_stale_files` removes a temporary file, even if its process seems to
-run. The running process may be another process: process IDs are reused, and processes of another
-container cannot be tested. Chosen: one day, since no write takes that long."""
+run: process IDs are reused. Chosen: one day, since no write takes that long.
+"""
 
 
 def remove_stale_files(folder: Path) -> None:
-    """Remove old temporary files from a folder, once per process; only on POSIX systems.
+    """Remove old temporary files of this package from a folder; only on POSIX systems.
 
-    A temporary file is removed in two cases. First, if it was written on this machine, and no
-    process with the ID of its writer exists. Second, if the file is older than `MAX_TEMPORARY_AGE`.
-    The age is measured from the last change of the status of the file. Files that cannot be removed
-    remain.
-
-    On other systems the function does nothing: ``os.kill(pid, 0)``, the test whether a process has
-    ended, may end the process there.
+    On other systems, ``os.kill(pid, 0)``, the test whether a process has ended, may end the
+    process.
     """
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
@@ -156,8 +151,7 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
     """Yield a buffer whose content is written to a file if the ``with`` block succeeds.
 
     A regular file is replaced atomically, and keeps its mode. A new file has the mode given by the
-    umask. Links are followed. A pipe or device is written in place. A file is also written in place
-    if standard output or error is redirected to this file.
+    umask. Links are followed. Pipes, devices and redirected standard streams are written in place.
 
     Args:
         path: Output file; missing folders are created. ``-`` is standard output.
@@ -166,8 +160,8 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
             measurements (``OutputKind.keeps``).
 
     Raises:
-        OutputError: If the file cannot be written, or must not be replaced. Also if the block
-            raises an ``OSError`` other than ``BrokenPipeError``.
+        OutputError: If the file cannot be written, or must not be replaced, or the block raises an
+            ``OSError`` other than ``BrokenPipeError``.
         BrokenPipeError: If the reader of a pipe has ended.
     """
     buffer = io.BytesIO()
@@ -184,15 +178,13 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 
 
 def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None:
-    """Check that a file may be written, and register an existing file as output of the run.
+    """Check that a file may be written, and register it as an output of the run (`current_run`).
 
-    The run is the current command (`runs.current_run`). If the run reads the registered file before
-    writing, an error is raised. A file is not registered if its kind is edited in place. The
-    function does not write the file, but may remove old temporary files in its folder
-    (`remove_stale_files`). For ``-``, only standard output is checked.
+    The function does not write the file, but may remove old temporary files in its folder
+    (`remove_stale_files`). Kinds that are edited in place are not registered.
 
     Args:
-        path: Output file.
+        path: Output file; ``-`` is standard output.
         kind: Kind of the output.
         force: Whether to replace files of other kinds, except inputs of the run and files with
             measurements (``OutputKind.keeps``).
@@ -224,7 +216,7 @@ def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None
 def _check_replaceable(
     path: Path, target: Path, status: os.stat_result, kind: OutputKind, *, force: bool
 ) -> None:
-    """Raise an error if an existing file must not be replaced.
+    """Raise an OutputError if an existing file must not be replaced.
 
     Args:
         path: Path as named by the user.
@@ -232,12 +224,6 @@ def _check_replaceable(
         status: Status of the existing file.
         kind: Kind of the output.
         force: Whether files of other kinds may be replaced.
-
-    Raises:
-        OutputError: If a non-empty file has a content that the kind does not permit to replace.
-            Also if the file is an input of the run (`RunFiles.refuse_input`). Exception: the kind
-            is edited in place, and the file is of this kind, is empty, or is not `is_replaceable`.
-        OSError: If a non-empty file cannot be read.
     """
     run = current_run()
     regular = is_replaceable(status) and status.st_size > 0
@@ -282,10 +268,7 @@ def check_folder(folder: Path) -> None:
 
 
 def is_replaceable(status: os.stat_result) -> bool:
-    """Return True if a rename can replace a file: regular, and not standard output or error.
-
-    Standard output or error may be redirected to the file that ``status`` describes.
-    """
+    """Return True if a rename may replace a file: regular, and not standard output or error."""
     if not stat.S_ISREG(status.st_mode):
         return False
     return _standard_stream(status) is None
@@ -303,12 +286,7 @@ def results_on_standard_output() -> Iterator[None]:
 
 
 def _nearest_existing(folder: Path) -> Path:
-    """Return the absolute path if it exists, else the innermost existing parent.
-
-    Raises:
-        FileNotFoundError: If no parent exists.
-        OSError: If a path cannot be accessed.
-    """
+    """Return the absolute path of a folder if it exists, else its innermost existing parent."""
     for parent in (folder.absolute(), *folder.absolute().parents):
         with suppress(FileNotFoundError, NotADirectoryError):
             parent.stat()
@@ -334,9 +312,9 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
 
 
 def _standard_stream(status: os.stat_result) -> int | None:
-    """Return the standard stream that is redirected to the file of a status: 1, 2 or None.
+    """Return the standard stream that is redirected to a file: 1 (output), 2 (error) or None.
 
-    1 is standard output, 2 is standard error. ``status`` describes the file.
+    ``status`` is the status of the file.
     """
     for number in (1, 2):
         with suppress(OSError):
@@ -346,16 +324,9 @@ def _standard_stream(status: os.stat_result) -> int | None:
 
 
 def _write_output(writing: Writing) -> None:
-    """Write to standard output, write a file in place, or replace a file atomically.
+    """Write a content to standard output, to a file in place, or by atomic replacement.
 
-    `write_atomically` describes which files are written in place.
-
-    Raises:
-        OutputError: If an existing file must not be replaced, or a regular file cannot be written.
-            Also if the parent process has closed standard output.
-        OSError: If standard output, a pipe or a device cannot be written, or the path cannot be
-            accessed.
-        ValueError: If the path contains a zero byte.
+    Files that `is_replaceable` accepts are replaced.
     """
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
@@ -376,11 +347,7 @@ def _write_output(writing: Writing) -> None:
 
 
 def _result_stream() -> TextIO:
-    """Return the stream for results written to ``-``.
-
-    Raises:
-        OutputError: If the parent process has closed the stream.
-    """
+    """Return the stream for results written to ``-``; raise an OutputError if it is closed."""
     stream: TextIO | None = _result_streams[-1] if _result_streams else sys.stdout
     if stream is None or isinstance(stream, ClosedOutput):
         raise OutputError(STANDARD_OUTPUT, diagnose("standard-output-closed"))
@@ -399,10 +366,7 @@ def _write_bytes(stream: TextIO, data: bytes) -> None:
 
 
 def describe_os_error(error: Exception) -> object:
-    """Return the text of an operating system error, without error number and path.
-
-    An error without such a text is returned itself.
-    """
+    """Return the text of an operating system error without number and path, or the error itself."""
     return getattr(error, "strerror", None) or error
 
 
@@ -429,10 +393,10 @@ class Writing:
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
     """Write several files completely, or change none of the files.
 
-    Before the first file is replaced, all new contents are on disk, and the old files have second
-    names (hard links, otherwise copies). Each file is then replaced by a rename. The earlier
-    replacements are undone if a replacement fails or the process is interrupted. If the process is
-    killed, each file has either the old or the new content.
+    Before a file is replaced, all new contents are on disk, and the old files have second names
+    (hard links, otherwise copies). If a replacement fails or is interrupted, the earlier
+    replacements are undone. If the process is killed, each file has either the old or the new
+    content.
 
     Args:
         writings: Files to write. Existing files keep the mode, and the owner if permitted. New
@@ -444,10 +408,8 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
         Paths of the backup copies.
 
     Raises:
-        OutputError: If a file cannot be written or restored, must not be replaced, or is no regular
-            file. Also if standard output or error is redirected to a file, or if the content of a
-            file differs from the content that the caller expects (`Writing.before`). The error
-            contains the path as given.
+        OutputError: If a file cannot be written or restored, must not be replaced, or differs from
+            the content that the caller expects (`Writing.before`), for example.
     """
     files = [_StagedFile(writing) for writing in writings]
     copies: list[Path] = []
@@ -502,8 +464,7 @@ class _StagedFile:
         """Check the output path, and write the new content to a temporary file in the same folder.
 
         Raises:
-            OutputError: If the file must not be replaced, has an unexpected content, or the
-                temporary file cannot be written.
+            OutputError: If a check fails, or the temporary file cannot be written.
         """
         try:
             self.target, self.existing = resolve_target(self.writing.path)
@@ -535,19 +496,13 @@ class _StagedFile:
         )
 
     def _check_unchanged(self) -> None:
-        """Raise OutputError if the file's content is not the expected `Writing.before`.
-
-        If the file is missing or cannot be read, an OSError is raised. Without an expected content,
-        nothing is checked.
-        """
+        """Raise an OutputError if the file's content is not `Writing.before` (if given)."""
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))
 
     def link_existing(self) -> None:
-        """Link the existing file to a second name, so that restoring the file needs no disk space.
-
-        If the file cannot be linked, it is copied. A missing file is ignored.
+        """Give the existing file a second name (or copy), so that restoring needs no disk space.
 
         Raises:
             OutputError: If the file can be neither linked nor copied.
@@ -566,7 +521,7 @@ class _StagedFile:
     def copy_existing(self) -> Path:
         """Copy the file that will be replaced to an unused backup name, and return its path.
 
-        The name is that of the file with the suffix ``.bak``, ``.bak2``, ``.bak3`` ...
+        Backup names have the suffix ``.bak``, ``.bak2``, ``.bak3`` ...
 
         Raises:
             OutputError: If the file cannot be read, or the copy cannot be written.
@@ -599,8 +554,7 @@ class _StagedFile:
         """Rename the temporary file with the new content to the target.
 
         Raises:
-            OutputError: If the rename fails, or the target cannot be read. Also if the content of
-                the target differs from `Writing.before`.
+            OutputError: If the rename fails, or the target has an unexpected content.
         """
         assert self.new is not None
         try:
@@ -610,12 +564,7 @@ class _StagedFile:
             raise self._make_error(describe_os_error(error)) from error
 
     def restore(self) -> None:
-        """Undo the replacement of the file: restore the old file; without old file, delete the new.
-
-        Nothing is done if the file was not replaced.
-
-        If the system cannot restore the old file, ``stuck`` is set.
-        """
+        """Undo a replacement of the file; set ``stuck`` if the old file cannot be restored."""
         if self.new is None or self.new.exists():  # an interrupt may come right after the rename
             return
         if self.old is None:
@@ -628,9 +577,7 @@ class _StagedFile:
             self._unhide_old_file()
 
     def _unhide_old_file(self) -> None:
-        """Rename the hidden old file to ``NAME.oldN``, so that no later run removes the file.
-
-        If the rename fails, the old file keeps the hidden name.
+        """Rename the hidden old file to ``NAME.oldN`` if possible, so that no later run removes it.
         """
         assert self.old is not None
         number = 1

@@ -397,8 +397,7 @@ class Command(click.Command):
             raise
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:
-        """Return the typed option, such as ``--payload``, that set a function's argument; else
-        empty.
+        """Return the typed option, such as ``--payload``, that set a function's argument; else "".
 
         ``field`` is the name of the argument in an error, such as ``mass``.
         """
@@ -435,10 +434,10 @@ are ``[`` and ``]`` of an optional name, as in ``[JOINTS=]NM``.
 
 
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
-    """Return the name in a value ``NAME=VALUE`` of an option, and the whole text as typed.
+    """Return the name by which a typed value can contradict another value, and the value itself.
 
-    Two different values with the same name contradict each other. A value without a name gets a
-    substitute: the value itself, or an empty name.
+    For example, ``FR`` for ``FR=30mm``: two different values with the same name contradict each
+    other.
     """
     text = str(value)
     if not option.multiple:
@@ -453,8 +452,8 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
-"""Units that may not be typed after a number (gains, torques, rates). Errors about such a value
-contain the number to type instead, if possible.
+"""Units of options whose values are typed without a unit (gains, torques, rates). Most errors about
+a value with such a unit contain the number to type instead.
 """
 
 
@@ -546,7 +545,7 @@ def _refuse_separate_values(
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
-    """Return the error about a word that is no choice, with a similar choice or the usage."""
+    """Extend the error about a word that is no choice by a proposal, if possible."""
     found = _INVALID_CHOICE.match(error.message)
     typed = "" if found is None else found[1]
     names = {str(name).lower(): str(name) for name in choice.choices}
@@ -588,8 +587,7 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
 
 
 def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
-    """Return options to suggest for an unknown option: their help contains the words of its name.
-    """
+    """Return options whose help contains the words of an unknown option, to suggest them."""
     words = unknown.strip("-").lower().split("-")
     if min(map(len, words)) < _MIN_WORD_LENGTH:
         return []
@@ -631,7 +629,7 @@ def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., 
 
 
 def _collect_options(command: click.Command, context: click.Context) -> dict[str, Any]:
-    """Return {option: value} of the options that have no default value, for the record of a run.
+    """Return {option: value} of the options that were set, for example typed.
 
     Paths of results and ``--force`` are not included.
     """
@@ -925,7 +923,7 @@ MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
 }
 """{quantity: upper bound of the absolute value of a number without a unit [SI unit]}. A larger
-number is refused, since it is probably in another unit.
+finite number is refused, since it is probably in another unit.
 """
 
 _MISSING_UNIT_CODES = {
@@ -1159,7 +1157,7 @@ def _display_progress(what: str) -> Iterator[None]:
 
 
 def format_progress(clock: ProgressClock) -> str:
-    """Format the progress of a computation: completed parts and remaining or elapsed time [s].
+    """Format the progress of a computation, with the remaining or elapsed time [s].
 
     The text is empty before ``MIN_REPORTED_TIME``.
 

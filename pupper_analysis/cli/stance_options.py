@@ -199,8 +199,8 @@ class RobotAndTask:
                 accepted without ``--payload``.
 
         Raises:
-            ConfigurationError: If several robots are selected, or an option is not valid, or has no
-                effect for the robot or without another option.
+            ConfigurationError: For example if several robots are selected, or an option has no
+                effect.
             VariantError: If a word names no robot, or a scale is not valid.
             ModelError: If the robot cannot be loaded from its files.
             UnknownNameError: If an option names a joint or frame that the robot lacks.
@@ -224,8 +224,7 @@ class RobotAndTask:
                 selected.
 
         Raises:
-            ConfigurationError: If an option is not valid, or has no effect for the robots or
-                without another option.
+            ConfigurationError: If an option is not valid or has no effect, for example.
             VariantError: If a word names no robot, or a scale is not valid.
             ModelError: If a robot cannot be loaded from its files.
             UnknownNameError: If an option names a joint or frame that a robot lacks.
@@ -239,20 +238,14 @@ class RobotAndTask:
         return name_uniquely(selections, robots)
 
     def _refuse_idle_direction(self) -> None:
-        """Refuse ``--uphill`` if the ground has slope 0: a direction would have no effect.
-
-        Raises:
-            ConfigurationError: If the option was typed.
-        """
+        """Raise a ConfigurationError if ``--uphill`` was typed for a ground with slope 0."""
         if self.stance and not self.task().ground.slope:
             refuse_alone(("--slope",), "uphill")
 
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
-        """Load a selected robot, and apply the typed options (`_apply_options`).
+        """Load a selected robot, and apply the typed options; warnings are printed at the end.
 
-        Warnings on a robot from files are printed when the command ends: after the result, or
-        before an error. They are not printed if the output is Markdown, since Markdown contains the
-        warnings.
+        Markdown output contains the warnings, so that they are not printed again.
         """
         robot = self._apply_options(
             load_selected_robot(
@@ -273,10 +266,6 @@ class RobotAndTask:
         """Apply the typed effort limits, payload, MuJoCo options and contacts to a robot.
 
         A payload is appended to the name of the robot: mass [kg] and position [mm].
-
-        Raises:
-            ConfigurationError: If an option is not valid.
-            UnknownNameError: If an option names a joint or frame that the robot lacks.
         """
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
@@ -304,9 +293,8 @@ class RobotAndTask:
     def show(self, result: Result, robot: Robot) -> None:
         """Print a result of the robot in the requested format.
 
-        A further line names the first difference between the two files to repair, under two
-        conditions: the verdict reports that the files describe different robots, and all details
-        are printed or the format is Markdown.
+        If the verdict is that the files describe different robots, the first difference to repair
+        may be printed, too.
 
         Args:
             result: Result.
@@ -327,16 +315,15 @@ class RobotAndTask:
             robot: Robot.
 
         Returns:
-            kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Each is a number for all joints, or a
-            vector, shape (nu,), in actuator order. None if the option was not typed: the gains of
-            the model apply.
+            kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Each is a number for all joints, or a list,
+            shape (nu,), in actuator order. None if the option was not typed: the gains of the model
+            apply.
 
         Raises:
             ConfigurationError: If a typed gain has another form.
-            UnknownNameError: If a pattern matches no joint. Not raised if the last typed gain is
-                for all joints, since earlier gains have no effect.
-            ModelError: If the first pattern leaves out a joint, and the model has no position
-                servos. Not raised if the last typed gain is for all joints.
+            UnknownNameError: If a pattern matches no joint, and the last gain is not for all
+                joints.
+            ModelError: If a gain of the model is needed, and the model has no position servos.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
@@ -350,12 +337,7 @@ class RobotAndTask:
 
 
 def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -> None:
-    """Refuse ``--as-is``, an option for model files, if no robot is loaded from files.
-
-    Raises:
-        ConfigurationError: If only variants of the package's own robot are selected, and the option
-            was typed.
-    """
+    """Raise a ConfigurationError if ``--as-is`` was typed, and no robot is loaded from files."""
     variants = [selection for selection in selections if not isinstance(selection, RobotFiles)]
     if len(variants) == len(selections):
         names = [
@@ -365,10 +347,7 @@ def _refuse_file_options(selections: Sequence[str | VariantSpec | RobotFiles]) -
 
 
 def _print_first_difference(robot: Robot) -> None:
-    """Compare a robot's URDF and MJCF, and print the difference to repair first.
-
-    Nothing is printed if the files cannot be compared.
-    """
+    """Compare a robot's URDF and MJCF, and print the difference to repair first, if possible."""
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.present.terminal import make_console
@@ -405,7 +384,7 @@ def robot_and_stance(command: Command) -> Command:
 def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
     """Add the options of robot and stance to a command-line command, and the options ``more``.
 
-    The function ``command`` receives the options of robot and stance as a `RobotAndTask`.
+    ``command`` receives the options of robot and stance as a `RobotAndTask`.
     """
     own = ("stance", "which", "fixed_base")
     names = [field.name for field in fields(RobotAndTask) if field.name not in own]
@@ -444,7 +423,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Find the joints of a robot that a name or pattern of an option selects.
+    """Find the actuated joints of a robot that a name or pattern of an option selects.
 
     Args:
         option: Name of the command-line option, for the error message.
@@ -508,12 +487,9 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         {joint: motor}.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint, ``MOTOR`` is no known name, or the motor's
-            file contains an unknown key, for example.
-        ConfigurationError: If ``JOINTS`` contains a slide; without ``JOINTS=``, if the robot has a
-            slide.
-        ModelError: If the motor's file cannot be read or is not valid. A ``MOTOR`` with a suffix is
-            a file.
+        UnknownNameError: If a pattern matches no joint, or ``MOTOR`` is no known name, for example.
+        ConfigurationError: If a selected joint is a slide.
+        ModelError: If the motor's file cannot be read or is not valid.
     """
     from pupper_analysis.models.motors.reading import find_motor
     from pupper_analysis.robot.joints import check_motor_joints
@@ -543,14 +519,12 @@ def apply_motors(
         effort: Texts ``[JOINTS=]NM`` of ``--effort``.
 
     Returns:
-        Robot with the limits; {joint: motor}.
+        Robot with the limits of the motors; {joint: motor}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint, or a text names no motor.
-        ConfigurationError: If a text of ``texts`` is for a slide, or a text of ``effort`` has
-            another form.
-        ModelError: If the motor's file cannot be read or is not valid, or its largest torque is
-            unknown.
+        ConfigurationError: If a motor is for a slide, or a text of ``effort`` has another form.
+        ModelError: If the motor's file is not valid, or its largest torque is unknown, for example.
     """
     if not texts:
         return robot, {}
@@ -569,16 +543,16 @@ def parse_continuous_torques(
 ) -> tuple[dict[str, float], dict[str, Motor]]:
     """Parse the texts of ``--continuous`` into the torques that motors can exert permanently.
 
-    A text ``[JOINTS=]MOTOR`` means the continuous torque of the motor, from its thermal numbers or
-    from its data sheet (`compute_continuous_torque`).
+    A text ``[JOINTS=]MOTOR`` means the continuous torque of the motor
+    (`compute_continuous_torque`).
 
     Args:
         texts: Texts ``[JOINTS=]NM`` or ``[JOINTS=]MOTOR``; later texts have priority.
         robot: Robot.
 
     Returns:
-        {joint: continuous torque [N m, of a slide N]} of all named joints; {joint: motor} of the
-        joints whose last text names a motor.
+        {joint: continuous torque [N m, of a slide N]}; {joint: motor} of the joints whose torque is
+        that of a motor.
 
     Raises:
         UnknownNameError: If a pattern matches no joint, or a text names no motor.
@@ -606,8 +580,7 @@ def parse_continuous_torques(
 def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
     """Limit continuous torques to the peak torques (effort limits) of a robot.
 
-    The peak torque is the largest torque that is permitted in both directions. Joints whose peak
-    torque is zero are left out.
+    Joints without a peak torque in both directions are left out.
 
     Args:
         robot: Robot.
@@ -623,11 +596,7 @@ def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float
 
 
 def _names_motor(text: str) -> bool:
-    """Return True if a text of ``--continuous`` names a motor instead of a torque.
-
-    A text that is empty, or begins with a digit, a sign, a point or the word ``inf`` or ``nan``, is
-    a torque.
-    """
+    """Return True if a text of ``--continuous`` names a motor instead of a torque."""
     return re.match(r"[\d.+-]|(inf|nan)\b|$", text, re.IGNORECASE) is None
 
 
@@ -642,14 +611,12 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         robot: Robot.
 
     Returns:
-        Number if the last text is for all joints (without ``JOINTS=``, or ``*=``), otherwise a list
-        of length nu in actuator order; None without texts.
+        A number for all joints, or a list of length nu in actuator order; None without texts.
 
     Raises:
         ConfigurationError: If a text has another form.
         UnknownNameError: If a pattern matches no joint, and the last text is not for all joints.
-        ModelError: If the first pattern leaves out a joint, the last text is not for all joints,
-            and the model has no position servos.
+        ModelError: If a gain of the model is needed, and the model has no position servos.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

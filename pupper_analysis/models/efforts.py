@@ -44,14 +44,16 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics (``dyntype``) that do not overshoot. The force does not exceed the force of the
-largest control, if the initial activation is within the range of the controls."""
+"""Actuator dynamics (``dyntype``) that do not overshoot. The control range bounds the force if the
+initial activation is within this range.
+"""
 
 
 MIN_EFFORT = 1e-6
-"""Smallest torque limit [N m, N] of a motor. A smaller limit in a file counts as zero, for example
-1e-9 as a placeholder; a smaller limit as argument is refused. Chosen: a hundredth of the torque of
-the smallest geared motors, 1e-4 N m."""
+"""Lower bound of the torque limit [N m, N] of a motor. A smaller limit in a file counts as zero,
+for example 1e-9 as a placeholder. Chosen: a hundredth of the torque of the smallest geared motors,
+1e-4 N m.
+"""
 
 
 class EffortCode(StrEnum):
@@ -119,14 +121,12 @@ class EffortStatement(Result):
     ) -> EffortStatement:
         """Create the torque limit that a file states by an empty range: no torque at the joint.
 
-        A range is empty if its ends are equal, or the lower end is above the upper end.
-
         Args:
             file: ``URDF`` or ``MJCF``.
             element: ``joint`` or ``actuator``.
             name: Name of the element.
             attribute: Attribute with the range.
-            stated: Lower and upper end in the file.
+            stated: Lower and upper end in the file, equal or inverted.
         """
         low, high = (float(end) + 0.0 for end in stated)  # + 0.0: no -0.0
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
@@ -147,10 +147,7 @@ class EffortStatement(Result):
 
     @property
     def symmetric_torque(self) -> float:
-        """Largest torque or force that the range permits in both directions [N m, N].
-
-        The value is min(-lower, upper), or 0 if the range does not contain both signs.
-        """
+        """Largest torque or force that the range permits in both directions [N m, N], or 0."""
         return max(0.0, min(-self.lower, self.upper))
 
 
@@ -180,13 +177,10 @@ class EffortLimit(Result):
 
     @property
     def code(self) -> EffortCode:
-        """Meaning of this torque limit.
+        """Meaning of this torque limit: stated, zero, negative, or unknown.
 
-        - ``UNKNOWN``: no file states a limit.
-        - ``STATED``: the limit permits a torque of at least `MIN_EFFORT` in a direction.
-        - ``NEGATIVE``: the limit permits no such torque, and the lower end of the range in the file
-          is above the upper end.
-        - ``ZERO``: the limit permits no such torque, and is not negative.
+        A limit that permits less than `MIN_EFFORT` in both directions is zero, or negative if the
+        lower end of the range in the file is above the upper end.
         """
         if self.origin is None:
             return EffortCode.UNKNOWN
@@ -203,8 +197,7 @@ class EffortLimit(Result):
     def without_file(self, file: str) -> EffortLimit:
         """Return a copy without the statements of a generated file, so that reports do not cite it.
 
-        If the range of the limit would change, this limit is returned unchanged. Use this method if
-        one of both files was generated from the user's file.
+        If the range of the limit would change, this limit is returned unchanged.
 
         Args:
             file: Type of the generated file, ``URDF`` or ``MJCF``.
@@ -227,8 +220,7 @@ class EffortLimit(Result):
     def symmetric_torque(self) -> float:
         """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
 
-        The value is min(-lower, upper). It is 0 if the range does not contain both signs, or if the
-        value is below 1e-6 (`MIN_EFFORT`).
+        A value below `MIN_EFFORT` counts as 0.
         """
         torque = min(-self.lower, self.upper)
         return torque if torque >= MIN_EFFORT else 0.0
@@ -248,13 +240,12 @@ def resolve_effort_limit(
     Args:
         model: MuJoCo model of the MJCF.
         joint: Id of a hinge or slide.
-        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least 1e9 (``UNSTATED``)
-            if the URDF states no effort.
+        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
+            the URDF states no effort.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
-        empty_range: Force range of the joint in the MJCF that permits no force, found by
-            ``null_efforts``. The compiled model does not contain such a range. None if there is no
-            empty range.
+        empty_range: Force range of the joint in the MJCF that permits no force (``null_efforts``),
+            which the compiled model does not contain. None if there is no such range.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives
@@ -279,11 +270,9 @@ def resolve_effort_limit(
 def _list_statements(
     model: mujoco.MjModel, joint: int, drives: Sequence[int]
 ) -> list[EffortStatement]:
-    """Collect the torque limits that an MJCF states for a joint, on the joint or its actuators.
+    """Return the torque limits at a joint [N m, N] that an MJCF states, on joint or actuators.
 
-    Actuator ranges are converted to joint torques [N m, N]. If several actuators drive the joint
-    and each has a limit, their ranges are added. The limits of the actuator of a fixed tendon apply
-    to a joint of the tendon without other actuators.
+    Ranges of several actuators are added.
     """
     statements = read_joint_effort(model, joint)
     if not drives:
@@ -303,10 +292,7 @@ def _list_statements(
 
 
 def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Return the torque limits at a joint that an actuator drives by a fixed tendon.
-
-    Empty unless exactly one actuator at a fixed tendon acts on the joint, and has a limit.
-    """
+    """Return the torque limits [N m, N] at a joint from a single actuator at a fixed tendon."""
     levers = fixed_tendon_levers(model)
     actuators = [actuator for actuator, by_joint in levers.items() if joint in by_joint]
     if len(actuators) != 1:
@@ -318,9 +304,7 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the force limits of an actuator at a tendon, before the gear [N or N m].
 
-    The limits are the force range of the actuator, the control range of a torque motor times its
-    gain, and the ``actuatorfrcrange`` of the tendon. The last range limits the sum of the forces of
-    all actuators at the tendon, and is omitted if the tendon has several actuators.
+    A force range of the tendon is included only for a single actuator, because it limits the sum.
     """
     found = _read_actuator_forces(model, actuator)
     tendon = int(model.actuator_trnid[actuator, 0])
@@ -336,8 +320,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     """Find the joints of an MJCF whose force range permits no force: equal or inverted ends.
 
     MuJoCo ignores an empty range without a message, so the compiled model has no limit for the
-    joint. The range is the ``actuatorfrcrange`` of the joint, the ``forcerange`` of all its
-    actuators, or the ``ctrlrange`` of torque motors.
+    joint.
 
     Returns:
         {joint: statement with the empty range}.
@@ -367,12 +350,7 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the range of an actuator that permits no force; None without such a range.
-
-    The range is ``forcerange``, or ``ctrlrange`` of an actuator with a gain and without bias. An
-    empty range permits no force: the lower end is above the upper end, or the file states equal
-    ends.
-    """
+    """Return the force or control range of an actuator that permits no force; None without one."""
     name = actuator.name or actuator.target
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:
@@ -389,17 +367,14 @@ def _is_empty(
 ) -> bool:
     """Return True if a force or control range of an MJCF is empty, and so permits no force.
 
-    A range is empty if the lower end is above the upper end. It is also empty if the file states
-    the range with equal ends.
-
     Args:
         file: The MJCF.
         kind: ``joint`` or ``actuator``.
         name: Name of the element.
         attribute: Attribute with the range.
         range_: Lower and upper end.
-        limited: MuJoCo's flag for the range, such as ``forcelimited``. With the flag "auto", MuJoCo
-            applies a range if lower end < upper end. With another flag, the result is False.
+        limited: MuJoCo's flag for the range, such as ``forcelimited``. With a flag other than
+            "auto", the result is False.
     """
     low, high = (float(end) for end in range_)
     if limited != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
@@ -410,7 +385,7 @@ def _is_empty(
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Return the torque limit that ``actuatorfrcrange`` of a joint states, as a list.
 
-    The list is empty without limit, or if the upper end is at least 1e9 (``UNSTATED``).
+    The list is empty if there is no limit, or the limit is at least ``UNSTATED``.
 
     Args:
         model: MuJoCo model.
@@ -433,7 +408,7 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
         joint: Id of the joint.
 
     Returns:
-        Larger magnitude of the limits in both directions; infinite without a limit.
+        Larger magnitude of the limits in both directions; infinite if one direction has no limit.
     """
     limit = resolve_effort_limit(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
@@ -441,9 +416,6 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the torque limits at the joint [N m, N] that attributes of an actuator state.
-
-    The attributes are ``forcerange``, and for a torque motor also ``ctrlrange``; both are
-    multiplied by the gear.
 
     Args:
         model: MuJoCo model.
@@ -454,16 +426,7 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the stated limits of an actuator's force, before the gear is applied [N or N m].
-
-    The result contains up to two limits:
-
-    - ``forcerange``, if the actuator has this limit
-    - ``ctrlrange`` times the gain, if the controls are limited, the gain is constant, there is no
-      bias, and the dynamics are in `_BOUNDED_DYNAMICS`
-
-    If the file states neither, the result is empty.
-    """
+    """Return the limits of an actuator's force that the file states, before the gear [N or N m]."""
     found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:
         range_ = model.actuator_forcerange[actuator]
@@ -484,19 +447,20 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
 """Torque limit of a joint, divided by the mass of its two links [N m/kg], above which a round
-effort counts as a placeholder. Chosen above the values of robots in use. The best geared motors
-have 150 N m per kg of motor. None of 1500 joints with the motor in one of the two links is above
-117. (The motor of a tendon may be in another link.)"""
+effort counts as a placeholder. The best geared motors have 150 N m per kg of motor. None of 1500
+joints with the motor in one of the two links is above 117.
+"""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
-"""Sum of torque limits per mass of the robot [N m/kg] above which all these limits count as
+"""Sum of torque limits per mass of the robot [N m/kg] above which these limits count as
 placeholders. Chosen: 150 N m per kg of motor, with motors of at most six tenths of the mass, give
-90. Robots in use have 2 to 55."""
+90. Robots in use have 2 to 55.
+"""
 
 MAX_ROTOR_ACCELERATION = 1e5
 """Acceleration of a rotor without load, effort / armature [rad/s^2], above which the effort counts
-as a placeholder. The value means 100 rad/s within 1 ms. Chosen above the values of robots in use,
-350 to 25,000."""
+as a placeholder. Chosen above the values of robots in use, 350 to 25,000.
+"""
 
 
 @dataclass(frozen=True)
@@ -522,24 +486,16 @@ def placeholder_efforts(
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yield the torque limits that no motor can have, and that are probably placeholders.
 
-    An effort is a placeholder in three cases:
-
-    1. It is round (1, 2 or 5 times 10^n, at least 100), and above 250 N m/kg
-       (`MAX_TORQUE_PER_LINK_MASS`) times the mass of the joint's two links. This mass must be more
-       than 0.001 of the robot's mass.
-    2. The file states an armature, and the effort is above 1e5 rad/s^2 (`MAX_ROTOR_ACCELERATION`)
-       times the armature.
-    3. The sum of the efforts without case 1 or 2 is above 90 N m/kg (`MAX_TORQUE_PER_ROBOT_MASS`)
-       times the robot's mass. All these efforts are then placeholders.
+    An effort is compared with the mass of the joint's two links (`MAX_TORQUE_PER_LINK_MASS`) and
+    its armature (`MAX_ROTOR_ACCELERATION`). The sum of the other efforts is compared with the mass
+    of the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
 
     Args:
-        motors: All hinges with a torque limit.
+        motors: Hinges with their torque limits.
         total: Mass of the robot [kg].
 
     Yields:
-        (names of joints, diagnostic about their efforts). In the third case the joints are sorted
-        by decreasing torque per link mass. A link mass counts as at least 0.001 of the robot's
-        mass.
+        (names of joints, diagnostic about their efforts).
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[JointEffort]] = {}

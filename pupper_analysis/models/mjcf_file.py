@@ -53,14 +53,15 @@ from pupper_analysis.models.xml import (
 def leave_out_missing(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> list[Diagnostic]:
-    """Remove meshes and textures with missing files from a spec, in place; return diagnostics.
-
-    Geoms with such a mesh are removed, too.
+    """Remove meshes with missing files, their geoms, and textures with missing files from a spec.
 
     Args:
         spec: Spec; modified.
         tree: Elements of the file, whose folders are searched.
         index: {(tag or section, name): element}, from `index_of`.
+
+    Returns:
+        Notes on the missing files.
 
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
@@ -100,19 +101,7 @@ def leave_out_missing(
 def _find_missing_files(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Find the meshes and textures of a spec whose files do not exist.
-
-    A file is missing if no file in memory has its name, and no folder of the model contains it
-    (`existing_file`).
-
-    Args:
-        spec: Spec.
-        tree: Elements of the file, whose folders are searched.
-        index: {(tag or section, name): element}, from `index_of`.
-
-    Returns:
-        {mesh: missing file}; {texture: first of its files}.
-    """
+    """Return {mesh: file} and {texture: one of its files} for the missing files of a spec."""
     folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
@@ -148,8 +137,7 @@ def _describe_missing_files(
     Args:
         meshes: {mesh: missing file}.
         textures: {texture: missing file}.
-        geoms: Geoms with these meshes. The note names their bodies. It also names the meshes of
-            geoms that can collide and do not belong to the world body, by their missing files.
+        geoms: Geoms with these meshes.
     """
     collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
@@ -170,10 +158,7 @@ def _describe_missing_files(
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
-    """Return True if MuJoCo computes mass and inertia of the geom's body from the geom.
-
-    False for geoms of the world body.
-    """
+    """Return True if MuJoCo computes mass and inertia of the geom's body from the geom."""
     body = geom.parent
     if body.name == spec.worldbody.name:
         return False
@@ -203,8 +188,7 @@ def flat_mesh(error: BaseException) -> str | None:
 def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
     """Compile a spec; meshes without volume, which MuJoCo rejects, become thin shells.
 
-    MuJoCo needs the inertia of a mesh for the centre and axes of its geoms. If a flat mesh also
-    determines a mass, MuJoCo's error is raised, because a shell would have another mass.
+    A flat mesh that determines a mass is an error, because a shell would have another mass.
 
     Args:
         make: Function that creates the spec; called for each attempt, because compiling modifies a
@@ -260,12 +244,14 @@ MAX_INCLUDES: Final = 1000
 the reading time. Chosen, not tuned."""
 
 MAX_INCLUDE_DEPTH: Final = 30
-"""Largest number of files above an included file, and of files in a chain of attached models; an
-MJCF with more is refused. Bounds the reading time. Chosen, not tuned."""
+"""Largest number of nested includes, and of nested attached models, in an MJCF; deeper nesting is
+refused. Bounds the reading time. Chosen, not tuned.
+"""
 
 MAX_COPIES: Final = 10_000
-"""Largest number of elements that the replicates and attached models of an MJCF create (estimate of
-`IncludeTree`); a file with more is refused. Bounds the compile time. Chosen, not tuned."""
+"""Largest estimated number of elements that the replicates and attached models of an MJCF create;
+more are refused. Bounds the compile time. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)
@@ -310,9 +296,9 @@ refused, because MuJoCo could hang, or exhaust the memory. The tag "*" stands fo
 not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
-"""Sections of an MJCF whose elements can also be found by (section, name) instead of (tag, name).
-An actuator, for example, can then be found although its tag (``motor``, ``position`` ...) is
-unknown."""
+"""Sections of an MJCF whose elements can also be found by (section, name) instead of (tag, name),
+because their tags vary (``motor``, ``position`` ...).
+"""
 
 
 class IncludeTree:
@@ -374,7 +360,7 @@ class IncludeTree:
         depth: int,
         childclass: str | None = None,
     ) -> XmlNode:
-        """Convert a parsed MJCF element and its descendants to nodes; expand the includes.
+        """Convert a parsed MJCF element and its descendants to nodes, with the includes expanded.
 
         Args:
             element: Element as parsed.
@@ -412,11 +398,9 @@ class IncludeTree:
     def _read_include(
         self, element: etree._Element, path: Path, within: tuple[Path, ...]
     ) -> tuple[Path, etree._Element]:
-        """Return path and root element of the file of an ``<include>``; parse each file once.
+        """Return path and root element of the file of an ``<include>`` in the file ``path``.
 
-        ``path`` is the file that contains the ``<include>``. ``within`` is the chain of including
-        files from the main file to ``path``, as resolved paths. An included file must not be in
-        this chain.
+        ``within`` are the resolved paths of the including files, for detecting loops.
         """
         included = self._find_included(element, path)
         resolved = included.resolve()
@@ -445,14 +429,10 @@ class IncludeTree:
         self._copies_by_model[name] = tree.copies
 
     def _find_included(self, element: etree._Element, path: Path) -> Path:
-        """Count an include, and return the included file.
-
-        The name is relative to the file of this tree (the main or attached file) or, if there is no
-        such file, to the including file.
+        """Return the existing file of an include or attached model, and count the include.
 
         Raises:
-            ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
-                ``file``, or the file does not exist.
+            ModelError: For example if the file does not exist, or there are too many includes.
             OutputError: If this run of the command line also writes the file.
         """
         if next(self._include_counter) > MAX_INCLUDES:
@@ -472,11 +452,7 @@ class IncludeTree:
         raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
-        """Estimate the number of elements in a node's subtree, with replicas and attached models.
-
-        An ``<attach>`` counts as all elements of the attached model. A ``<replicate>`` counts once
-        per replica.
-        """
+        """Estimate the number of elements in a subtree, with replicas and attached models."""
         total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
             total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
@@ -490,11 +466,7 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
-    """Raise a ModelError if MuJoCo would create too many objects or values from an element.
-
-    The number of objects is a product of sizes, for example nrow x ncol of a height field.
-    `_MAX_PRODUCTS` contains the upper bounds.
-    """
+    """Raise a ModelError if an element has larger sizes than `_MAX_PRODUCTS` permits."""
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)
@@ -505,9 +477,8 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
 
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
-"""Pattern of the printf directives that access memory (``%n``, ``%s``, ``%S``). A file with such a
-directive in an attribute outside of `_TEXT_ATTRIBUTES` is refused, because MuJoCo's reader uses
-some texts as format strings and would crash.
+"""Pattern of printf directives that access memory (``%n``, ``%s``, ``%S``). Attributes with such
+directives are refused, because MuJoCo's reader uses some texts as format strings and would crash.
 """
 
 _TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
@@ -524,13 +495,13 @@ def _check_formats(path: Path, element: etree._Element) -> None:
 
 
 _MAX_PRODUCT = 10**18
-"""Upper bound of `_multiply_numbers`, far above all accepted numbers of elements."""
+"""Upper bound of the result of `_multiply_numbers`, far above all accepted numbers of elements."""
 
 
 def _multiply_numbers(text: str) -> int:
-    """Return the product of the numbers in a text such as ``3 -4``, without signs, at most 1e18.
+    """Return the product of the magnitudes of the numbers in a text, at most `_MAX_PRODUCT`.
 
-    Numbers with a magnitude below 1 count as 1, and other words are ignored.
+    Magnitudes below 1 count as 1, and words that are no numbers are ignored.
     """
     # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
@@ -569,19 +540,13 @@ def name_unnamed_joint(body: str, number: int) -> str:
 
 
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
-    """Return an index of the elements of an MJCF: {(tag, name): element}.
+    """Return an index of the elements of an MJCF: {(tag or section, name): element}.
 
-    - Elements of the sections `_SECTION_TAGS` also have the key (section, name), such as
-      ("actuator", name), because their tags vary (``motor``, ``position`` ...). Elements of the
-      sections `_INDIRECT_SECTION_TAGS` have only this key.
-    - The name of a default is its class. The name of a mesh, texture or height field without name
-      is the file name without suffix.
-    - A ``freejoint`` also has a key with the tag ``joint``.
-    - If several elements have the same key, the first in the file is listed.
-    - If no other element has the key, an actuator is also listed by its attribute ``joint``. A
-      joint without name, of a body with a name, is also listed by its substitute name
-      (`name_unnamed_joint`), and the first of these by the name of the body. Joints of a
-      ``<composite>`` are not listed by substitute names.
+    - Elements of the sections `_SECTION_TAGS` also have a key (section, name), such as ("actuator",
+    name).
+    - Elements without a name may have a substitute, for example a mesh the name of its file, an
+    actuator the name of its joint, and a joint the substitute of `name_unnamed_joint`.
+    - Of several elements with the same name, the first in the file is listed.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -617,19 +582,13 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
     """Find where an attribute of an element is set: in the element, or in a default class.
 
-    The default class is the class of the element; else the ``childclass`` of an element above;
-    else, or if the class is unknown, the first top-level class. A class inherits from the
-    enclosing classes. In a class, only elements with the same tag are searched. Exception: for an
-    attribute in `_COMMON_ACTUATOR_ATTRIBUTES`, such as ``forcerange``, elements with the tag of any
-    actuator are searched.
-
     Args:
         root: Root element.
         node: Element.
         attributes: Attributes, of which one is sufficient.
 
     Returns:
-        The element; None if no element sets an attribute.
+        The element, or an element of a default class; None if neither sets an attribute.
     """
     if set(attributes) & set(node.attributes):
         return node
@@ -650,20 +609,20 @@ _ACTUATOR_TAGS = frozenset(
         *("damper", "cylinder", "muscle", "adhesion", "dcmotor"),
     )
 )
-"""Tags of actuators in an MJCF. In a default class, elements with different tags of this set change
-the same defaults."""
+"""Tags of actuators in an MJCF. In a default class, these tags change the same defaults."""
 
 _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
     ("forcerange", "forcelimited", "ctrlrange", "ctrllimited", "gear", "lengthrange", "cranklength")
 )
-"""Attributes that an actuator inherits from a default of another tag. Attributes such as ``kp`` are
-not listed: they set gain and bias, which for example a motor replaces."""
+"""Attributes that an actuator inherits from a default of another actuator tag. Attributes such as
+``kp`` are not listed: they set gain and bias, which for example a motor replaces.
+"""
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
-    """Return the default class with a name and the enclosing default classes, outermost first.
+    """Return a default class and its enclosing classes, outermost first.
 
-    If the name is unknown or None, the result contains only the first top-level class, if any.
+    For an unknown name, the result contains at most the first top-level class.
     """
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]
@@ -726,11 +685,9 @@ class MjcfFile:
         The line is missing if no such element is found. Elements of attached models are not found.
 
         Args:
-            kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
-                ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``,
-                ``"deformable"``.
-            name: Name of the element. Alternatives: joint of an actuator, class of a default,
-                substitute name (`name_unnamed_joint`) or body of a joint without a name.
+            kind: Tag: ``"body"``, ``"joint"``, ``"geom"`` ..., or section: ``"actuator"``,
+                ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``, ``"deformable"``.
+            name: Name of the element, or a substitute of `index_of`.
             child: Path below the element (``"inertial"``); the innermost existing element counts.
         """
         node = self._index.get((kind, name))
@@ -747,8 +704,7 @@ class MjcfFile:
             attributes: Attributes, of which one is sufficient.
 
         Returns:
-            The location. None if no attribute is set, if there is no such element, or if the file
-            has no XML elements (a generated text).
+            The location; None if it is not found.
         """
         node = self._index.get((kind, name))
         if node is None or not self._roots:
@@ -769,9 +725,8 @@ class MjcfFile:
                 set, in the element or in a default class.
 
         Returns:
-            The location of the attribute, or of the element if no attribute is set. The location of
-            the body (of the file, for the world) if the element is not found, for example because
-            it is within a ``<frame>``.
+            The location. If no attribute is set, the location of the element; if the element is not
+            found, the location of the body (of the file, for the world).
         """
         node = self._index.get(("body", body))
         tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
@@ -800,19 +755,13 @@ class MjcfFile:
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
-        """Return the names of one kind in the notes about missing files, without duplicates.
-
-        ``key`` selects the kind: ``files``, ``touching`` (collision meshes) or ``bodies``.
-        """
+        """Return names from notes about missing files: ``files``, ``touching`` or ``bodies``."""
         values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
         names = (str(name) for value in values if isinstance(value, tuple) for name in value)
         return tuple(dict.fromkeys(names))
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yield the attributes and the location of each element with a tag.
-
-        Attributes are as written in the file. Included files and attached models are searched, too.
-        """
+        """Yield the attributes, as in the file, and the location of each element with a tag."""
         for root in self._roots:
             for node in walk_elements(root):
                 if node.tag == tag:
@@ -826,11 +775,8 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location. The line is missing for example in these cases:
-
-            - There is no element with this number.
-            - The file has no XML text (a model in memory).
-            - Attached models or replicates add elements, so that the numbers differ.
+            The location. The line is missing if it is unknown, for example if attached models or
+            replicates add elements.
         """
         if len(self._roots) != 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
@@ -840,13 +786,12 @@ class MjcfFile:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Compiled model of the file, without meshes, their geoms, and textures without a file.
+        """Compiled model of the file, without elements whose mesh or texture files are missing.
 
         The model is shared and must not be modified; copying takes time if meshes are large.
 
         Raises:
-            ModelError: If MuJoCo does not compile the file (the message is MuJoCo's), or a number
-                of the compiled model is not valid.
+            ModelError: If MuJoCo does not compile the file, or a number of the model is not valid.
         """
         self.check_compiled()
         assert self._model is not None
@@ -856,8 +801,7 @@ class MjcfFile:
         """Check that MuJoCo compiles this file, and that the numbers of the model are valid.
 
         Raises:
-            ModelError: If MuJoCo does not compile the file (the message is MuJoCo's), or a number
-                of the compiled model is not valid.
+            ModelError: If a check fails.
         """
         if self.refusal is not None:
             problem, place = self.refusal
@@ -871,8 +815,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
-        OutputError: If this run of the command line also writes this file, or for example an
-            included file or a mesh.
+        OutputError: If this run of the command line also writes this file, or for example a mesh.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
@@ -919,13 +862,8 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         root: Root element.
 
     Raises:
-        ModelError: For example in these cases:
-
-            - The root element is not ``<mujoco>``.
-            - An include or an attribute is not valid.
-            - A limit of size, number or depth is exceeded.
-            - MuJoCo cannot parse the file.
-            - A mass depends on a missing mesh.
+        ModelError: For example if an include or an attribute is not valid, or a mass depends on a
+            missing mesh.
         OutputError: If this run of the command line also writes an included or attached file, a
             mesh or a texture.
     """
@@ -951,8 +889,8 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
         notes: Diagnostics to keep in the file.
 
     Raises:
-        ModelError: For example if MuJoCo cannot write the spec, a limit of size, number or depth is
-            exceeded, or a mass depends on a missing mesh.
+        ModelError: For example if MuJoCo cannot write the spec, or a mass depends on a missing
+            mesh.
         OutputError: If this run of the command line also writes a mesh or a texture.
     """
     try:
@@ -967,11 +905,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
     index = index_of(tree.root)
 
     def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-        """Return a copy of the spec without elements whose files are missing, and the notes.
-
-        Raises:
-            ModelError: If the mass of a body depends on a missing mesh.
-        """
+        """Return a copy of the spec without elements whose files are missing, and the notes."""
         copy = spec.copy()
         _disable_unset_ranges(copy, index)
         return copy, [*notes, *leave_out_missing(copy, tree, index)]
@@ -982,15 +916,14 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
 def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
     """Disable, in place, the unset force and control ranges that MuJoCo writes as "0 0".
 
-    In a spec, an unset range has two zero ends and the flag "auto"; MuJoCo then applies no range.
-    If the default class has a range, MuJoCo writes the unset range as "0 0" to the XML. In a file,
-    "0 0" means a motor without torque.
+    In a spec, a range with two zero ends and the flag "auto" is unset. In a file, "0 0" means a
+    motor without torque.
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
         """Return True if the spec does not set a range that MuJoCo has written to the XML.
 
-        A range is not set if both ends are 0 and its ``switch`` (mjtLimited) is "auto".
+        ``ends`` is the range, ``switch`` its flag (mjtLimited).
         """
         node = index.get((tag, name))
         return (
@@ -1019,8 +952,6 @@ def _compile_file(
     make_spec: Callable[[], tuple[mujoco.MjSpec, list[Diagnostic]]],
 ) -> MjcfFile:
     """Compile a new spec of an MJCF, and return the `MjcfFile` with the model or the error.
-
-    ``refusal`` is set if MuJoCo does not compile the spec, or a number of the model is not valid.
 
     Args:
         tree: Elements of the file.
@@ -1059,11 +990,7 @@ def _compile_file(
 def _parse_spec(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Parse an MJCF, and remove the meshes and textures whose files are missing.
-
-    Returns the spec, and diagnostics of the removed elements. ``index`` finds the elements of the
-    file by tag and name (`index_of`). A ModelError is raised if MuJoCo cannot parse the file, or if
-    the mass of a body depends on a missing mesh.
+    """Return the spec of an MJCF without elements whose files are missing, and notes on the files.
     """
     try:
         with silence_mujoco():
@@ -1085,17 +1012,10 @@ def _make_refusal(
 def _locate_message(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[str, Place]:
-    """Return MuJoCo's error message, and the file and line of the element at fault.
+    """Return MuJoCo's error message, and the probable location of the element at fault.
 
     MuJoCo's line number alone is not sufficient: it may belong to an unspecified file, and is 0 for
-    included elements. Therefore the element is also searched by the name in the message, which may
-    be the name of a missing element. If no element is found, the location is the main file without
-    line.
-
-    Args:
-        tree: Elements of the file.
-        index: {(tag, name): element}.
-        error: Error of MuJoCo.
+    included elements.
     """
     message = one_line(error)
     line_match = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)

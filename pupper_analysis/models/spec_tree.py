@@ -41,9 +41,10 @@ _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Smallest effort [N m, N] that is written as force range (-effort, effort). Also the width [rad,
-m] of a joint range that is written for equal limits. Reason: MuJoCo rejects an enabled range with
-equal ends. Chosen, not tuned."""
+"""Smallest half width [N m, N] of a written force range, and width [rad, m] of a joint range that
+is written for equal limits. Reason: MuJoCo rejects an enabled range with equal ends. Chosen, not
+tuned.
+"""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -65,13 +66,11 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Write the value of a joint parameter, for example damping or effort, into an MJCF spec.
 
-    An effort becomes a symmetric force range of the joint, at least 1e-9 (``MIN_RANGE``) to each
-    side. For a parameter that MuJoCo stores as a polynomial, the value is the first coefficient,
-    and all other coefficients are zero. The joint must not have ``springdamper``, which MuJoCo
-    prefers to damping and stiffness.
+    An effort becomes a symmetric force range of the joint, at least ``MIN_RANGE`` to each side. If
+    MuJoCo stores the parameter as a polynomial, all higher coefficients become zero.
 
     Args:
-        joint: Joint; modified.
+        joint: Joint without ``springdamper``; modified.
         attribute: Parameter that an MJCF can specify, except a position limit.
         value: Value in SI units.
     """
@@ -141,10 +140,7 @@ class SpecTree:
         return float(self._compiled_model.body(link).mass[0])
 
     def read_inertia(self, link: str) -> pin.Inertia:
-        """Return the spatial inertia of a body [kg, m, kg m^2], expressed in the frame of the body.
-
-        The inertia is read from the compiled model: as specified, or computed from geoms.
-        """
+        """Return the spatial inertia of a body [kg, m, kg m^2] in the frame of the body."""
         body = self._compiled_model.body(link)
         rotation = pin.Quaternion(body.iquat[[1, 2, 3, 0]]).toRotationMatrix()
         tensor = rotation @ np.diag(body.inertia) @ rotation.T
@@ -229,9 +225,8 @@ class SpecTree:
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor, in place.
 
-        - Effort: the force range of the joint, the force ranges of its actuators, and the control
-          ranges of its actuators without bias (torque motors) are scaled.
-        - Position limit: both ends of the range are scaled.
+        For the effort, the force ranges of the joint and its actuators are scaled, and the control
+        ranges of torque motors.
 
         Args:
             joint: Joint.
@@ -278,10 +273,7 @@ class SpecTree:
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Add a horizontal plane with MuJoCo's default contact parameters as floor.
 
-        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms: the plane collides
-        with each geom whose ``contype`` is not 0. These include geoms whose bits only permit
-        contact with each other, such as left and right legs. The floor in the scenes of these
-        robots has the same bits.
+        The plane can collide with each geom whose ``contype`` is not 0.
 
         Args:
             beneath: Height z [m] of the plane, which is then added to a new body; existing bodies
@@ -321,8 +313,7 @@ class SpecTree:
             offset: Position of the follower with the leader at zero [rad, m].
 
         Returns:
-            The new equality constraint, with a time constant of 5 ms (`COUPLING_TIME_CONSTANT`),
-            but at least two time steps.
+            The new equality constraint, stiff as by `stiffen_couplings`.
         """
         # MuJoCo's polynomial uses coordinates relative to ``ref``.
         follower_ref, leader_ref = (
@@ -340,18 +331,15 @@ class SpecTree:
     def stiffen_couplings(self) -> None:
         """Make all joint couplings (equality constraints of type ``joint``) stiff, in place.
 
-        The stiffness is the stiffness of `add_coupling`. Reason: MuJoCo's couplings are soft,
-        whereas a mimic joint of a URDF follows exactly.
+        The time constant is ``COUPLING_TIME_CONSTANT`` [s], but at least two time steps. Reason:
+        MuJoCo's couplings are soft, whereas a mimic joint of a URDF follows exactly.
         """
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
                 self._set_stiffness(equality)
 
     def _set_stiffness(self, equality: mujoco.MjsEquality) -> None:
-        """Set ``solref`` of an equality constraint to a stiff, critically damped spring.
-
-        The time constant is ``COUPLING_TIME_CONSTANT`` [s], but at least two time steps.
-        """
+        """Set ``solref`` of an equality constraint to a stiff, critically damped spring."""
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
@@ -409,8 +397,8 @@ class SpecTree:
     def limit_effort(self, joint: str, effort: float) -> None:
         """Replace the force limits of a joint by a symmetric limit of the sum of its actuators.
 
-        Control ranges of torque motors are disabled; ranges of servos stay. Only actuators with
-        transmission ``joint`` are changed. A joint without such an actuator gets no limit.
+        Only actuators with transmission ``joint`` are considered. Control ranges of torque motors
+        are disabled.
 
         Args:
             joint: Joint.
@@ -486,9 +474,10 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Lower bound of the smallest singular value of the matrix (3, 3) of the axes, as in the file, of
-three slides or three hinges. Above this bound the joints can move a base in all directions. For
-orthogonal unit axes the value is 1. Chosen, not tuned."""
+"""Lower bound of the smallest singular value of the matrix (3, 3) of the axes of three slides or
+hinges, with which these joints count as a free base. For orthogonal unit axes the value is 1.
+Chosen, not tuned.
+"""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of three slides, by which MJCFs without a free joint let a base translate in all
@@ -505,19 +494,15 @@ _FREE_BASE_JOINTS: Final = (
 def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:
     """Replace the joints of a free base by a single free joint, and delete all keyframes.
 
-    The spec is changed in place. Joint equalities and sensors of the joints are deleted, too.
-
-    Models converted from OpenSim, and some exporters, use three slides and three hinges (or a
-    ball). The other modules support only a free joint.
+    The spec is changed in place. Models converted from OpenSim, and some exporters, use three
+    slides and three hinges (or a ball), which other modules do not support.
 
     Args:
         spec: The MJCF.
-        stated: Joints that the URDF contains, too. If the base has one of these joints, the spec is
-            unchanged.
+        stated: Joints that the URDF contains, too. A base with such a joint is not changed.
 
     Returns:
-        Diagnostic of the replacement; None if there is no such base. A joint with an actuator or a
-        stiffness, for example, excludes a base (`_find_free_base`).
+        Diagnostic of the replacement; None if there is no such base.
     """
     base = _find_free_base(spec, stated)
     if base is None:
@@ -553,10 +538,7 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
 
 
 def _list_actuators_at(spec: mujoco.MjSpec, joint: str) -> list[mujoco.MjsActuator]:
-    """Return the actuators that act on a joint, directly or with axes of the parent frame.
-
-    Other actuators may act on a tendon, site or body with the name of the joint.
-    """
+    """Return the actuators that act on a joint, directly or with axes of the parent frame."""
     kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     return [
         actuator
@@ -574,15 +556,9 @@ def _delete_sensors(spec: mujoco.MjSpec, kind: mujoco.mjtObj, name: str) -> None
 
 
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
-    """Find the base that three slides and three hinges, or a ball, move freely.
+    """Return the base that three slides, and three hinges or a ball, move freely; else None.
 
-    The candidate is the child of the world with the most joints in its subtree. None unless all
-    these conditions hold:
-
-    - The joints of the body are three slides, and either three hinges or a ball.
-    - The axes span all directions.
-    - No joint has an actuator, a ``stiffness`` or a name in ``stated``.
-    - The bodies below have further joints.
+    A base is not returned if its joints are driven or sprung, or contained in ``stated``.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)
