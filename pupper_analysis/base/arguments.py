@@ -117,10 +117,9 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _suggest_attribute(value: object, name: str) -> str | None:
-    """Return the text of an attribute that an array argument needs in place of its object.
+    """Return the Python text of the attribute that an array argument needs; None if unknown.
 
-    For example, the text for a `Stand` in place of ``qpos`` is ``stand.qpos``. None if the object
-    is of another package, or has no attribute with the name of the argument.
+    For example, the text for a `Stand` in place of ``qpos`` is ``stand.qpos``.
     """
     kind = type(value)
     if not kind.__module__.startswith("pupper_analysis.") or not hasattr(value, name):
@@ -151,8 +150,7 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
         size: Required number of elements.
 
     Raises:
-        ConfigurationError: If the values are no real numbers (`real_array`), the shape is not
-            ``(size,)``, or an element is not finite.
+        ConfigurationError: If the values are no such vector.
     """
     vector = real_array(name, values)
     if vector.shape != (size,):
@@ -170,16 +168,15 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
 def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return the unit vector (3,) of a direction of any length.
 
-    The vector is first multiplied by the power of two that makes its largest component about 1: the
-    squares of components below 1e-162 or above 1e154 would underflow or overflow.
+    The vector is first scaled, because squares of components below 1e-162 or above 1e154 would
+    underflow or overflow.
 
     Args:
         name: Name of the argument, for the message.
         values: Vector (3,).
 
     Raises:
-        ConfigurationError: If the values are no real numbers (`real_array`), not three, not finite,
-            or all zero.
+        ConfigurationError: If the values are no finite vector (3,), or all zero.
     """
     vector = np.zeros(0) if isinstance(values, str) else real_array(name, values)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
@@ -221,8 +218,8 @@ def check_length(name: str, value: object) -> float:
         value: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is no finite number (`check_finite`), or the absolute value
-            exceeds ``MAX_LENGTH``.
+        ConfigurationError: If the value is no finite number, or its magnitude exceeds
+            ``MAX_LENGTH``.
     """
     number = check_finite(name, value)
     if abs(number) > MAX_LENGTH:
@@ -244,7 +241,7 @@ def suggest_degrees(angle: float, low: float, high: float) -> str | None:
         high: Upper limit of the angle [rad].
 
     Returns:
-        The text; None if the user has probably not meant degrees (`find_untyped_degrees`).
+        The text; None if degrees were probably not meant (`find_untyped_degrees`).
     """
     degrees = find_untyped_degrees(angle, low, high)
     if degrees is None:
@@ -255,11 +252,9 @@ def suggest_degrees(angle: float, low: float, high: float) -> str | None:
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Decorate a public function, so that each call checks the arguments against the type hints.
 
-    Only types are checked; the function itself must check the values, and the parts listed below.
-    Elements of sequences and arrays and keys of mappings are checked. Not checked are values of
-    mappings, elements of sets and iterators, defaults, and arguments of ``*args`` and ``**kwargs``.
-    `_make_type_test` accepts any value for some type hints, for example arrays, tuples, literals,
-    and unions with an enum.
+    Only types are checked; the function itself must check the values. Any value is accepted for
+    unsupported type hints, for example arrays, tuples and literals. Not all nested values are
+    checked.
 
     Raises:
         ConfigurationError: In the call, if the type of an argument does not match the type hint.
@@ -298,8 +293,6 @@ def check_fields(instance: Any) -> None:
 
 def check_type(name: str, value: object, hint: Any) -> None:
     """Check a value against a type hint; accept any value if the hint is not supported.
-
-    `check_arguments` describes type hints that are not supported.
 
     Args:
         name: Name of the argument, for the message.
@@ -347,13 +340,10 @@ def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
 
 
 _MAX_DOUBLE = int(sys.float_info.max)
-"""Largest absolute value of an integer that is accepted as a float: the largest finite float. The
-conversion of larger integers may overflow."""
+"""Largest absolute value of an integer that is accepted as a float: the largest finite float."""
 
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
-"""{type in an annotation: abstract type of the accepted numbers}. The abstract types include
-numbers of NumPy. Booleans, and integers beyond `_MAX_DOUBLE` for a float, are rejected
-separately."""
+"""{type in an annotation: abstract type of the accepted numbers}; NumPy's numbers are included."""
 
 _REMEDIES = {
     "Configuration": "pa.Configuration(robot, stand.qpos)",
@@ -391,11 +381,7 @@ def _union_members(hint: Any) -> tuple[Any, ...]:
 
 @cache
 def _make_type_test(hint: Any) -> Callable[[Any], bool]:
-    """Return a function that tests whether a value has a type.
-
-    For unsupported types, and unions that contain an enumeration, the function accepts any value.
-    The result is cached, because arguments are checked often and the number of types is small.
-    """
+    """Return a function that tests whether a value has a type; it accepts any if unsupported."""
     options = _union_members(hint)
     if len(options) > 1:
         if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
@@ -440,8 +426,6 @@ def _make_elements_test(
 ) -> Callable[[Any], bool]:
     """Return a function that tests whether a value is an iterable whose elements pass a test.
 
-    Only the elements of sequences and arrays are tested.
-
     Args:
         element: Function that tests an element.
         of_known_length: Whether the value must be a sequence or an array, not just an iterable.
@@ -450,8 +434,7 @@ def _make_elements_test(
     def has_valid_elements(value: Any) -> bool:
         """Return True if a value is an iterable whose elements pass the test ``element``.
 
-        With ``of_known_length``, the value must be a sequence or an array. A text and bytes are
-        rejected. Only the elements of sequences and arrays are tested.
+        Elements of iterators are not tested: the test would consume the iterator.
         """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim

@@ -577,8 +577,7 @@ class _StagedFile:
             self._unhide_old_file()
 
     def _unhide_old_file(self) -> None:
-        """Rename the hidden old file to ``NAME.oldN`` if possible, so that no later run removes it.
-        """
+        """Rename the hidden old file to ``NAME.oldN``, so that no later run removes it."""
         assert self.old is not None
         number = 1
         while os.path.lexists(kept := self.target.with_name(f"{self.target.name}.old{number}")):

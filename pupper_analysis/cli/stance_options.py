@@ -423,7 +423,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Find the actuated joints of a robot that a name or pattern of an option selects.
+    """Find the joints of a robot that a name or pattern of an option selects.
 
     Args:
         option: Name of the command-line option, for the error message.

@@ -71,19 +71,14 @@ class MujocoTree:
         self.copy_parameters(parameters)
 
     def has_structure_of(self, parameters: MultibodyTree) -> bool:
-        """Return True if a tree has the structure of this model, as `copy_parameters` requires.
-
-        Compared are the base, bodies, joint parents and types, frames, and whether the base is
-        free.
-        """
+        """Return True if a tree has the structure of this model, as `copy_parameters` requires."""
         return self._structure == _structure_key(parameters)
 
     def copy_parameters(self, parameters: MultibodyTree) -> None:
         """Copy the parameters of a tree, such as masses and axes, into the model, in place.
 
-        Velocity limits are not copied, because MuJoCo's joints have none. A body or joint is not
-        copied again if it is the same object as in the last call. Therefore bodies and joints must
-        not be modified between calls.
+        Velocity limits are not copied, because MuJoCo's joints have none. Unchanged objects are
+        skipped: bodies and joints must not be modified between calls.
 
         Args:
             parameters: Tree with the same structure (``has_structure_of``).
@@ -119,9 +114,6 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     """Compile a MuJoCo model with the structure of a multibody tree and placeholder parameters.
-
-    Masses, inertial frames, joint axes and positions of frames are placeholders, which the caller
-    overwrites.
 
     Args:
         parameters: Tree with the joints, their types, and the frames (sites of the model).
@@ -165,8 +157,7 @@ def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Tree
 def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
     """Write poses, axes, limits, damping, friction and armature of joints to a MuJoCo model.
 
-    ``ids`` are the joint ids of the model, in the order of ``joints``. Position limits are enabled
-    only if both limits are finite.
+    ``ids`` are the joint ids of the model, in the order of ``joints``.
     """
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
@@ -190,8 +181,7 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     """Build the Pinocchio model of a URDF, with free or fixed base.
 
     Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Efforts
-    and velocities of at least 1e9 (``UNSTATED``) become infinite. If a link has a negative mass,
-    the inertias are recomputed.
+    and velocities of at least ``UNSTATED`` become infinite.
 
     Args:
         text: URDF; must be well-formed XML.
@@ -218,9 +208,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
 def _correct_inertias(model: pin.Model, tree: UrdfTree) -> None:
     """Recompute the inertias of a Pinocchio model in place if a link has a negative mass.
 
-    Pinocchio adds two inertias incorrectly if their total mass is negative. It divides by max(total
-    mass, 2e-16 kg), measured with pin 3.8. For a total mass of -1 kg, the CoM is then of the order
-    of 1e15 m away.
+    Pinocchio adds two inertias incorrectly if their total mass is negative: it divides by max(total
+    mass, 2e-16 kg), measured with pin 3.8.
     """
     inertias = {name: link.inertia for name, link in tree.links.items()}
     if all(inertia is None or inertia.mass >= 0 for inertia in inertias.values()):
@@ -248,11 +237,8 @@ For bodies that are fixed to each other, these parameters are added.
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    - Bodies (except the world) and sites with a name become frames of type BODY. If several have
-      the same name, only the first becomes a frame.
-    - Copied are gravity, joint limits, force limits of joints and their actuators, friction loss,
-      armature and damping (see `acting_gravity`, `joint_armature`, `joint_damping`).
-    - Other forces (springs, tendons ...) are not copied.
+    Bodies and sites with a name become frames of type BODY. Springs, tendons and other forces of
+    MuJoCo are not copied.
 
     Args:
         model: Model with free, hinge and slide joints.
@@ -315,8 +301,7 @@ def joint_damping(model: mujoco.MjModel) -> Array:
     """Return the linear damping of each degree of freedom, shape (nv,) [N m s/rad, N s/m].
 
     The value is the joint damping. For a hinge or slide, gear^2 times the damping of each actuator
-    at this joint is added.
-    Zero if a flag disables damping.
+    at this joint is added. Zero if a flag disables damping.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
         return np.zeros(model.nv)
@@ -324,9 +309,9 @@ def joint_damping(model: mujoco.MjModel) -> Array:
 
 
 def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
-    """Sum an actuator value, such as armature, at each degree of freedom: gear^2 x value, (nv,).
+    """Sum gear^2 x value of the actuators at each hinge and slide, shape (nv,).
 
-    ``values`` has an entry per actuator. Only actuators at a single hinge or slide are included.
+    ``values`` has an entry per actuator, for example the armature.
     """
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):
@@ -339,7 +324,7 @@ def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
 def _add_pinocchio_joint(
     result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
 ) -> tuple[int, pin.SE3]:
-    """Add a joint of MuJoCo's model to a Pinocchio model.
+    """Add a free, hinge or slide joint of MuJoCo's model to a Pinocchio model.
 
     Args:
         result: Pinocchio model; modified.
@@ -350,9 +335,6 @@ def _add_pinocchio_joint(
 
     Returns:
         Index of the new joint, and pose of the moved body in the frame of this joint.
-
-    Raises:
-        ModelError: If the joint is a ball joint.
     """
     name = model.joint(index).name
     kind = JointKind(int(model.jnt_type[index]))

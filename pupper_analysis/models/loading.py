@@ -89,8 +89,7 @@ class FormatReader(Protocol):
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert the model to a URDF with the same values.
 
-        Messages name the original format: ``stands_for`` of the result is its word in the
-        catalogue.
+        Messages name the original format (``stands_for`` of the result).
 
         Raises:
             ModelError: If the file cannot be read, or URDF cannot state the model.
@@ -100,8 +99,7 @@ class FormatReader(Protocol):
     def read_as_mjcf(self, path: Path) -> MjcfFile:
         """Read a file of this format, and convert the model to an MJCF with the same values.
 
-        Messages name the original format: ``stands_for`` of the result is its word in the
-        catalogue.
+        Messages name the original format (``stands_for`` of the result).
 
         Raises:
             ModelError: If the file cannot be read, or MJCF cannot state the model.
@@ -112,8 +110,7 @@ class FormatReader(Protocol):
 def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
     """Return the reader for a file of another format than URDF and MJCF, selected by suffix.
 
-    None for URDF, MJCF, files with an unknown suffix, addresses (``package://``, ``https://``), and
-    robots in memory.
+    None for other suffixes, addresses (``package://``, ``https://``), and robots in memory.
 
     Raises:
         ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory.
@@ -138,9 +135,7 @@ def read_model(
 ) -> UrdfFile | MjcfFile:
     """Read a URDF or an MJCF from a file or from memory; the root element determines the format.
 
-    If ``xacro`` is given, a xacro file is expanded; its elements then have no line numbers.
-    Otherwise its xacro elements must be unused declarations, which are removed. An MJCF that MuJoCo
-    parses but does not compile is also returned, with the error in ``refusal``.
+    An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
         path: The file, the name of a published robot, ``package://NAME/FILE``, or a robot in memory
@@ -151,9 +146,8 @@ def read_model(
             expressions in the file. None: nothing is evaluated. Ignored for other models.
 
     Raises:
-        ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory, or is a
-            ``pin.GeometryModel``.
-        ModelError: If the file cannot be loaded, or must be expanded and ``xacro`` is None. The
+        ConfigurationError: If ``path`` is of another type.
+        ModelError: If the file cannot be loaded, for example because xacro must be expanded. The
             message is a single line with location and reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
@@ -195,8 +189,7 @@ def read_as_urdf(
         xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
-        ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
-            ``pin.GeometryModel``, which contains shapes only.
+        ConfigurationError: If ``model`` is of another type.
         ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
@@ -228,8 +221,7 @@ def read_as_mjcf(
         packages: {ROS package: its folder}, for ``package://`` in ``model``.
 
     Raises:
-        ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
-            ``pin.GeometryModel``, which contains shapes only.
+        ConfigurationError: If ``model`` is of another type.
         ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
@@ -248,13 +240,10 @@ def read_as_mjcf(
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the format of a file that describes a robot, ``"urdf"`` or ``"mjcf"``; None otherwise.
+    """Return the format of a file that describes a robot: ``"urdf"``, ``"mjcf"`` or None.
 
-    - A file with the suffix ``.urdf`` is a URDF; it is not opened.
-    - A file with another suffix is a URDF if the root element is ``<robot>`` with a link, and if it
-      uses no xacro except for declarations and harmless includes.
-    - An MJCF must have a body directly in a ``<worldbody>`` of the file itself. A scene, which only
-      includes the robot, does not count.
+    A scene, an MJCF that only includes the robot, does not count. A file with the suffix ``.urdf``
+    is not opened.
 
     Raises:
         OutputError: If this run of the command line also writes the file.

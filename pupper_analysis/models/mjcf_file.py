@@ -990,8 +990,7 @@ def _compile_file(
 def _parse_spec(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Return the spec of an MJCF without elements whose files are missing, and notes on the files.
-    """
+    """Return the spec of an MJCF without elements with missing files, and notes on the files."""
     try:
         with silence_mujoco():
             spec = parse_spec(tree.path)

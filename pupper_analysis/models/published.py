@@ -44,8 +44,7 @@ def existing_file(path: Path) -> Path | None:
     """Return the path of an existing file, and register the file as input of the running command.
 
     Returns:
-        The path. None if there is no regular file, if the file is a Git LFS pointer without
-        content, or if the system rejects the path, for example because of its length.
+        The path; None if there is no such file, for example, or only a Git LFS pointer.
 
     Raises:
         OutputError: If this run of the command line also writes this file.
@@ -93,8 +92,7 @@ def _read_package_name(folder: Path) -> str:
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
     """Yield the folders that may contain a ROS package: a given folder, or its subfolder.
 
-    ``folder`` is yielded if its name, or the name in its ``package.xml``, is ``package``. The
-    subfolder ``folder / package`` is yielded if it exists, whatever the name of ``folder``.
+    A folder may have the name of the package, or state it in its ``package.xml``.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder
@@ -139,8 +137,7 @@ def is_published_name(word: str) -> bool:
     """Return True if a word has the form of a published robot's name, and is no existing path.
 
     The name is that of a description of ``robot_descriptions`` (not looked up), or of a robot of
-    MuJoCo Menagerie (`is_menagerie_name`). A word with the prefix ``robot_descriptions:`` counts in
-    any case.
+    MuJoCo Menagerie (`is_menagerie_name`).
     """
     return _is_description(word) or is_menagerie_name(word)
 
@@ -155,21 +152,20 @@ _NUM_SIMILAR_NAMES: Final = 3
 """Largest number of names that `list_similar_published_names` returns. Chosen, not tuned."""
 
 _MIN_NAME_SIMILARITY: Final = 0.75
-"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes,
-except names that contain the searched word. Chosen, not tuned."""
+"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
+Chosen, not tuned.
+"""
 
 _GENERIC_WORD: Final = re.compile(r"arm|hand|model|robot|v?\d+")
-"""Pattern of words that are parts of names of many robots, and identify none. Versions such as
-``v4`` are such words."""
+"""Pattern of words that are parts of names of many robots, such as versions, and identify none."""
 
 
 def list_similar_published_names(word: str) -> list[str]:
-    """Return up to three names of published robots that are similar to a word, the best first.
+    """Return up to three names of published robots that are similar to a word.
 
-    The names are robots of MuJoCo Menagerie (installed package or clone), and descriptions of the
-    package ``robot_descriptions``, if installed. Names that contain the word between underscores,
-    such as ``unitree_go2`` for ``go2``, follow those with the most equal characters. Generic
-    words such as ``robot`` or ``v4`` are not searched within names.
+    The names are robots of MuJoCo Menagerie, and descriptions of the package
+    ``robot_descriptions``, if installed. Names that contain the word between underscores, such as
+    ``unitree_go2`` for ``go2``, count as similar.
     """
     name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
     known = [*_list_descriptions(), *list_menagerie_robots()]
@@ -183,10 +179,7 @@ def list_similar_published_names(word: str) -> list[str]:
 
 
 def list_source_problems() -> list[Diagnostic]:
-    """Return a diagnostic for each package of published names that is missing or not importable.
-
-    The diagnostic names the command that installs the package, or the error of the import.
-    """
+    """Return a diagnostic for each package of published names that is missing or not importable."""
     problems = []
     for module, package in (_DESCRIPTIONS_PACKAGE, MENAGERIE_PACKAGE):
         try:
@@ -208,10 +201,10 @@ def _list_descriptions() -> list[str]:
 
 
 def _is_description(word: str) -> bool:
-    """Return True if a word names a description of the package ``robot_descriptions``.
+    """Return True if a word has the form of a description's name in ``robot_descriptions``.
 
-    A word is a description in two cases: it has the prefix ``DESCRIPTION_PREFIX``, or it has the
-    form of ``go2_mj_description`` and is not an existing path.
+    Without the prefix ``DESCRIPTION_PREFIX``, the name must end with ``_description`` and not be an
+    existing path.
     """
     if word.startswith(DESCRIPTION_PREFIX) or _BARE_DESCRIPTION.fullmatch(word) is None:
         return word.startswith(DESCRIPTION_PREFIX)
@@ -226,21 +219,16 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
 
     Published names are robots of MuJoCo Menagerie, and descriptions of the package
     ``robot_descriptions``. A path is returned unchanged, also if the file does not exist. If a
-    description states several files, the first counts, in the order MJCF, URDF, xacro file.
+    description states several files, an MJCF is preferred to a URDF, and a URDF to a xacro file.
 
     Args:
         model: Path or name.
-        packages: {ROS package: its folder}. A package without an entry is searched in the current
-            folder, in the folders above, and in ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
+        packages: {ROS package: its folder}. Other packages are searched in the current folder, in
+            the folders above, and in ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
 
     Raises:
-        ModelError: For example in these cases (see also `find_menagerie_file`):
-
-            - A ROS package or its file is not named, or is not found.
-            - The name is a web address.
-            - ``robot_descriptions`` is not installed or cannot be imported, has no such
-              description, or has not cached its files.
-            - The description cannot be imported, or contains no model file.
+        ModelError: For example if a ROS package or a description is not found, or the name is a web
+            address.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
@@ -273,8 +261,7 @@ def find_packages(package: str, folder: Path, packages: Mapping[str, Path]) -> l
         package: Name of the package.
         folder: This folder and the folders above are searched, then ``ROS_PACKAGE_PATH`` and
             ``AMENT_PREFIX_PATH``.
-        packages: {ROS package: its folder}. If the package has an entry, only this folder is
-            returned.
+        packages: {ROS package: its folder}. A folder given here is the only result.
     """
     if package in packages:
         return [packages[package]]
@@ -288,12 +275,7 @@ def find_packages(package: str, folder: Path, packages: Mapping[str, Path]) -> l
 
 
 def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
-    """Return the file of a ROS package, given as ``NAME/FILE``.
-
-    Raises:
-        ModelError: If the name of the package or the file is missing, the package is not found, or
-            the package does not contain the file.
-    """
+    """Return the file of a ROS package, given as ``NAME/FILE``; raise a ModelError if not found."""
     package, _, rest = name.partition("/")
     if not package or not rest:
         raise ModelError(f"{PACKAGE_PREFIX}{name}", diagnose("package-path-incomplete"))
@@ -308,12 +290,8 @@ def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
 def _import_cached_description(source: str, name: str, cache: ModuleType) -> ModuleType:
     """Import a description of ``robot_descriptions`` from its local cache, without downloading.
 
-    ``source`` is the name in error messages, and ``name`` the module of the description. ``cache``
-    is the module with the function that downloads; the function is replaced during the import.
-
-    Raises:
-        ModelError: If there is no such description, its repository is not in the cache, or its
-            module cannot be imported.
+    ``source`` is the name in error messages, ``name`` the module of the description, and ``cache``
+    the module with the function that downloads.
     """
 
     def find_in_cache(repository: str, commit: str | None = None) -> str:
@@ -358,8 +336,7 @@ def make_xacro_request(
         arguments: {argument of a xacro file: value}; None or empty for the default values.
 
     Raises:
-        ConfigurationError: If a value is no text, or there are arguments without ``xacro`` or
-            without a xacro file.
+        ConfigurationError: If a value is no text, or arguments are given without a xacro file.
         ModelError: If the file of a model is not found (`find_file`).
     """
     given = dict(arguments or {})
@@ -392,7 +369,8 @@ def expand_xacro(
     """Expand a xacro file, and return the URDF text. Python expressions in the file are evaluated.
 
     ``$(find NAME)`` is resolved as ``package://NAME``, from the folder of the file; a ROS
-    installation is not necessary. An XML declaration behind blank lines is accepted, as in a URDF.
+    installation is not necessary. A faulty XML declaration, for example behind blank lines, is
+    accepted.
 
     Args:
         path: The file.
@@ -400,9 +378,8 @@ def expand_xacro(
         arguments: {argument of the file: value}; other arguments have their default values.
 
     Raises:
-        ModelError: If xacro is not installed or cannot be imported, the file does not exist, a
-            package is not found, or the expansion fails.
-        UnknownNameError: If neither the file nor an included file declares or uses an argument.
+        ModelError: For example if xacro is not installed, or the expansion fails.
+        UnknownNameError: If the file and the included files do not mention an argument.
         OutputError: If this run of the command line also writes an included file.
     """
     xacro = import_source("xacro", "xacro")
@@ -441,9 +418,7 @@ def expand_xacro(
 def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[None]:
     """Resolve ``$(find NAME)`` of xacro by `find_packages`, then by ROS, in a ``with`` block.
 
-    Args:
-        path: Xacro file, above whose folder packages are searched.
-        packages: {ROS package: its folder}.
+    The folder of the xacro file ``path`` and the folders above are searched.
     """
     try:
         substitution = importlib.import_module("xacro.substitution_args")
@@ -474,8 +449,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
 def _blank_faulty_declarations(xacro: Any) -> Iterator[None]:
     """Let xacro read files with a faulty XML declaration, in a ``with`` block.
 
-    ``xacro`` is the package; its function that parses each file is replaced during the block. A
-    faulty declaration, for example behind a blank line, is ignored (`blank_faulty_declaration`).
+    ``xacro`` is the imported package, whose parsing function is replaced during the block.
     """
     parse = getattr(xacro, "parse", None)
     if parse is None:  # another package with the name xacro
@@ -508,7 +482,7 @@ _XACRO_ARGUMENT: Final = re.compile(
 
 
 def _check_xacro_arguments(path: Path, files: Iterable[Path], given: Mapping[str, str]) -> None:
-    """Raise UnknownNameError if no file declares or uses an argument: xacro ignores such arguments.
+    """Raise an UnknownNameError if no file mentions an argument, because xacro ignores it.
 
     Files may use an argument that no file declares, as AR4 does with ``ar_model``.
     """

@@ -97,10 +97,7 @@ class Mesh:
         return Mesh(self.vertices[numbers], new_numbers[faces])
 
     def hull(self) -> Mesh:
-        """Return the convex hull of this mesh.
-
-        The result is the mesh itself if no hull can be computed, for example for a flat mesh.
-        """
+        """Return the convex hull of this mesh, or the mesh itself if it has no hull (flat)."""
         from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
         try:
@@ -113,9 +110,8 @@ class Mesh:
 def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
     """Return the spatial inertia of a convex hull with a density of 1 kg/m^3; None without volume.
 
-    The hull is divided into tetrahedra with a common corner at the mean of the vertices. From this
-    corner, a tetrahedron has three edges e_i. The integral of x x^T over a tetrahedron of volume V
-    is V/20 (sum_i e_i e_i^T + s s^T), with s = sum_i e_i.
+    The integral of x x^T over a tetrahedron of volume V with edges e_i from the origin is V/20
+    (sum_i e_i e_i^T + s s^T), with s = sum_i e_i.
     """
     middle = hull.vertices.mean(axis=0)
     edges = hull.vertices[hull.faces] - middle
@@ -208,12 +204,11 @@ class Shape:
     def compute_solid_inertia(self) -> pin.Inertia | None:
         """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
 
-        The result is expressed in the frame of the body. For a mesh without ``read_solid``, or
-        whose ``read_solid`` returns None (surface not closed), the convex hull is used.
+        The result is expressed in the frame of the body. The convex hull replaces a mesh whose
+        solid is unknown (``read_solid``).
 
         Returns:
-            Spatial inertia. None for ellipsoids, for other kinds such as planes, and for meshes
-            that were not read or have no volume.
+            Spatial inertia; None if it cannot be computed, for example for a plane or an ellipsoid.
         """
         size = self.size
         match self.kind:
@@ -294,10 +289,7 @@ class Shape:
     def support(self, directions: Array) -> Array | None:
         """Return the support function of the convex hull, in the frame of the body.
 
-        The support function is h(d) = max over points x of the hull of d^T x. The support function
-        of a Minkowski sum is the sum of the support functions of the terms. Two shapes have the
-        same convex hull if their support functions are equal; MuJoCo and most other engines collide
-        convex hulls.
+        The support function is h(d) = max over points x of the hull of d^T x.
 
         Args:
             directions: Unit vectors (n, 3) in the frame of the body.
@@ -320,8 +312,7 @@ class Shape:
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
         """Return the height [m] of the shape's lowest point above a plane through the world origin.
 
-        The extent of the shape must be known. The lowest point is below the origin of the body by
-        the value of ``support`` at -normal. Scalar arithmetic is used because this function is
+        The extent of the shape must be known. Scalar arithmetic is used because this function is
         called often.
 
         Args:
@@ -351,8 +342,7 @@ class Shape:
     def find_lowest_point(self, link: tuple[Array, Array], normal: Array) -> Array:
         """Return the lowest point of the shape above a plane, shape (3,) [m], in the world.
 
-        This point has the smallest coordinate along the plane's normal. The extent of the shape
-        must be known.
+        The extent of the shape must be known.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.
@@ -441,6 +431,8 @@ _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any
 corners, to the middles of its edges, and to the middles of its faces. The next statement normalises
 them."""
 
+# Unit vectors (26, 3) that sample a ball or an ellipsoid: from the centre of a cube to its
+# corners, edges and faces.
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
 """Unit vectors (16, 2) at equal angles, the sampled points of an ellipse."""
@@ -451,8 +443,8 @@ _SAMPLE_VECTORS = np.concatenate(
 """Vectors of `COMPARISON_DIRECTIONS` before normalisation, shape (66, 3)."""
 
 COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1, keepdims=True)
-"""Directions (66, 3) in which the extents of two shapes are compared, or in which their distance is
-estimated: the axes and 60 random directions, so that rotations of a box or a cylinder are detected.
+"""Directions (66, 3) in which the extents of two shapes are compared, or their distance is
+estimated: the axes and 60 random directions.
 """
 
 NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
@@ -501,8 +493,8 @@ def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
     """Return the convex hull of a mesh: MuJoCo's own hull if the model contains it.
 
-    The layout of ``mesh_graph`` is defined by MuJoCo's compiler: numbers of vertices and faces,
-    address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.
+    MuJoCo's compiler defines the layout of ``mesh_graph``: numbers of vertices and faces, address
+    of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.
     """
     address, mesh_with_all_vertices = int(model.mesh_graphadr[mesh]), get_mesh(model, mesh)
     if address < 0:

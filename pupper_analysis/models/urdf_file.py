@@ -116,18 +116,15 @@ class UrdfFile:
     def resolve_mesh(self, filename: str) -> Path | None:
         """Return the existing file to which a mesh's ``filename`` refers.
 
-        ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
-        of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
-        links. Finally, each folder above the URDF is assumed to be the package, or a folder in the
-        package, because a copy of a package may have another name. A relative name without scheme,
-        or with ``file``, starts at the folder of the URDF.
+        ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``,
+        ``ROS_PACKAGE_PATH``, and the folders above the URDF. A relative name without scheme starts
+        at the folder of the URDF.
 
         Args:
             filename: Text of the attribute.
 
         Returns:
-            The file. None if there is no such file, if the file is a Git LFS pointer, or if the
-            scheme is none of ``package``, ``model`` and ``file``.
+            The file; None if it is not found, or is a Git LFS pointer.
 
         Raises:
             OutputError: If this run of the command line also writes the file.
@@ -189,19 +186,15 @@ def urdf_from(
 ) -> UrdfFile:
     """Validate the root element of a URDF, and return its `UrdfFile`.
 
-    The root element is modified: unused xacro declarations and repeated origins are removed,
-    missing efforts and velocities are completed, and white space in numbers is normalised.
-
     Args:
         path: The file.
         text: Text of the file.
-        root: Root element; modified.
+        root: Root element; modified, for example missing efforts and velocities are completed.
         packages: Folders of ROS packages, for ``package://``.
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
-        OutputError: If this run of the command line also writes a mesh, a texture or an included
-            file.
+        OutputError: If this run of the command line also writes a file that the URDF uses.
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"
@@ -355,8 +348,7 @@ def check_element(path: Path, element: etree._Element) -> bool:
         element: Element; modified in place.
 
     Returns:
-        True if white space was removed from an attribute with a single number. The text of the URDF
-        must then be rewritten.
+        True if the text of the URDF must be rewritten, because engines cannot read the white space.
 
     Raises:
         ModelError: If the element is not valid.
@@ -408,11 +400,10 @@ def _check_numbers(
     count: int,
     subject: tuple[str, str],
 ) -> None:
-    """Raise ModelError unless the text ``value`` of an attribute has ``count`` valid numbers.
+    """Raise a ModelError unless the text ``value`` of an attribute has ``count`` valid numbers.
 
-    ``part`` is the element with the attribute, and ``subject`` the (tag, name) of the link, joint
-    or material that contains ``part``. A number is valid if it is finite and, except in
-    ``<limit>``, at most `MAX_NUMBER` in magnitude.
+    ``part`` is the element with the attribute, and ``subject`` the (tag, name) of the enclosing
+    link, joint or material.
     """
     values = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()
@@ -488,8 +479,7 @@ def check_tree(
         joints: {name: joint}.
 
     Raises:
-        ModelError: If a link has two parent joints, the links form a loop, there are several roots,
-            or a chain is too long.
+        ModelError: If the links form no single tree, or a chain is too long.
     """
     parent_of: dict[str, str] = {}
     joint_of: dict[str, str] = {}
@@ -525,17 +515,17 @@ def check_tree(
 # Joints without limits: normalisation for the readers of the engines.
 
 MAX_SLIDE_POSITION = 1e3
-"""Absolute limit that is written to a URDF for a slide without limits [m]. If an MJCF states no
-limit, a comparison accepts a URDF's limit of a slide from this value up. Reason: a URDF requires
+"""Absolute limit that is written to a URDF for a slide without limits [m], because a URDF requires
 two limits, whose defaults are 0. Chosen: no robot moves as far, and with 12 digits smaller
-positions have a resolution of a nanometre."""
+positions have a resolution of a nanometre.
+"""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
     """Complete missing efforts and velocities of ``<limit>`` in a URDF, in place.
 
-    The new value, 1e9 (``UNSTATED_LIMITS``), means an unknown limit. Reason: the format requires
-    both attributes, some exporters omit them, and Pinocchio's reader rejects the joint.
+    The new value (``UNSTATED_LIMITS``) means an unknown limit. Reason: the format requires both
+    attributes, some exporters omit them, and Pinocchio's reader rejects the joint.
 
     Returns:
         Diagnostic with the names of the joints; None if no ``<limit>`` was incomplete.
@@ -587,10 +577,8 @@ def _describe_origin(origin: etree._Element) -> str:
 def states_no_limits(joint: UrdfJoint) -> bool:
     """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
-    This is the case if ``lower`` and ``upper`` are missing, or if lower, upper and effort are all
-    zero or missing. Exporters omit these attributes, or write zeros, if the limits are unknown. An
-    effort of at least 1e9 N m (``UNSTATED``) counts as missing. A range from 0 to 0 is valid if the
-    file states an effort. False for other types of joints, and without ``<limit>``.
+    ``lower`` and ``upper`` are missing, or are zero without a known effort: exporters omit these
+    attributes, or write zeros, if the limits are unknown.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:
@@ -608,16 +596,15 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Return the revolute joints of a URDF whose ``<limit>`` specifies no range.
 
-    Criterion (`states_no_limits`): ``lower`` and ``upper`` are missing, or are zero or missing
-    together with the effort. A joint without ``<limit>`` is not included.
+    `states_no_limits` is the criterion.
     """
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def to_engine_xml(root: etree._Element) -> str:
-    """Return the XML of a URDF for the engines: joints without a range become continuous.
+    """Return the XML of a URDF for the engines: `unlimited_joints` become continuous.
 
-    `unlimited_joints` returns these joints. ``root`` is not modified.
+    ``root`` is not modified.
     """
     if unlimited_joints(root):
         root = deepcopy(root)

@@ -192,10 +192,7 @@ class UrdfJoint(UrdfElement):
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
-        """Return the value of a joint parameter as written in the URDF.
-
-        None if the parameter is missing, or if URDF does not support it.
-        """
+        """Return the value of a joint parameter as written in the URDF; None if missing."""
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])
@@ -320,8 +317,7 @@ class UrdfTree:
     def movers(self, link: str) -> tuple[str, ...]:
         """Return the moving joint between a link and its parent, as a tuple of at most one name.
 
-        Empty for the base, and for a link that is fixed to its parent. (A body of an MJCF may have
-        several joints: `SpecTree.movers`.)
+        A body of an MJCF may have several joints (`SpecTree.movers`).
         """
         joint = self.parent_joints.get(link)
         return () if joint is None or joint.is_fixed else (joint.name,)
@@ -474,10 +470,7 @@ class UrdfTree:
         origin.set("xyz", join_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiply a joint parameter, such as damping, by a factor, in place.
-
-        A parameter that the joint does not state stays unstated.
-        """
+        """Multiply a joint parameter, such as damping, by a factor, in place, if stated."""
         text = self.joints[joint].parameter_text(attribute)
         if text is not None:
             self.joints[joint].set_parameter(attribute, float(text) * float(factor))
