@@ -47,9 +47,8 @@ _MAX_COMPARED_NAMES: Final = 2000
 Chosen, not tuned."""
 
 _MIN_SIMILARITY: Final = 0.75
-"""Smallest similarity (ratio of `difflib.SequenceMatcher`, from 0 to 1) between the name of a
-missing file and a file name that the message suggests. Chosen: permits one wrong letter of four, or
-two exchanged letters of five.
+"""Smallest similarity (ratio of `difflib.SequenceMatcher`, 0 to 1) between the name of a missing
+file and a suggested file name. Chosen: permits one wrong letter of four.
 """
 
 _MAX_KEY_LENGTH: Final = 500
@@ -72,7 +71,7 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
             file is registered as an input, which the run must not write.
 
     Raises:
-        InputError: If the file is missing, is not accessible, is no regular file, or is too large.
+        InputError: If the file is missing, is no regular file, or is too large, for example.
         OutputError: If the run will write this file, unless ``rewritten`` is set.
     """
     try:
@@ -94,11 +93,7 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
 
 
 def read_change_time(path: Path) -> int:
-    """Return the modification time of a file [ns], for use in cache keys.
-
-    The value is -1 if the file does not exist or is not accessible. For example, another program
-    may have deleted the file meanwhile. The function that reads the file then reports the problem.
-    """
+    """Return the modification time of a file [ns], for use in cache keys; -1 if not accessible."""
     try:
         return path.stat().st_mtime_ns
     except (OSError, ValueError):
@@ -117,8 +112,7 @@ def describe_missing_file(path: Path) -> Diagnostic:
 def find_similar_files(path: Path) -> list[Path]:
     """Return up to three files in the folder of a missing file that have similar names.
 
-    The most similar name is the first. Hidden files are left out. Only the first
-    `_MAX_COMPARED_NAMES` entries of the folder are compared. Empty if the folder cannot be read.
+    The most similar name is the first.
 
     Args:
         path: The missing file.
@@ -140,9 +134,7 @@ def is_input(path: Path) -> bool:
 
 
 def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
-    """Read an input file of limited size, and register the file as an input of the run.
-
-    The run is the current command; see `runs`.
+    """Read an input file of limited size, and register the file as an input of the run (`runs`).
 
     Args:
         path: The file.
@@ -188,12 +180,10 @@ def read_text(path: Path) -> str:
 def decode_input(path: Path, data: bytes) -> str:
     """Decode the content of a file as UTF-8, with or without byte order mark.
 
-    Zero bytes behind the last element of an XML file are removed: C programs write the end of a
-    string.
+    Zero bytes at the end of an XML file are removed: C programs write the end of a string.
 
     Raises:
-        InputError: If the content is not UTF-8, or contains other zero bytes; with the line, if
-            known.
+        InputError: If the content is not UTF-8, or contains other zero bytes.
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, diagnose("encoded-in-utf-16"))
@@ -215,9 +205,8 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         Text of the file; {key: value} of the top level.
 
     Raises:
-        InputError: If the file cannot be read, is too large, is no UTF-8 text, or is no valid TOML
-            (with the line, if known). Also if a key is longer than `_MAX_KEY_LENGTH`, or a text
-            longer than `_MAX_VALUE_LENGTH`.
+        InputError: If the file cannot be read, is no valid TOML, or contains too long a key or
+            text, for example.
         OutputError: If the run will write this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))

@@ -55,9 +55,9 @@ def to_json(result: object) -> str:
 def to_plain(value: Any) -> Any:
     """Convert a dataclass, diagnostic, array, mapping, path or float subclass for JSON.
 
-    Values inside a dataclass or mapping are not converted; the JSON encoder calls this function
-    again for each nested value that it cannot encode. A dataclass becomes a dictionary of the
-    public fields, and of the properties that its class lists in ``_reported``.
+    Nested values are not converted: the JSON encoder calls this function for each value that it
+    cannot encode. A dataclass becomes a dictionary of the public fields, and of the properties that
+    its class lists in ``_reported``.
 
     Raises:
         ConfigurationError: If the type is not supported.
@@ -81,8 +81,9 @@ _MAX_REPR_LENGTH = 220
 two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
-"""Maximum number of items of a vector, tuple or list, or of names of a mapping, that ``repr``
-shows. Chosen, not tuned: a position (3,) is shown completely."""
+"""Maximum number of items of a container that ``repr`` shows. Chosen, not tuned: a position (3,) is
+shown completely.
+"""
 
 
 class Result:
@@ -131,9 +132,8 @@ class Result:
     def plot(self, robot: object = None) -> tuple[Axes, ...]:
         """Draw the plots of the result with Matplotlib, in a new figure of ``pyplot``.
 
-        Notebooks show the figure below the cell. For a ``Stand``, the figure contains the skeleton
-        with contact forces, CoM and support polygon; for a ``Comparison``, the deviations of the
-        quantities; for other results, the plots of their HTML reports.
+        Notebooks show the figure below the cell. For most results, these are the plots of the HTML
+        report; for a ``Stand``, the skeleton with contact forces.
 
         Args:
             robot: Robot of the result; necessary for a stand from another process.
@@ -142,8 +142,7 @@ class Result:
             Axes of the panels.
 
         Raises:
-            ConfigurationError: If the result has no plot, or the robot is missing or not the robot
-                of the result.
+            ConfigurationError: For example if the result has no plot, or the robot is missing.
             StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
         """
         # By name, because ``present`` is a higher layer, which imports this module.
@@ -171,8 +170,8 @@ class Pictured:
         """Show the robot in the configuration of the result: in MuJoCo's viewer, or as a picture.
 
         The last configuration of a simulated motion is shown. In a notebook, or without a display,
-        a Pillow image is returned; a notebook displays the image. Otherwise the viewer simulates
-        the robot until its window is closed, and None is returned.
+        a Pillow image is returned. Otherwise the viewer simulates the robot until its window is
+        closed, and None is returned.
 
         Args:
             robot: Robot of the result; necessary for a result from another process.
@@ -180,8 +179,7 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If the result has no picture, an option is unknown or out of range,
-                or the robot is missing.
+            ConfigurationError: For example if the result has no picture, or an option is unknown.
             DisplayError: If the robot cannot be drawn, for example without OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
@@ -200,8 +198,7 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If the result has no picture, an option is unknown or out of range,
-                or the robot is missing.
+            ConfigurationError: For example if the result has no picture, or an option is unknown.
             DisplayError: If the robot cannot be drawn, for example without OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
@@ -229,11 +226,10 @@ class Tabular(Result):
 
 
 def shorten(value: object, other: object = None) -> str:
-    """Return a short text of a value, for ``repr``: floats with 6 digits, long containers by size.
+    """Return a short text of a value, for ``repr``; a long container is represented by its size.
 
-    A mapping is represented by its size and its first names. ``other`` is a second value that is
-    printed beside ``value`` for comparison. If both are floats, or short vectors with equal
-    lengths, digits are added until different numbers have different texts.
+    ``other`` is a second value that is printed beside ``value`` for comparison: if possible, digits
+    are added until different numbers have different texts.
     """
     if isinstance(value, Enum):
         return repr(value.value)
@@ -270,9 +266,8 @@ def _join_texts(value: object) -> str:
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
     """Return a short text of each item of a vector, by `shorten`.
 
-    Rounding errors in an array that is not compared are written as 0 (`zero_rounding_errors`).
-    ``other`` is the vector that is printed beside ``values``: two different numbers at the same
-    position get different texts. An ``other`` of another length is ignored.
+    ``other`` is a vector that is printed beside ``values``, for comparison. Without it, rounding
+    errors in an array are written as 0 (`zero_rounding_errors`).
     """
     if other is None and isinstance(values, np.ndarray) and values.dtype.kind == "f":
         values = zero_rounding_errors(values)
@@ -305,11 +300,10 @@ _Value = TypeVar("_Value")
 
 
 def shorten_paths(value: _Value, prefix: str) -> _Value:
-    """Remove the path of a temporary folder from all texts and paths in a value.
+    """Remove the path of a temporary folder from the texts and paths in a value.
 
-    ``prefix`` is the path of the folder; each occurrence is removed. Tuples, the values of
-    dictionaries and the ``init`` fields of dataclasses are searched; lists, keys and other values
-    are not changed. A value without the prefix is returned itself, not a copy.
+    ``prefix`` is the path of the folder. Tuples, the values of dictionaries and the ``init`` fields
+    of dataclasses are searched. A value without the prefix is returned itself, not a copy.
     """
     return cast(_Value, _strip_prefix(value, prefix))
 

@@ -71,10 +71,7 @@ class LazyGroup(click.Group):
         ctx: click.Context | None,  # noqa: ARG002
         cmd_name: str,
     ) -> click.Command | None:
-        """Import the command-line command with a name; None if there is no such command.
-
-        Called by click.
-        """
+        """Import the command-line command with a name; None without. Called by click."""
         return _import_command(cmd_name)
 
     def resolve_command(
@@ -91,7 +88,7 @@ class LazyGroup(click.Group):
 
         Raises:
             click.UsageError: If there is no such command. The message suggests similar names, if
-            there are any.
+                any.
         """
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
@@ -136,23 +133,17 @@ DEBUG_OPTION = "--debug"
 
 GC_THRESHOLDS = 200_000, 2, 2
 """Thresholds of Python's garbage collector for the three generations of objects [1]. The first is
-larger than the default, so that collections are rarer. With the defaults, ``stand v3`` ran 163
-collections in 0.17 s (measured once). Chosen, not tuned."""
+larger than the default, so that collections are rarer: with the defaults, ``stand v3`` ran 163
+collections in 0.17 s (measured once). Chosen, not tuned.
+"""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command-line command, and end the process with the exit status of the command.
 
-    Most errors are printed on standard error, as a single line. The exit status of an error is:
-
-    - 2 for an error of the package or of the command line, a lack of system resources such as disk
-      space, or a failure to write standard output. Command lines to run next may follow.
-    - 3 for an unexpected error.
-    - The exit status of shells for a signal that ends the process: 130 for Ctrl-C.
-    - The exit status of a library that ends the process.
-
-    With ``--debug``, the traceback of an unexpected error or a lack of resources is printed as
-    well. A closed output pipe is no error.
+    The exit status is one of the constants ``EXIT_...``; for a signal, that of a shell (130 for
+    Ctrl-C); or that of a library that ends the process. Errors are printed on standard error. A
+    closed output pipe is no error.
 
     Args:
         command: Command.
@@ -189,8 +180,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
     """Run a command-line command, print its error if it fails, and return the exit status.
 
-    The exit status is one of the constants ``EXIT_...``, or the number in a ``SystemExit`` of a
-    library. ``debug`` prints the traceback of an unexpected error, or of a lack of resources.
+    ``debug`` prints the traceback of an unexpected error.
     """
     try:
         with ensure_run() as run:  # includes parsing, because options read files
@@ -231,16 +221,13 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
 
 
 _RESOURCE_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
-"""Error numbers (``errno``) of missing system resources, such as disk space. These errors, and a
-missing current folder (`_describe_lack`), have the exit status `EXIT_BAD_INPUT`; other unexpected
-errors are reported as bugs."""
+"""Error numbers (``errno``) of missing system resources, such as disk space. These errors have the
+exit status `EXIT_BAD_INPUT`, because they are no bugs of this package.
+"""
 
 
 def _describe_lack(error: Exception) -> str:
-    """Describe the system resource whose lack caused an error; empty for other errors.
-
-    Resources are, for example, disk space (`_RESOURCE_ERRORS`) and the current folder.
-    """
+    """Describe the system resource, such as disk space, whose lack caused an error; else empty."""
     if isinstance(error, OSError) and error.errno in _RESOURCE_ERRORS:
         return f"the system has no more to give: {error.strerror}"
     if isinstance(error, FileNotFoundError):

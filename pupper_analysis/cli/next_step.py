@@ -28,8 +28,9 @@ _OUTPUT_PARAMETERS = ("everything", "style", "force")
 command does not get."""
 
 _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
-"""First words of the command lines that compute a payload mass. Only these commands accept
-``--payload-at`` without ``--payload``."""
+"""First words of the command lines that compute a payload mass, which accept ``--payload-at``
+without ``--payload``.
+"""
 
 
 _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
@@ -39,21 +40,15 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
 def complete_command(step: NextStep | None) -> str:
     """Create the command line of a suggested next step, for the robot of the running command.
 
-    The line consists of:
-
-    - The command and the words of the step.
-    - The robot that the user typed, unless the step names files.
-    - The typed options that both commands have, without options for outputs, and without those of
-      `_list_excluded_options`.
+    The line contains the command and the words of the step, the typed robot, and most of the typed
+    options that both commands have.
 
     Args:
         step: Next step; None for none.
 
     Returns:
-        Command line. Empty without a step, or if no such line is possible, for example:
-
-        - The next command is not installed, or needs more files than were typed.
-        - The line would contain ``-``: a file that the user passed on standard input.
+        Command line; empty without a step, or if no such line is possible, for example because the
+        next command needs more files than were typed.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -106,10 +101,7 @@ def _replace_step_of_weld(
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
-    """Return the typed words that specify the robot or its model files, for example ``v3``.
-
-    If the arguments of the command are a URDF and an MJCF, the URDF is returned first. The user may
-    type both in any order.
+    """Return the typed words that specify the robot or its model files, the URDF first.
 
     Args:
         arguments: Names of the arguments of the running command.
@@ -165,9 +157,8 @@ def _fit_robot_arguments(
 def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[str]:
     """Return the words of typed options that the suggested next command does not repeat.
 
-    These are the words of the step, the options that the step omits, and ``--payload-at`` if the
-    next command would refuse this option without ``--payload``. If the step contains a value for a
-    pattern of joints, such as ``--kp 'knee_*=5'``, the typed values of this option are kept.
+    Typed values of an option are kept if the step adds a value for a pattern of joints, such as
+    ``--kp 'knee_*=5'``.
 
     Args:
         step: Next step.
@@ -202,16 +193,13 @@ def complete_fixed_base_command(running_command: str) -> str:
 def complete_relaxed_command(error: StanceUnreachableError) -> str:
     """Create the command line that requests the nearest reachable stance, after a refusal.
 
-    The command is that of the running command line. Options of the relaxed requirements have the
-    values of the reachable stance (`error.nearest`). The other typed words are those that
-    `complete_command` keeps.
+    Options of the relaxed requirements have the values of the reachable stance (`error.nearest`).
 
     Args:
         error: Error that the requested stance is out of reach.
 
     Returns:
-        Command line. Empty if there is none, for example without a reachable stance, or if a
-        relaxed requirement is a contact surface.
+        Command line; empty if there is none, for example without a reachable stance.
     """
     from pupper_analysis.cli.stance_fields import format_as_options
 
@@ -243,9 +231,7 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
 
 
 def print_next_step(step: NextStep | None) -> None:
-    """Print the command line of a suggested next step, after a command that prints no report.
-
-    Nothing is printed if `complete_command` returns an empty line.
+    """Print the command line of a suggested next step, if any (`complete_command`).
 
     Args:
         step: Next step; None for none.
@@ -255,10 +241,7 @@ def print_next_step(step: NextStep | None) -> None:
 
 
 def _split_parameter(value: object) -> list[str]:
-    """Convert the value of a parameter to command-line words: items of a list, or a single text.
-
-    Empty for a value that is neither, such as a flag or a number.
-    """
+    """Return a text, or the items of a list, as command-line words; empty for another value."""
     if isinstance(value, list | tuple):
         return [str(one) for one in value]
     return [value] if isinstance(value, str) else []
@@ -272,7 +255,7 @@ def _list_common_options(
 ) -> Iterator[str]:
     """Yield the typed options, with values, that the suggested next command also has.
 
-    Options that select the form of the output or a result file, and ``--force``, are left out.
+    Options for outputs and ``--force`` are left out.
 
     Args:
         order: Typed parameters.

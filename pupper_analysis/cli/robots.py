@@ -77,8 +77,9 @@ DETECTION_OPTIONS = (
     shared.package_option,
     *shared.XACRO_OPTIONS,
 )
-"""Options for loading the files of a robot: properties that are otherwise detected, the file that
-has priority if both files disagree, and the expansion of a xacro file."""
+"""Options for loading the files of a robot: properties that are otherwise detected, the file with
+priority in a disagreement, and the expansion of a xacro file.
+"""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
@@ -112,7 +113,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         param: click.Parameter,  # noqa: ARG002
         incomplete: str,
     ) -> list[CompletionItem]:
-        """Return completions of a word: matching variants, and model files in the current folder.
+        """Return completions of a word: variants, and model files in the current folder.
 
         Without a match, the shell completes file names by itself.
         """
@@ -133,8 +134,9 @@ model files. The parameter of the command's function is ``words``."""
 robot_and_sources_argument = click.argument(
     "words", nargs=-1, type=_RobotWord(), metavar="[ROBOT] [SOURCE]..."
 )
-"""Argument of command-line commands that take a single robot, and the files of a policy (`walk`).
-The parameter of the command's function is ``words``."""
+"""Argument of command-line commands that take a single robot, and the files of a policy. The
+parameter of the command's function is ``words``.
+"""
 
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
 """Argument of command-line commands that take several robots: names of robots, or model files. The
@@ -186,8 +188,8 @@ class RobotOptions:
             robot is specified.
 
         Raises:
-            ConfigurationError: If several robots are specified, or an option for files is not valid
-                or is typed without a file.
+            ConfigurationError: If several robots are specified, or an option for files is not
+                valid, for example.
             VariantError: If a word names no robot, or a base or scale is not valid.
         """
         from pupper_analysis.pupper.variant_files import parse_single_robot
@@ -216,7 +218,7 @@ class RobotOptions:
             robot is specified.
 
         Raises:
-            ConfigurationError: If an option for files is not valid or is typed without a file.
+            ConfigurationError: If an option for files is not valid, or is typed without a file.
             VariantError: If a word names no robot, or a base or scale is not valid.
         """
         from pupper_analysis.pupper.variant_files import parse_robot_words
@@ -232,8 +234,7 @@ class RobotOptions:
         """Add the typed options for files to the selected robots that are loaded from files.
 
         Raises:
-            ConfigurationError: If there are such options, and no robot is from files; or if such an
-                option is not valid.
+            ConfigurationError: If such an option is typed, and no robot is from files, for example.
         """
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
@@ -270,11 +271,8 @@ class RobotOptions:
     def _load_options(self) -> dict[str, Any]:
         """Typed options for loading files, as {keyword argument of ``load_robot``: value}.
 
-        Options that were not typed are not included.
-
         Raises:
-            ConfigurationError: If a text such as ``NAME=FRAME`` has another form, or a folder of
-                ``--package`` does not exist.
+            ConfigurationError: If the text of an option has another form, for example.
         """
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet or ()]
         frames: dict[str, str | tuple[str, str]] = {}
@@ -347,8 +345,6 @@ def name_uniquely(
 ) -> list[Robot]:
     """Give robots unique names, so that the results of several robots can be distinguished.
 
-    Equal names are extended by the file names, or else by numbers.
-
     Args:
         meant: Selections of the user.
         robots: Robots that were loaded from the selections, in the same order.
@@ -403,8 +399,7 @@ def hide_notes(robot: Robot) -> None:
     """Count the unprinted notes on a robot, for the next report.
 
     A short report with a single document states the number, as "with -v: 3 notes". Warnings and
-    errors do not count: callers print these (`print_warnings`). The count is in click's context
-    (``shared.HIDDEN_NOTES``).
+    errors do not count: callers print these (`print_warnings`).
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
 
@@ -417,8 +412,7 @@ def hide_notes(robot: Robot) -> None:
 def pass_robot_options(command: Command) -> Command:
     """Change a command-line command to receive the options of a robot as a `RobotOptions`.
 
-    The object is the first argument of the function. Options that the command does not have are
-    None.
+    The object is the first argument of the function ``command``.
     """
 
     @wraps(command)

@@ -63,11 +63,7 @@ def make_option(field: Field) -> Callable[[Command], Command]:
 def _complete_value(
     field: Field, context: click.Context, _: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """List the completions of an incomplete option value, for a shell.
-
-    These are the words that the field accepts, or the names of the robot's feet, joints or links
-    with an equals sign. No such names are listed if the robot cannot be loaded.
-    """
+    """Return the completions of an incomplete value of a field's option, for a shell."""
     words = [*field.choices]
     if field.per:
         words = [f"{name}=" for name in _list_elements(field.per, context.params.get("words"))]
@@ -77,9 +73,7 @@ def _complete_value(
 def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
     """Return the names of the feet, joints or links of a robot; none if the robot cannot be loaded.
 
-    Args:
-        kind: ``foot``, ``joint`` or ``link``.
-        words: Words that name the robot. Without words, the robot is v3.
+    ``kind`` is ``foot``, ``joint`` or ``link``; ``words`` name the robot (default: v3).
     """
     with suppress(Exception):  # a shell shows no error while it completes a word
         from pupper_analysis import load_robot
@@ -94,8 +88,8 @@ def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
     """Create decorators that add the options of the stand task to a command-line command.
 
     Args:
-        *headings: Headings of the sliders on the page of ``live``. If given, only options of fields
-            with a slider under such a heading are included. Otherwise all options are included.
+        *headings: Headings of the sliders on the page of ``live``, to select options; by default
+            all options are included.
     """
     return tuple(
         make_option(field)
@@ -129,8 +123,7 @@ def format_as_options(task: StandTask, attributes: Sequence[str]) -> dict[str, l
 
     Returns:
         {option: its values}, for example ``{"--swing": ["FL=20mm"]}``, without values that are
-        None. Empty if another value has no option, or is no length, angle or point, for example a
-        contact surface.
+        None. Empty if a value has no form as option, for example a contact surface.
     """
     stated = task.values()
     fields = [field for field in FIELDS.values() if field.attribute in attributes]
@@ -162,16 +155,14 @@ def _format_number(value: float, kind: str) -> str:
 def to_task_value(field: Field, value: Any) -> Any:
     """Convert the value of a command-line option into the value of a `StandTask` field.
 
-    Texts are parsed, with numbers in SI units. Texts such as ``FL=10cm`` of a repeatable option
-    become a mapping.
+    Texts such as ``FL=10cm`` of a repeatable option become a mapping, with numbers in SI units.
 
     Args:
         field: Field of the task.
         value: Value of the option, from click.
 
     Raises:
-        ConfigurationError: If a text has another form, or a contact is stated twice; the message
-            names the option.
+        ConfigurationError: If a text has another form, or a contact is stated twice.
     """
     if field.per:
         assignments = [(shared.parse_assignment(field.option, text), text) for text in value]
@@ -202,8 +193,6 @@ def _parse_value(field: Field, text: str, given: str) -> Any:
 def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     """Parse the text of a contact, such as ``wall:0.4m,mu=0.6``, into a contact surface.
 
-    The help of the option describes the form.
-
     Args:
         option: Name of the option, for errors.
         text: Text of the surface: kind, size and properties.
@@ -214,8 +203,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         world.
 
     Raises:
-        ConfigurationError: If the text has another form or an unknown property, or a value is not
-            valid.
+        ConfigurationError: If the text has another form, or a value is not valid.
     """
     from pupper_analysis.robot.plane import PLANE_NORMALS, Bar, Contact, Plane, Slope, Weld
 
@@ -284,10 +272,7 @@ payload, servos and MuJoCo options."""
 
 
 def _load_defaults(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
-    """Use the values of a stance file as defaults of command-line options; called by click.
-
-    Typed values have priority.
-    """
+    """Use the values of a stance file as defaults of command-line options; called by click."""
     if path is not None:
         context.default_map = {**(context.default_map or {}), **read_stance_file(path)}
 
@@ -316,8 +301,7 @@ def read_stance_file(path: Path) -> dict[str, Any]:
         {parameter: value in the form of the command line}.
 
     Raises:
-        ConfigurationError: If the file cannot be read, or contains an unknown option or a value of
-            another form.
+        ConfigurationError: If the file cannot be read, or contains an unknown option, for example.
     """
     try:
         _, values = read_toml(path)
@@ -350,9 +334,6 @@ def _format_as_typed(path: Path, key: str, value: Any) -> Any:
     """Convert a value of a stance file to the form that is typed on the command line.
 
     A point becomes a text with commas, and {foot: value} a list of texts ``FOOT=VALUE``.
-
-    Raises:
-        ConfigurationError: If the value has no such form.
     """
     if isinstance(value, Mapping):
         return [f"{name}={_format_as_typed(path, key, item)}" for name, item in value.items()]

@@ -116,8 +116,8 @@ _COMPARED_PREFIXES: Final = (
     *("qpos0", "qpos_spring"),
 )
 """Prefixes of the names of the arrays in which the compiled new spec must agree with the given
-model. Frames and sizes of geoms are compared by points (`_outline`), because MuJoCo's compiler
-moves the frame of a mesh."""
+model.
+"""
 
 _IGNORED_ARRAYS: Final = frozenset(
     {
@@ -127,36 +127,33 @@ _IGNORED_ARRAYS: Final = frozenset(
         "tendon_invweight0",
     }
 )
-"""Arrays that are not compared, although their names have a prefix of `_COMPARED_PREFIXES`: groups,
-materials, colours, widths, user data, plug-in ids, history buffers, and results of MuJoCo's
-compiler such as the inverse weights of tendons."""
+"""Arrays that are not compared, although their names have a prefix of `_COMPARED_PREFIXES`: for
+example groups, materials, colours and user data.
+"""
 
 _ARRAY_TOLERANCE: Final = 1e-9
-"""Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be
-reproduced. Reason: MuJoCo normalises quaternions and axes again, which changes the last digits.
-Chosen, not tuned."""
+"""Absolute tolerance, in the unit of the array, and relative tolerance of compared arrays. Reason:
+MuJoCo normalises quaternions and axes again, which changes the last digits. Chosen, not tuned.
+"""
 
 _VERTEX_ATOL: Final = 1e-5
-"""Absolute tolerance [m] of the points of a geom (`_outline`), such as the vertices of its mesh,
-which MuJoCo stores with seven digits. Numpy's relative tolerance, 1e-5, is added. Chosen, not
-tuned."""
+"""Absolute tolerance [m] of compared points of a geom (`_outline`), such as the vertices of its
+mesh, which MuJoCo stores with seven digits. Chosen, not tuned.
+"""
 
 
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     """Reconstruct a spec that compiles to a model with the same dynamics as a given model.
 
-    These elements without a name get a name such as ``body_3``: bodies, joints, geoms, sites,
-    tendons, actuators, meshes and height fields. Exceptions: free joints, and geoms to which no
-    contact pair and no tendon refers. The given model is not modified.
+    Most elements without a name get a name such as ``body_3``. The given model is not modified.
 
     Args:
         model: Compiled model.
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If the model has bodies, but no body and no joint has a name, if the model has
-            an unsupported element, if MuJoCo does not compile the spec, or if the compiled spec
-            differs from the model.
+        ModelError: If the model has no names or an unsupported element, for example, or the
+            compiled spec differs from the model.
     """
     joints = [model.joint(joint).name for joint in range(model.njnt)]
     bodies = [model.body(body).name for body in range(1, model.nbody)]
@@ -404,10 +401,10 @@ def _copy_fields(
 
 
 def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
-    """Combine linear and further coefficients of a spring or damper, shape (1 + n,).
+    """Return linear and further coefficients of a spring or damper, shape (1 + n,), linear first.
 
-    The linear coefficient comes first. ``linear`` (m,) and ``polynomial`` (m, n) are arrays of
-    ``mjModel``, and ``index`` is the row of the element.
+    ``linear`` (m,) and ``polynomial`` (m, n) are arrays of ``mjModel``, and ``index`` is the row of
+    the element.
     """
     return np.concatenate([[linear[index]], polynomial[index]])
 
@@ -415,9 +412,7 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
     """Yield the names of arrays, geoms and options in which two compiled models differ.
 
-    Compared are the arrays of `_COMPARED_PREFIXES` except `_IGNORED_ARRAYS`, the points of all
-    geoms (`_outline`) and all options. ``model`` is the original. ``made`` is compiled from the
-    reconstructed spec.
+    ``model`` is the original. ``made`` is compiled from the reconstructed spec.
     """
     for name in dir(model):
         if not name.startswith(_COMPARED_PREFIXES) or name in _IGNORED_ARRAYS:
@@ -447,8 +442,7 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
 def _outline(model: mujoco.MjModel, geom: int) -> Array:
     """Return points that define pose and size of a geom, shape (n, 3) [m], in the body frame.
 
-    For a mesh, the points are the vertices. For other types, they are the end points of the three
-    sizes along the axes of the geom.
+    For a mesh, the points are the vertices.
     """
     data = int(model.geom_dataid[geom])
     rotation = np.zeros(9)

@@ -28,18 +28,16 @@ _ROBOT_NAME_PATTERN: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
 
 _MAX_NAME_LENGTH: Final = 200
-"""Largest number of characters of a robot name of MuJoCo Menagerie, including folder and file. A
-longer text is no such name. Chosen, not tuned: file systems permit 255 per name."""
+"""Largest number of characters of a robot name of MuJoCo Menagerie, including folder and file.
+Chosen, not tuned: file systems permit 255 per name.
+"""
 
 
 def is_menagerie_name(word: str) -> bool:
     """Return True if a text names a robot of MuJoCo Menagerie, and is no existing path.
 
-    - With the prefix ``mujoco_menagerie/``: any text ``ROBOT`` or ``ROBOT/FILE.xml`` is a name.
-    - Without this prefix: the robot's name must contain an underscore, and the installed package
-      must list the robot, or a clone must contain the robot.
-
-    The suffix of the file is not checked.
+    With the prefix ``mujoco_menagerie/``, the robot need not exist. Without the prefix, the
+    installed package or a clone must contain the robot.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
@@ -62,16 +60,13 @@ def _exists(word: str) -> bool:
 def find_menagerie_file(word: str) -> Path:
     """Return the MJCF of a robot of MuJoCo Menagerie, such as ``unitree_go2/go2.xml``.
 
-    Without a file name in ``word``, the result is the package's default model, without the scene.
-    If no installed package lists the robot, the file is selected by its stem: the longest stem that
-    is an ending of the robot's name (``go2.xml`` for ``unitree_go2``).
+    Without a file name in ``word``, the result is the robot's default model, without the scene.
 
     Args:
         word: Name; `is_menagerie_name` states the valid forms.
 
     Raises:
-        ModelError: If the package is not installed and there is no clone, if the package cannot be
-            imported, if the robot is not downloaded, or if the robot has no such file.
+        ModelError: If neither package nor clone is available, or the file is missing, for example.
         UnknownNameError: If neither the package nor the clone has such a robot.
     """
     name, *rest = Path(word.removeprefix(f"{MENAGERIE_FOLDER}/")).parts
@@ -98,9 +93,8 @@ def find_menagerie_file(word: str) -> Path:
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
     """Return the file of a Menagerie robot's default model in ``folder``; None if there is none.
 
-    ``robot`` is the robot's entry in the Menagerie package. If there is no entry (None), stems of
-    the XML files are compared with the end of ``name``. The file with the longest matching stem is
-    returned.
+    ``robot`` is the robot's entry in the Menagerie package. Without an entry, the file is selected
+    by the end of ``name``: ``go2.xml`` for ``unitree_go2``.
     """
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)
@@ -137,19 +131,15 @@ def describe_error(error: Exception) -> str:
 
 
 def _import_package() -> Any:
-    """Return the package ``mujoco_menagerie``; None if it is not installed.
-
-    Raises:
-        ModelError: If the package is installed and cannot be imported.
-    """
+    """Return the package ``mujoco_menagerie``; None if it is not installed."""
     return import_source(*MENAGERIE_PACKAGE)
 
 
 def _find_clone() -> Path | None:
-    """Find the folder of a local clone of MuJoCo Menagerie; None if there is none.
+    """Return the folder of a local clone of MuJoCo Menagerie; None if there is none.
 
-    The environment variable ``MENAGERIE_ROOT`` contains the folder, which is not checked. Without
-    the variable, the folder is ``mujoco_menagerie`` in the working directory or above.
+    The environment variable ``MENAGERIE_ROOT`` contains the folder (not checked). Without the
+    variable, the working directory and the folders above are searched.
     """
     root = os.environ.get("MENAGERIE_ROOT")
     if root:
@@ -160,10 +150,7 @@ def _find_clone() -> Path | None:
 
 
 def list_menagerie_robots() -> tuple[str, ...]:
-    """Return the names of the robots of MuJoCo Menagerie in the installed package and in a clone.
-
-    The names are sorted. A package that cannot be imported has no names.
-    """
+    """Return the sorted names of robots of MuJoCo Menagerie, from the package and from a clone."""
     clone = _find_clone()
     try:
         package = _import_package()

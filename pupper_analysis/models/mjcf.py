@@ -98,9 +98,9 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 TIMESTEP_RANGE = 1e-5, 0.1
 """Lower and upper bound of the time step in an MJCF that is simulated [s]; other time steps are
-refused. `robot.servos.with_options` has a larger lower bound (`robot.servos.MIN_TIMESTEP`). Chosen,
-not tuned. At the lower bound, a simulation of 12 s takes 1.2 million steps. At the upper bound, a
-base falls 10 cm in its first step, although contacts oscillate within 10 ms."""
+refused. Chosen, not tuned. At the lower bound, a simulation of 12 s takes 1.2 million steps. At the
+upper bound, a base falls 10 cm in its first step, although contacts oscillate within 10 ms.
+"""
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
@@ -160,8 +160,8 @@ _BOUNDED_FIELDS = {
     "geom": ("pos", "quat", "size", "friction"),
     "site": ("pos", "quat"),
 }
-"""{prefix of arrays of ``mjModel``: fields that `find_invalid_number` checks}. A model with an
-absolute value above ``MAX_NUMBER``, or NaN, in one of these arrays is refused."""
+"""{prefix of arrays of ``mjModel``: fields whose absolute values must be at most ``MAX_NUMBER``}.
+"""
 
 _NAN_FREE_FIELDS = (
     "qpos0",
@@ -169,18 +169,16 @@ _NAN_FREE_FIELDS = (
     *(f"actuator_{what}" for what in ("gear", "gainprm", "biasprm", "armature", "damping")),
     *(f"tendon_{what}" for what in ("stiffness", "damping", "armature", "frictionloss")),
 )
-"""Fields of ``mjModel``, such as ranges and gains, in which infinity is valid, but NaN is not. A
-model with NaN in such a field is refused."""
+"""Fields of ``mjModel``, such as ranges and gains, that must not contain NaN; infinity is valid."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 """{prefix of an array of ``mjModel``: tag of the element in an MJCF}, if both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
-    """Return a diagnostic of the first invalid number of a compiled model; None if none is found.
+    """Return a diagnostic of an invalid number of a compiled model; None if none is found.
 
     MuJoCo compiles models with NaN, with too large numbers, and with zero axes or quaternions.
-    Checked are the fields in `_BOUNDED_FIELDS` and `_NAN_FREE_FIELDS`, axes, quaternions, gravity.
     """
     for kind, fields in _BOUNDED_FIELDS.items():
         for field in fields:
@@ -242,10 +240,7 @@ _EQUALITY_OBJECTS = {
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the name of an equality constraint for messages, also of an unnamed constraint.
-
-    Without a name, the result contains number and objects: ``#3 (rod = heel)``.
-    """
+    """Return the name of an equality constraint, or a substitute such as ``#3 (rod = heel)``."""
     objects = [
         str(mujoco.mj_id2name(model, object_type.value, object_id) or f"#{object_id}")
         for object_type, object_id in equality_ends(model, index)

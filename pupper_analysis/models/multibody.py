@@ -271,8 +271,7 @@ def from_pinocchio(
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     """Return the world placement of each joint of a Pinocchio model, without ``pin.Data``.
 
-    The result equals the result of ``pin.forwardKinematics``. ``pin.Data`` is avoided because its
-    size grows at least with the square of the number of joints.
+    ``pin.Data`` is avoided because its size grows at least with the square of the number of joints.
 
     Args:
         model: Pinocchio model.
@@ -317,8 +316,7 @@ def copy_value(
 ) -> MultibodyTree:
     """Return a copy of a tree with one value of another tree, such as a mass or a joint axis.
 
-    If the value is the parent of a joint, and the new parent creates a loop, the parents of all
-    joints are copied.
+    If a new parent of a joint creates a loop, the parents of all joints are copied.
 
     Args:
         tree: Tree to modify; the result is a copy.

@@ -49,8 +49,8 @@ ModelObject: TypeAlias = (
     | MjcfFile
 )
 """Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``; a
-``pin.RobotWrapper`` contains both. ``UrdfFile`` and ``MjcfFile`` are files that have been read, or
-models that were derived in memory."""
+``pin.RobotWrapper`` contains both. ``UrdfFile`` and ``MjcfFile`` are files that have been read.
+"""
 
 
 def is_object(model: object) -> bool:
@@ -113,8 +113,7 @@ class ObjectFiles:
     def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
         """Add armature and gravity of the Pinocchio model to an MJCF; a URDF cannot state them.
 
-        Armature is in kg m^2 (hinge) or kg (slide), gravity in m/s^2. Meshes of the temporary
-        folder become assets in memory.
+        Meshes of the temporary folder become assets in memory.
 
         Args:
             mjcf: MJCF that was converted from the URDF of the Pinocchio model.
@@ -153,12 +152,12 @@ def read_objects(
 
     Args:
         models: Objects. A ``pin.GeometryModel`` contains the shapes of the only ``pin.Model`` in
-            the list. The model and the collision model of a ``pin.RobotWrapper`` are read.
+            the list.
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
-        ConfigurationError: If there are several geometry models, or the geometry model does not
-            belong to exactly one ``pin.Model`` among the objects.
+        ConfigurationError: If a geometry model does not belong to exactly one ``pin.Model``, for
+            example.
         ModelError: If no robot can be made of an object; the message names the reason.
         OutputError: If this run of the command line also writes a file that a model uses.
     """
@@ -185,10 +184,7 @@ def _unwrap(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
 
 
 def _is_geometry_of(geometry: pin.GeometryModel, model: pin.Model) -> bool:
-    """Return True if a geometry model fits to a Pinocchio model, as far as its indices show.
-
-    The joint and frame of each shape must exist, and the frame must be fixed to this joint.
-    """
+    """Return True if joints and frames of a geometry model's shapes fit to a Pinocchio model."""
     return all(
         item.parentJoint < model.njoints
         and item.parentFrame < model.nframes
@@ -210,10 +206,6 @@ def _read_object(
         geometry: Shapes of a ``pin.Model``; None without shapes.
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
         folder: Folder to which the meshes of ``geometry`` are written.
-
-    Raises:
-        ModelError: If the robot cannot be written as a model, or the model cannot be read.
-        OutputError: If this run of the command line also writes a file that the model uses.
     """
     if isinstance(model, UrdfFile | MjcfFile):
         return model
@@ -244,9 +236,8 @@ def _read_object(
 def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
     """Return the `MjcfFile` of a spec; if its XML is not usable, via the compiled model.
 
-    A spec with an attached model may have no usable XML. MuJoCo cannot write the XML if the
-    compiler settings of both differ, and the folder of the attached model's files is unknown. In
-    these cases the file is made from the compiled model, with a note.
+    The XML of a spec with an attached model may be missing, because the compiler settings differ,
+    or the folder of the attached model's files is unknown.
 
     Args:
         path: Path that messages contain instead of a file's path.
@@ -294,10 +285,6 @@ def _make_text_file(
         text: URDF or MJCF; relative paths in the text start at the current folder.
         name: Kind of the robot in memory, for messages, such as ``XML text``.
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
-
-    Raises:
-        ModelError: If the text is no valid URDF or MJCF.
-        OutputError: If this run of the command line also writes a file that the model uses.
     """
     path = Path(f"<{name}>")
     text = text.lstrip("\ufeff \t\r\n")
@@ -320,10 +307,6 @@ def _read_urdf(
     """Read a URDF from a text without a file; the elements get no line numbers.
 
     ``note`` is put in front of the notes of the URDF.
-
-    Raises:
-        ModelError: If the text is no valid URDF.
-        OutputError: If this run of the command line also writes a mesh or texture.
     """
     root = parse_file_text(path, text)
     forget_lines(root)

@@ -164,8 +164,8 @@ def list_similar_published_names(word: str) -> list[str]:
     """Return up to three names of published robots that are similar to a word.
 
     The names are robots of MuJoCo Menagerie, and descriptions of the package
-    ``robot_descriptions``, if installed. Names that contain the word between underscores, such as
-    ``unitree_go2`` for ``go2``, count as similar.
+    ``robot_descriptions``, if installed. Names that contain a specific word between underscores,
+    such as ``unitree_go2`` for ``go2``, count as similar.
     """
     name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
     known = [*_list_descriptions(), *list_menagerie_robots()]

@@ -43,12 +43,12 @@ ASYMMETRIC_PART_NAME = re.compile(
     "gripper|finger|camera|realsense|kinect|lidar|imu|sensor", re.IGNORECASE
 )
 """Pattern in the names of parts that are often not mounted as mirror images of each other, such as
-cameras. `find_mirror_pairs` excludes such names."""
+cameras.
+"""
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Pattern of the names of leg joints, for example to recognise robots whose base should be free.
-Joints of arms and hands, whose base is bolted down, rarely have such names."""
+"""Pattern of the names of leg joints. Joints of arms and hands rarely have such names."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. Chosen, not tuned: in published models, motors of
@@ -56,22 +56,21 @@ the same type have identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
 """Ratio (pairs with equal left and right motor) / (unequal pairs), from which each unequal pair is
-reported. At such a ratio, the model has a single set of values per motor type, so an unequal pair
-is probably an error. If each motor was identified individually, no pair is equal. Chosen, not
-tuned."""
+reported: the model then has a single set of values per motor type. Chosen, not tuned.
+"""
 
 _MIN_REPORTED_RATIO = 20.0
-"""Ratio between the values of left and right motor, from which a pair is reported even if the
-motors were identified individually. Chosen: in five published robots, individually identified
-armatures differ by a factor of at most 13."""
+"""Ratio between the values of left and right motor, from which a pair is reported in any case.
+Chosen: in five published robots, individually identified armatures differ by a factor of at most
+13.
+"""
 
 
 def mirror_name(name: str) -> str:
     """Return a name with left and right exchanged, for example ``FR_knee`` for ``FL_knee``.
 
-    Abbreviations are exchanged only if the name contains no written-out side, and only those in the
-    case of the first: ``R_lf_j1`` is a joint of the little finger of the right hand. Words such as
-    ``upright`` contain no side (``_OTHER_WORD``). A name without a side is returned unchanged.
+    Written-out sides have priority over abbreviations: ``R_lf_j1`` is a joint of the little finger
+    of the right hand. A name without a side, such as ``upright``, is returned unchanged.
     """
     others = [match.span() for match in _OTHER_WORD.finditer(name)]
 
@@ -101,10 +100,8 @@ def _list_mirror_names(name: str) -> tuple[str, str]:
 def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in the word for left or right.
 
-    A name such as ``foot`` of a planar walker is paired with ``foot_left`` or ``foot_right``,
-    unless both exist, or one of the names has another partner. These pairs come last. The other
-    pairs are in the given order. Names of grippers, fingers, cameras, IMUs and sensors are excluded
-    (``ASYMMETRIC_PART_NAME``).
+    ``foot`` of a planar walker may be paired with ``foot_left`` or ``foot_right``. Names of
+    asymmetric parts, such as cameras, are excluded (``ASYMMETRIC_PART_NAME``).
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
@@ -134,17 +131,11 @@ def find_unlike_pairs(
 ) -> list[tuple[str, str]]:
     """Return the left-right pairs of joints whose values of one parameter differ unexpectedly.
 
-    A pair is equal if the values of both joints agree within 2 % (``_MOTOR_PARAMETER_RTOL``). Three
-    cases are distinguished:
-
-    - At least three quarters of the pairs are equal: all unequal pairs are returned, because motors
-      of the same type have a single set of values.
-    - The unequal pairs contain at most as many distinct values as there are unequal pairs, for
-      example one value for all left joints and another for all right joints: all unequal pairs are
-      returned. (In five published robots with identified motors, there are 1.67 to 2 values per
-      unequal pair.)
-    - Otherwise the motors were identified individually: only pairs whose absolute values differ by
-      a factor of at least 20 (``_MIN_REPORTED_RATIO``) are returned.
+    Values that agree within 2 % (``_MOTOR_PARAMETER_RTOL``) are equal. If most pairs are equal, or
+    the unequal pairs share values, the motors of a type have a single set of values, and all
+    unequal pairs are returned. If the motors were identified individually, pairs with a ratio of at
+    least ``_MIN_REPORTED_RATIO`` are returned. (In five published robots with identified motors,
+    there are 1.67 to 2 distinct values per unequal pair.)
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.
@@ -166,8 +157,6 @@ def find_unlike_pairs(
 
 def _are_equal(first: float, second: float) -> bool:
     """Return True if two motor parameters differ by at most ``_MOTOR_PARAMETER_RTOL`` (relative).
-
-    The difference is relative to the second value.
     """
     return first == second or abs(first - second) <= _MOTOR_PARAMETER_RTOL * abs(second)
 
@@ -177,15 +166,13 @@ _LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf"
 _SIDE_TOKENS: Final = frozenset(
     {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
 )
-"""Words in names that distinguish limbs, in lower case. `strip_sides` removes these words from
-names to find the corresponding links or joints of several limbs."""
+"""Words in names that distinguish limbs, in lower case, which `strip_sides` removes."""
 
 
 def strip_sides(name: str) -> str:
     """Return a name without the words that distinguish limbs: ``calf`` for ``FL_calf``.
 
-    The result is in lower case. Underscores, hyphens, points and spaces separate words; a new word
-    also begins at a capital after a small letter. The remaining words are joined by underscores.
+    The result is in lower case, with underscores between the remaining words.
     """
     words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
     return "_".join(word for word in words if word not in _SIDE_TOKENS)

@@ -70,8 +70,7 @@ def read_gears(model: mujoco.MjModel, actuators: NDArray[np.integer]) -> Array:
 def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of the actuators that act directly on a hinge or slide.
 
-    The transmissions ``joint`` and ``jointinparent`` count, which are equal for such joints. The
-    ids are rows of the arrays ``actuator_`` with ``model.nactuator`` rows. They are no indices of
+    The ids are rows of the arrays ``actuator_`` with ``model.nactuator`` rows, not indices of
     ``ctrl``, because an actuator may have several controls.
     """
     candidates = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
@@ -79,10 +78,7 @@ def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint id: ids of its actuators} for the hinges and slides with an actuator.
-
-    Only actuators that act directly on a single joint count (`is_at_one_joint`).
-    """
+    """Return {joint id: ids of its actuators} for the hinges and slides with a direct actuator."""
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
         if is_at_one_joint(model, actuator):
@@ -93,7 +89,7 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of actuators at tendons whose length depends on the position of a joint.
 
-    `list_tendon_joints` lists the exceptions.
+    `list_tendon_joints` determines the dependence.
     """
     return [actuator for actuator, joints in list_tendon_joints(model).items() if joint in joints]
 
@@ -126,10 +122,7 @@ def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
 
 
 def _list_branches(model: mujoco.MjModel, tendon: int) -> list[list[int]]:
-    """Return the body ids along each branch of a spatial tendon; a pulley starts a new branch.
-
-    Each site or wrapping geom contributes the id of its body. Empty branches are omitted.
-    """
+    """Return the body ids along each branch of a spatial tendon; a pulley starts a new branch."""
     branches: list[list[int]] = [[]]
     first = int(model.tendon_adr[tendon])
     for wrap in range(first, first + int(model.tendon_num[tendon])):
@@ -186,14 +179,13 @@ def measure_actuator_levers(
 
 
 def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
-    """Return the lever arms of the actuators at fixed tendons.
+    """Return the lever arms of the actuators at fixed tendons: gear x coefficient of the joint.
 
-    A fixed tendon is a linear combination of joint positions. The torque at a joint is the force of
-    the actuator times the lever arm, which is the gear times the coefficient of the joint.
+    The torque at a joint is the force of the actuator times the lever arm.
 
     Returns:
-        {actuator id: {joint id: lever arm}} of all actuators at tendons. Lever arms of zero are
-        omitted. For an actuator at a spatial tendon, the inner dictionary is empty.
+        {actuator id: {joint id: lever arm that is not 0}} of all actuators at tendons. For an
+        actuator at a spatial tendon, the inner dictionary is empty.
     """
     levers = {}
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
@@ -214,8 +206,7 @@ def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
 
 
 _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
-"""MuJoCo's type (``wrap_type``) of the elements of a fixed tendon, which are joints. Elements of a
-spatial tendon are sites, geoms and pulleys."""
+"""MuJoCo's type (``wrap_type``) of the elements of a fixed tendon, which are joints."""
 
 
 def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -301,7 +292,7 @@ class Drive(StrEnum):
         """Whether the type of the actuator is ``FORCE`` or ``OTHER``.
 
         The force of a ``FORCE`` actuator does not depend on the joint position (for example a DC
-        motor without a position gain). ``OTHER`` is any other control law, such as ``pid``.
+        motor without a position gain).
         """
         return self in (Drive.FORCE, Drive.OTHER)
 
@@ -326,11 +317,9 @@ class MadeServo:
 def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
-    - One actuator: its type.
-    - Several actuators: the type that is first in ``_TYPE_PRIORITY``. Exception: if an actuator is
-      ``WRONG_SIGN``, the sign of the summed stiffness decides between ``SERVO`` and ``WRONG_SIGN``.
-    - No actuator: ``TENDON`` if the length of a tendon with an actuator depends on the joint
-      (`list_tendon_joints`), otherwise ``NONE``.
+    Several actuators have the type that is first in ``_TYPE_PRIORITY``; if an actuator is
+    ``WRONG_SIGN``, the sign of the summed stiffness decides. Without an actuator, the type is
+    ``TENDON`` or ``NONE``.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -351,15 +340,11 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
 )  # fmt: skip
-"""Types of actuators by descending priority. A joint with actuators of different types has the type
-that comes first, unless an actuator is ``WRONG_SIGN`` (`classify_joint_drive`)."""
+"""Types of actuators by descending priority, for a joint with actuators of different types."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
-    """Return the type of an actuator at a hinge, slide or tendon, from its force law.
-
-    A ``dcmotor`` at a tendon is of type ``OTHER``.
-    """
+    """Return the type of an actuator at a hinge, slide or tendon, from its force law."""
     if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
         at_joint = is_at_one_joint(model, motor)
         return Drive.FORCE if at_joint and not _depends_on_position(model, motor) else Drive.OTHER
@@ -392,10 +377,7 @@ not tuned: a position gain of any use gives a force at this step that rounding d
 
 
 def _depends_on_position(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator's force at zero control changes with the joint position.
-
-    The forces at two joint positions, `_POSITION_STEP` apart, are compared.
-    """
+    """Return True if an actuator's force at zero control differs between two joint positions."""
     data = mujoco.MjData(model)
     address = int(model.jnt_qposadr[model.actuator_trnid[motor, 0]])
     start, forces = float(data.qpos[address]), []

@@ -348,7 +348,7 @@ def check_element(path: Path, element: etree._Element) -> bool:
         element: Element; modified in place.
 
     Returns:
-        True if the text of the URDF must be rewritten, because engines cannot read the white space.
+        True if the text of the URDF must be rewritten, because white space was removed.
 
     Raises:
         ModelError: If the element is not valid.
@@ -577,8 +577,8 @@ def _describe_origin(origin: etree._Element) -> str:
 def states_no_limits(joint: UrdfJoint) -> bool:
     """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
-    ``lower`` and ``upper`` are missing, or are zero without a known effort: exporters omit these
-    attributes, or write zeros, if the limits are unknown.
+    ``lower`` and ``upper`` are missing, or are zero together with a zero or unknown effort:
+    exporters omit these attributes, or write zeros, if the limits are unknown.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:

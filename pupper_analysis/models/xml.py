@@ -26,8 +26,9 @@ MAX_BYTES: Final = MAX_TEXT_BYTES
 """Maximum size of an XML file [bytes]; a larger file is refused."""
 
 MAX_DEPTH: Final = 250
-"""Largest nesting depth of XML elements or of another model text, and largest number of joints in a
-chain of a URDF; a deeper file is refused. Chosen, not tuned."""
+"""Largest nesting depth of XML elements, and largest number of joints in a chain of a URDF; a
+deeper file is refused. Chosen, not tuned.
+"""
 
 MAX_ELEMENTS: Final = 30_000
 """Largest number of XML elements of a file, or of an MJCF with all included files; a larger file is
@@ -50,9 +51,10 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
-"""Pattern of an XML declaration that parsers reject: it follows white space (for example a blank
-first line), or does not begin with a version 1.N (for example ``<?xml version="0.0"?>``).
-Eight of 902 public URDFs have a rejected version, but MuJoCo and Pinocchio read these files."""
+"""Pattern of an XML declaration that parsers reject: behind white space, or without version 1.N
+(for example ``<?xml version="0.0"?>``). Eight of 902 public URDFs have a rejected version, but
+MuJoCo and Pinocchio read these files.
+"""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -69,12 +71,7 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
         Text as read; root element.
 
     Raises:
-        ModelError: For example in these cases:
-
-            - The file cannot be read, is empty, is a Git LFS pointer, or has another format.
-            - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.
-            - A file that is no URDF uses xacro.
-            - A file with the suffix ``.xacro`` has an expression outside of its xacro elements.
+        ModelError: For example if the file cannot be read, is not well-formed, or exceeds a limit.
         OutputError: If this run of the command line also writes this file.
     """
     text = _read_model_text(path)
@@ -102,17 +99,15 @@ def _refuse_expressions(path: Path, root: etree._Element) -> None:
 def parse_file_text(path: Path, text: str) -> etree._Element:
     """Parse the text of an XML file, and return the root element without comments.
 
-    The default namespace is removed from the tags. White space in front of an XML declaration is
-    accepted. Xacro elements of a ``<robot>`` stay in the tree; ``xacro_declarations`` removes or
-    refuses these elements.
+    The default namespace is removed from the tags. A faulty XML declaration, for example behind
+    white space, is accepted. Xacro elements of a ``<robot>`` stay in the tree.
 
     Args:
         path: The file, for messages.
         text: Text of the file.
 
     Raises:
-        ModelError: If the text has a DOCTYPE, is not well-formed, or exceeds a limit; or if a file
-            that is no URDF uses xacro.
+        ModelError: For example if the text is not well-formed, or exceeds a limit.
     """
     if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1
@@ -184,13 +179,7 @@ def to_text(root: etree._Element) -> str:
 
 
 def _read_model_text(path: Path) -> str:
-    """Return the text of an XML model file.
-
-    Raises:
-        ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
-            format.
-        OutputError: If this run of the command line also writes this file.
-    """
+    """Return the text of an XML model file; raise a ModelError if it is unreadable, for example."""
     try:
         data = read_content(path, MAX_BYTES)
         if data.startswith(LFS_POINTER):
@@ -225,9 +214,9 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Absolute value, relative to the largest of the written numbers (or to the argument ``scale``, if
-larger), up to which `join_numbers` writes 0. Such values are rounding errors of products of
-rotation matrices. Chosen, not tuned."""
+"""Absolute value, relative to the largest of the written numbers, up to which `join_numbers` writes
+0: rounding errors of products of rotation matrices. Chosen, not tuned.
+"""
 
 NUM_DIGITS: Final = 12
 """Number of significant digits in new files. The relative rounding error is at most 5e-12, 200
@@ -309,8 +298,8 @@ def new_file_text(root: etree._Element, header: str) -> str:
 
     Args:
         root: Root element; its elements are indented in place.
-        header: Text of the comment at the top. Characters that would end the comment, or that XML
-            does not permit, are changed.
+        header: Text of the comment at the top. Characters that XML does not permit there are
+            changed.
     """
     etree.indent(root, space="  ")
     text = etree.tostring(root, encoding="unicode")

@@ -77,10 +77,7 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Return the codes of all diagnostics of this package, in no particular order.
-
-    Tools and formats of this package are included, those of other distributions are not.
-    """
+    """Return the codes of the diagnostics of this package and its tools, in no particular order."""
     return iter(_load_tables())
 
 
@@ -126,8 +123,7 @@ def phrase(key: str, language: str) -> str:
     """Return a text of documents and pages, or a term, in a language.
 
     Args:
-        key: Key in ``texts.toml`` or ``terms.toml``, or in one of the tables ``[texts]`` and
-            ``[terms]`` of a tool. The table ``[terms]`` is searched only for tools of this package.
+        key: Key of the text or term in a catalogue file.
         language: ``"en"`` or ``"zh"``; or `SHORT_FORM` for the short English form. The English text
             replaces a missing Chinese text.
 
@@ -180,10 +176,7 @@ def word_files() -> Mapping[str, Path]:
 
 
 def _select_language(words: Mapping[str, str], language: str) -> str:
-    """Return the text in a language; the English text if the text is missing.
-
-    A missing short form (`SHORT_FORM`) is empty.
-    """
+    """Return the text in a language, else in English; a missing `SHORT_FORM` is empty."""
     if language == SHORT_FORM:
         return words.get(SHORT_FORM, "")
     return words.get(language) or words["en"]
@@ -200,8 +193,6 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 def _load_plugin_tables() -> Mapping[str, str]:
     """Return {table header: TOML text of the table} of the ``words.toml`` files of plug-ins.
 
-    Plug-ins are tools and formats of other distributions (`other_packages`).
-
     The header of a table is the code of a diagnostic, or a table name of `_TABLES_BY_FILE`.
     """
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
@@ -211,13 +202,9 @@ def _load_plugin_tables() -> Mapping[str, str]:
 
 @cache
 def _load_plugin_entries(file: str) -> Mapping[str, str]:
-    """Return the one-line entries in the ``words.toml`` files of plug-ins (`other_packages`).
+    """Return {key: TOML text ``entry = ...``} of the one-line entries of plug-ins.
 
-    Args:
-        file: Catalogue file with entries of the same kind; a key of `_TABLES_BY_FILE`.
-
-    Returns:
-        {key of the entry: TOML text ``entry = ...``}.
+    ``file`` is the catalogue file with entries of the same kind, a key of `_TABLES_BY_FILE`.
     """
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     texts = [_split_tables(path).get(_TABLES_BY_FILE[file], "") for path in paths if path.is_file()]
@@ -230,9 +217,8 @@ def _load_plugin_entries(file: str) -> Mapping[str, str]:
 def _load_tables() -> Mapping[str, str]:
     """Return {code of a diagnostic: unparsed TOML text of its table} from this package's files.
 
-    The files are only split at the table headers. An entry is parsed at its first use, because a
-    command uses few entries. Parsing all entries would take 50 ms per 1,000 entries, a tenth of the
-    start time of a command.
+    An entry is parsed at its first use: parsing all entries would take 50 ms per 1,000 entries, a
+    tenth of the start time of a command.
     """
     tables: dict[str, str] = {}
     for path in word_files().values():
@@ -246,9 +232,6 @@ def _load_tables() -> Mapping[str, str]:
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
     """Return the one-line TOML entries of a catalogue file, with those of this package's tools.
-
-    Entries of the same kind in the ``words.toml`` files of this package's tools and formats are
-    included. Entries of plug-ins (tools of other distributions) are not included.
 
     Args:
         file: ``terms.toml``, ``texts.toml`` or ``meanings.toml`` (``LINE_ENTRY_FILES``).

@@ -59,12 +59,9 @@ SI unit."""
 def format_number(value: float, spec: str) -> str:
     """Format a number by a Python format specification such as ``".3g"``, mostly without exponent.
 
-    - Absolute values from 1e-6 to below 1e9 are written without exponent. If Python would write an
-      exponent, a width in the specification is ignored. Exceptions are the formats ``e``, ``E``
-      and ``G``.
-    - A negative number that is rounded to zero is written without minus sign.
-    - With ``%``, the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
-      Percentages from 1e-6 % to below 1e11 % are written without exponent.
+    Absolute values from 1e-6 to below 1e9 get no exponent, except in the formats ``e``, ``E`` and
+    ``G``. A negative number that is rounded to zero gets no minus sign. With ``%``, the number is
+    shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
     """
     if spec.endswith("%"):
         number = spec[:-1] if spec.endswith("g%") else f"{spec[:-1]}f"
@@ -98,8 +95,6 @@ def format_pair(
 ) -> tuple[str, str]:
     """Format two numbers that a message compares, with enough digits to show a difference.
 
-    Digits are added if different numbers would have the same text.
-
     Args:
         first: Number.
         second: Number of the same type and unit.
@@ -107,8 +102,8 @@ def format_pair(
             ``.3g``.
 
     Returns:
-        Texts of ``first`` and of ``second``, with units. The texts are equal if the numbers are
-        equal, or if 17 digits do not distinguish them.
+        Texts of ``first`` and of ``second``, with units. Digits are added, up to 17, if different
+        numbers would have the same text.
     """
     texts = _format_value(first, spec), _format_value(second, spec)
     if texts[0] != texts[1] or first == second:
@@ -128,11 +123,10 @@ def _format_value(value: float | Quantity | Vector, spec: str) -> str:
 
 
 def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, int, str]:
-    """Split a number format into the part before the precision, the number of digits, and the type.
+    """Split a number format into prefix, number of digits and type.
 
-    For example, ``mm:.1f`` is split into ``mm:``, 1 and ``f``. If ``spec`` does not end with a
-    number format, the type is ``g``, with 4 digits for a `Quantity`, 6 for a `Vector`, and 17 for a
-    number without unit.
+    For example, ``mm:.1f`` is split into ``mm:``, 1 and ``f``. If ``spec`` ends with no number
+    format, digits and type are those of the default format.
     """
     match = _PRECISION.search(spec)
     if match is not None:
@@ -319,11 +313,13 @@ is true (not missing, None, empty, zero or False), ``[!name? text]`` if the valu
 
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 """Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format
-of each item; each part may be missing."""
+of each item; each part may be missing.
+"""
 
 _MAX_LISTED_ITEMS = 8
-"""Default of the largest number of items in a list; a single further item is also shown. Longer
-lists hide the rest of the message. Chosen, not tuned."""
+"""Default of the largest number of items in a list; a single further item is also shown. Chosen,
+not tuned.
+"""
 
 _SEPARATORS = {
     "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
@@ -360,7 +356,8 @@ _COMPARED_NAMES = (
     *(("effort", "its"), ("value", "its"), ("mass", "stated")),
 )
 """Pairs of placeholders whose values a message compares. If two such numbers differ but have the
-same text, more digits are printed."""
+same text, more digits are printed.
+"""
 
 
 @dataclass(frozen=True)
@@ -377,10 +374,9 @@ class _Compared:
 
 
 def _find_compared_value(name: str, values: Mapping[str, Any]) -> Any:
-    """Return the value with which a message compares the value of the placeholder ``name``.
+    """Return the value, of the same type and unit, with which a message compares that of ``name``.
 
-    The two names are a pair of `_COMPARED_NAMES`. None if no pair contains two values of the same
-    type and unit; the type is float, `Quantity` or `Vector`.
+    None if there is no such value.
     """
     value = values[name]
     if not isinstance(value, float | Quantity | Vector):
@@ -403,8 +399,8 @@ class _TemplateFormatter(Formatter):
     def get_field(self, field_name: str, _args: Any, kwargs: Any) -> tuple[Any, str]:
         """Return the value of a placeholder and its name.
 
-        For ``{name|singular|plural}``, a word replaces the value: the first word if the number, or
-        the length of a container, is 1; otherwise the second word.
+        For ``{name|singular|plural}``, the value is one of the two words, selected by the number or
+        length.
         """
         name, *forms = field_name.split("|")
         value = kwargs[name]
@@ -416,11 +412,7 @@ class _TemplateFormatter(Formatter):
         return (value if other is None else _Compared(value, other)), name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
-        """Apply the conversion of a template field; the conversion ``!r`` quotes names.
-
-        Each item of a tuple is quoted. For a subject (kind and name, such as a link), only the name
-        is quoted.
-        """
+        """Apply the conversion of a template field; ``!r`` quotes names and items of a tuple."""
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(item) for item in value)
         if conversion == "r" and hasattr(value, "kind"):
@@ -454,13 +446,7 @@ class _TemplateFormatter(Formatter):
     def _format_list(self, values: tuple[Any, ...], spec: str) -> str:
         """Format the items of a tuple as a list, such as "a, b, c and 2 more".
 
-        Args:
-            values: Items.
-            spec: Separator, maximum number of items and item format, such as ``or3|.2f``; see
-                `_LIST_FORMAT`.
-
-        Raises:
-            ValueError: If ``spec`` has not the form `_LIST_FORMAT`.
+        ``spec`` contains separator, maximum number of items and item format (`_LIST_FORMAT`).
         """
         match = _LIST_FORMAT.match(spec)
         if match is None:

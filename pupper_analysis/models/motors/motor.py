@@ -19,26 +19,23 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.motors.units import UNIT_KINDS, check_motor_number
 
 MAX_STALL_RATIO = 1.1
-"""Largest accepted ratio between a stated stall torque and K I of the same motor, and between a
-stated stall current and V / R. A motor with a larger ratio, or with a ratio of currents below the
-reciprocal, is refused. (K torque at the output per current, I stall current or V / R, V supply
-voltage, R resistance.) Losses in a gear only reduce the torque; 10 % permit rounded numbers.
-Chosen, not tuned."""
+"""Largest accepted ratio between a stated stall torque and torque per current x stall current, and
+between a stated stall current and voltage / resistance. Losses in a gear only reduce the torque; 10
+% permit rounded numbers. Chosen, not tuned.
+"""
 
 MIN_STALL_RATIO = 0.3
-"""Smallest accepted ratio between a stated stall torque and K I of the same motor (see
-`MAX_STALL_RATIO`); a motor with a smaller ratio is refused. Below this ratio, friction and gear
-would lose more than 70 % of the torque, which suggests other units. The smallest ratio in the data
-files is 0.57 (feetech-sts3215-7v4). Also the lower bound of most ratios of `MAX_CONVENTION_RATIO`.
-Chosen, not tuned."""
+"""Smallest accepted ratio between a stated number of a motor, such as the stall torque, and its
+value from other numbers. Below this ratio, friction and gear would lose more than 70 % of the
+torque, which suggests other units. The smallest ratio in the data files is 0.57
+(feetech-sts3215-7v4). Chosen, not tuned.
+"""
 
 MAX_CONVENTION_RATIO = 2.0
-"""Largest accepted ratio between a stated number of a motor and its value from other numbers. The
-compared pairs are output torque constant and Kt N, speed without load and V / K, and peak or
-continuous torque and K I. (Kt torque constant, N gear ratio, V supply voltage, K output torque
-constant or Kt N, I stall current, V / resistance or current limit.) A motor with a larger ratio is
-refused; also, except for peak and continuous torque, with a ratio below `MIN_STALL_RATIO`. Chosen,
-not tuned: line and phase currents, and rms and peak values, differ by up to sqrt(3)."""
+"""Largest accepted ratio between a stated number of a motor, such as the peak torque, and its value
+from other numbers. Chosen, not tuned: line and phase currents, and rms and peak values, differ by
+up to sqrt(3).
+"""
 
 
 def _multiply_known(first: float | None, second: float | None) -> float | None:
@@ -129,11 +126,10 @@ class Motor:
     price: float | None = _number_field("price")
 
     def __post_init__(self) -> None:
-        """Check that all numbers are in range, and that stated numbers do not contradict.
+        """Check that the numbers are in range, and do not contradict each other.
 
         Raises:
-            ModelError: If a number is out of range, for example a torque constant of zero, or if
-                numbers contradict each other.
+            ModelError: If a check fails, for example for a torque constant of zero.
         """
         for number in fields(self):
             value = getattr(self, number.name)
@@ -184,17 +180,8 @@ class Motor:
     def _check_conventions(self) -> None:
         """Raise a ModelError if stated numbers contradict a product or quotient of other numbers.
 
-        K is the torque at the output per current: the output torque constant, or torque constant x
-        gear ratio. I is the stall current, or supply voltage / resistance. The compared pairs are:
-
-        - The output torque constant and torque constant x gear ratio.
-        - The speed without load and supply voltage / K.
-        - The stall torque and K I.
-        - Peak torque or continuous torque, and K x current limit or K I.
-
-        Each ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`]; that of the stall torque
-        in [`MIN_STALL_RATIO`, `MAX_STALL_RATIO`]; those of peak and continuous torque have no lower
-        bound. Each unknown number omits the pairs that need it.
+        For example, the speed without load is compared with supply voltage / torque per current.
+        Pairs with an unknown number are omitted.
         """
         constants: dict[str, float | None] = {
             "torque_constant x gear_ratio": _multiply_known(self.torque_constant, self.gear_ratio),
@@ -231,13 +218,11 @@ class Motor:
         most: float,
         least: float = MIN_STALL_RATIO,
     ) -> None:
-        """Raise a ModelError if a number divided by its expected value is out of range.
-
-        The range is [``least``, ``most``]. An unknown value (None) is not checked.
+        """Raise a ModelError if a number / its expected value is not in [``least``, ``most``].
 
         Args:
-            number: Name of the field.
-            expected: Value [unit] of the formula.
+            number: Name of the field; an unknown number is not checked.
+            expected: Value [unit] of the formula; None if unknown.
             formula: Formula of the expected value, with names of fields.
             unit: Unit of both values.
             most: Largest accepted ratio.
@@ -283,9 +268,8 @@ class Motor:
     def output_torque_per_ampere(self) -> float:
         """Torque at the output per current of a motor that drives [N m/A].
 
-        1. The stated `output_torque_constant`.
-        2. Otherwise stall torque / stall current.
-        3. Otherwise torque constant x gear ratio x gear efficiency.
+        The stated `output_torque_constant` is preferred to stall torque / stall current, and this
+        to torque constant x gear ratio x gear efficiency.
 
         Raises:
             ModelError: If these numbers are unknown.
@@ -343,11 +327,8 @@ class Motor:
     def largest_torque(self) -> tuple[float, str] | None:
         """Largest torque at the output at rest [N m], and the name of the field that limits it.
 
-        The torque is the smallest known value of peak torque, stall torque, current limit x torque
-        per current, and supply voltage / resistance x torque per current. If the torque per current
-        is unknown, torque constant x gear ratio replaces it as an upper bound, provided that the
-        peak torque or the stall torque is known. The field is for example ``peak_torque``. None if
-        no such value is known.
+        The torque is the smallest known limit from peak torque, stall torque, current limit and
+        supply voltage. The field is for example ``peak_torque``. None if no limit is known.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:
@@ -383,10 +364,9 @@ class Motor:
         torque and peak torque. Symbols: speed w of the output, current limit I_max, supply voltage
         V, resistance R of the cold winding (`winding_ohms`), torque per current K at the output
         (`output_torque_per_ampere`). The back-EMF constant Ke is torque constant times gear ratio,
-        or V / no-load speed of the output. If both are known, the smaller torque is returned. T_f
-        is the friction of a motor that drives (w > 0): Coulomb friction + viscous friction x w, if
-        known. The no-load speed of a data sheet includes friction: T_f is then omitted. At rest and
-        while a motor brakes, friction supports the motor, and is omitted.
+        or V / no-load speed; if both are known, the smaller torque is returned. The friction T_f is
+        Coulomb friction + viscous friction x w, if known, for w > 0. With the no-load speed of a
+        data sheet, which includes friction, T_f is 0.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].
@@ -395,8 +375,7 @@ class Motor:
             Shape of `speeds`.
 
         Raises:
-            ModelError: If supply voltage, resistance or torque per current are unknown, or if both
-                values for Ke are unknown.
+            ModelError: If supply voltage, resistance, torque per current or Ke are unknown.
         """
         voltage = self.get("supply_voltage")
         friction = np.where(

@@ -30,8 +30,9 @@ THERMAL_NUMBERS = (
     "resistance_rise",
     "resistance_temperature",
 )
-"""Fields of `Motor` that the thermal network requires: the network is refused if one is unknown.
-Both fields of the housing may be unknown: the network then has one node, the winding."""
+"""Fields of `Motor` that the thermal network requires. Both fields of the housing may be unknown:
+the network then has one node, the winding.
+"""
 
 _TIME_TOLERANCE = 1e-12
 """Relative tolerance of the time at which a temperature is reached. Chosen, not tuned."""
@@ -70,8 +71,8 @@ class ThermalNetwork:
             ambient: Temperature of the ambient air [degC]; by default the temperature in ``motor``.
 
         Raises:
-            ModelError: If a thermal number (the message lists all) or the electrical resistance is
-                unknown, or if the resistance is not positive at the ambient temperature.
+            ModelError: If a required number is unknown, or the electrical resistance is not
+                positive at the ambient temperature.
         """
         unknown = list_unknown_thermal_numbers(motor, ambient)
         if unknown:
@@ -185,8 +186,7 @@ class ThermalNetwork:
 def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> tuple[str, ...]:
     """Return the fields of `Motor` that the thermal network requires but that are unknown.
 
-    If only one of both fields of the housing is known, the unknown field is included. The
-    electrical resistance of the winding is not checked.
+    The electrical resistance of the winding is not checked.
 
     Args:
         motor: Motor.
@@ -207,8 +207,8 @@ def compute_continuous_torque(
 
     With this torque, the winding finally reaches its limit temperature: i^2 R (1 + alpha (T_limit -
     T_0)) = (T_limit - T_a) / R_th. If thermal numbers are unknown, the result is the continuous
-    torque of the data sheet, which is valid only for the temperatures of the data sheet. The result
-    never exceeds the largest torque of the motor at rest, if that is known.
+    torque of the data sheet, which is valid only for the temperatures of the data sheet. The
+    largest torque of the motor at rest, if known, bounds the result.
 
     Args:
         motor: Motor.
@@ -216,12 +216,7 @@ def compute_continuous_torque(
         limit: Largest temperature of the winding [degC]; by default the temperature in ``motor``.
 
     Raises:
-        ModelError: For example in these cases:
-
-            - A thermal number is unknown, and the data sheet states no continuous torque.
-            - A thermal number is unknown, and ``ambient`` or ``limit`` is given.
-            - All thermal numbers are known, but the electrical resistance or the torque per current
-              is unknown.
+        ModelError: If a required number is unknown, for example.
     """
     unknown = list_unknown_thermal_numbers(motor, ambient)
     if limit is None:

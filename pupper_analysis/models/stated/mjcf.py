@@ -54,8 +54,8 @@ JOINT_KIND_NAMES: dict[int, str] = {
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     """Read the links and joints of an MJCF with the values that the file specifies.
 
-    The base is the root of the heaviest tree; trees with a free joint and further joints have
-    priority. If MuJoCo does not compile the file, the model has no links.
+    The base is the root of the heaviest tree; articulated trees with a free joint have priority. If
+    MuJoCo does not compile the file, the model has no links.
     """
     if file.refusal is not None:
         return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
@@ -135,7 +135,7 @@ def body_names(model: mujoco.MjModel) -> list[str]:
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
     """Return the name of a joint; without a name, the substitute `name_unnamed_joint`: "(BODY)".
 
-    A body without a name is written as "#3", with the id of the body.
+    A body without a name is written as "#3", with its id.
     """
     if name := str(model.joint(joint).name):
         return name
@@ -162,10 +162,7 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
 
 
 def zero_configuration(model: mujoco.MjModel) -> Array:
-    """Return the configuration qpos (nq,) with hinges and slides at zero.
-
-    Other joints are as in ``qpos0``.
-    """
+    """Return the configuration qpos (nq,) with hinges and slides at zero, else as in ``qpos0``."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
         if JOINT_KIND_NAMES[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):
@@ -176,7 +173,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
 def _find_heaviest_root(model: mujoco.MjModel) -> int:
     """Return the id of the root body of the heaviest kinematic tree; 0 if there is no body.
 
-    Articulated trees with a free joint (other bodies of the tree also have joints) have priority.
+    Articulated trees with a free joint have priority.
     """
     best, best_score = 0, (-1, -1.0)
     for body in range(1, model.nbody):
@@ -249,10 +246,8 @@ def _stated_values(
 ) -> dict[str, float]:
     """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
-    Values of default classes are included. ``joint`` is the id of the joint in the compiled model.
-    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are
-    returned. Infinite limits are omitted. Another parameter is omitted if its value is 0, and
-    neither the joint nor a default class contains the attribute.
+    ``joint`` is the id of the joint in the compiled model, ``spec_joint`` the joint in the file's
+    spec, and ``limits`` is {field of `TreeJoint`: limit}.
     """
     values = {
         attribute.kind: limits[attribute.field]
@@ -277,10 +272,9 @@ def _stated_values(
 def _make_inertial(
     model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
 ) -> Inertial | None:
-    """Return the inertia of a body, from the spec if explicit there, else from the geoms.
+    """Return the inertia of a body, from ``spec_body`` if given, else from the geoms; None if zero.
 
-    None if the inertia is not explicit and the mass of the geoms is zero. ``spec_body`` is the body
-    of the spec if its inertia is explicit, else None.
+    ``spec_body`` is the body of the spec, if its inertia is explicit.
     """
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:
@@ -306,14 +300,13 @@ ParameterValues = tuple[float, ...]
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
-    If the attribute is not set, the result is the location of the geom. If the geom is not found,
-    the result is the location of its body (geom without name), or the file.
+    If the attribute is not set, the result is the location of the geom or its body.
 
     Args:
         file: The file.
         geom: Id of the geom.
-        word: Name of the attribute. ``"shape"`` and ``"touches"`` represent several attributes, of
-            which any one is located. ``""`` represents the geom itself.
+        word: Name of the attribute; or ``"shape"`` or ``"touches"`` for any one of several
+            attributes, or ``""`` for the geom itself.
     """
     model = file.model
     name, body = model.geom(geom).name, model.geom_bodyid[geom]
@@ -329,14 +322,15 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{name of a group of geom attributes: attributes}. The location of a group is the location of any
-attribute of the group that is set. The empty name represents the geom itself."""
+"""{name of a group of geom attributes: attributes}. The location of a group is that of an attribute
+that is set. The empty name represents the geom itself.
+"""
 
 
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the geoms that may collide: with a contact bit, or in a contact pair.
 
-    The result is empty if the MJCF disables contacts.
+    Empty if the MJCF disables contacts.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         return set()
@@ -345,7 +339,7 @@ def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
 
 
 def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, ParameterValues]:
-    """Return the compiled values of all compared attributes (``ELEMENT_ATTRIBUTES``) of an element.
+    """Return the compiled values of the compared attributes (``ELEMENT_ATTRIBUTES``) of an element.
 
     Args:
         model: Compiled model.

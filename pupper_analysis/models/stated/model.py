@@ -204,8 +204,8 @@ class RobotModel:
     def joints(self) -> dict[str, Joint]:
         """Joints of the file as ``{name: joint}``.
 
-        Joints of an MJCF without names have the names "(BODY)", "(BODY #2)" ... If several joints
-        have the same name, only the last is contained.
+        Joints of an MJCF without names have the names "(BODY)", "(BODY #2)" ... Of joints with the
+        same name, one is contained.
         """
         return {joint.name: joint for body in self.links.values() for joint in body.joints}
 
@@ -216,13 +216,9 @@ class RobotModel:
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the base of the robot is free.
+        """Whether the file contains a free joint, or moving links branch from the fixed base.
 
-        True in two cases:
-
-        - The file contains a free joint.
-        - At least two moving links are attached to the base, or to links fixed to the base. The
-          URDF of a legged robot usually contains no free joint.
+        The URDF of a legged robot usually contains no free joint.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
@@ -244,14 +240,10 @@ class RobotModel:
         return False
 
     def inertial_path(self, part: str) -> str:
-        """Return the XML path from a link to its mass, CoM or inertia, to locate the value.
+        """Return the XML path from a link to its mass, CoM or inertia, such as ``inertial/mass``.
 
         Args:
             part: ``mass``, ``origin`` or ``inertia``.
-
-        Returns:
-            For example ``inertial/mass`` in a URDF. In other formats ``inertial``, because the
-            values are attributes of this element.
         """
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
@@ -263,8 +255,7 @@ class RobotModel:
 
         Returns:
             Name for messages, and child element of the joint that contains the parameter: ("limit
-            effort", "limit") in a URDF. The element is None if the parameter is an attribute of the
-            joint, as in an MJCF, or is unknown to URDF.
+                effort", "limit") in a URDF. The element is None if there is no such child.
         """
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
@@ -281,10 +272,7 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Return a link and all descendants that are fixed to it, directly or indirectly.
-
-        Empty for the world.
-        """
+        """Return a link and the descendants that are fixed to it; empty for the world."""
         if name not in self.links:
             return []
         group = [self.links[name]]
@@ -294,9 +282,8 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Find the link with whose motion a link moves: itself, or the nearest moving ancestor.
-
-        The root is returned if no ancestor moves.
+        """Find the link with whose motion a link moves: itself, the nearest moving ancestor, or the
+        root.
         """
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:

@@ -109,7 +109,7 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
     """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
-    An effort or velocity limit of `UNSTATED` or more is omitted.
+    Effort and velocity limits of `UNSTATED` or more are omitted.
     """
     texts = {attribute.kind: joint.parameter_text(attribute) for attribute in JOINT_ATTRIBUTES}
     found = {kind: float(text) for kind, text in texts.items() if text is not None}
@@ -148,9 +148,9 @@ def _make_inertial(link: UrdfLink) -> Inertial | None:
 
 
 def half_digit(text: str) -> float:
-    """Return the rounding error of a written number: half a unit of its last digit.
+    """Return the rounding error of a written number: half a unit of its last digit, or 0 for zero.
 
-    For example, 0.05 for ``1.5``. The result is 0 for zero, and for an invalid text.
+    For example, 0.05 for ``1.5``. The result is 0 for an invalid text, too.
     """
     try:
         value = Decimal(text.strip())
@@ -169,7 +169,7 @@ def _make_shape(
 ) -> Shape:
     """Convert a shape of a URDF from its ``<collision>`` or ``<visual>`` (``element``).
 
-    ``tag`` is the child of ``<geometry>``; if it is None, the kind of the shape is ``none``.
+    ``tag`` is the child of ``<geometry>``; None if missing.
     """
     pose, name = _read_origin(element), element.get("name", "")
     if tag is None:
@@ -194,10 +194,7 @@ def _make_shape(
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
-    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read.
-
-    A mesh without a hull, for example a flat mesh, is returned itself.
-    """
+    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read."""
     path = file.resolve_mesh(tag.get("filename", ""))
     hull = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")
@@ -213,8 +210,7 @@ def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
 def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
     """Return the spatial inertia of a ``<mesh>`` with its scale and a density of 1 kg/m^3.
 
-    None if the file is missing, or `read_mesh_integrals` returns None, for example for an open
-    surface.
+    None if unknown, for example for an open surface.
     """
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
@@ -230,9 +226,9 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
-"""Suffixes of the mesh files that are read, in lower case. A COLLADA file contains several parts
-with poses, and states the unit of length, which is applied, and the axis that points up, which is
-not (`find_turn`). Other formats, such as glTF, are not supported."""
+"""Suffixes of the mesh files that are read, in lower case. Other formats, such as glTF, are not
+supported.
+"""
 
 _TURNS = {
     "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
@@ -248,7 +244,7 @@ def find_turn(file: UrdfFile, tag: etree._Element) -> NDArray[np.float64] | None
     RViz, MoveIt, Pinocchio (Coal) and trimesh do not turn a mesh; Blender and other programs do.
 
     Returns:
-        The rotation; None if z is up, and for a file that is no COLLADA file or is not readable.
+        The rotation; None if z is up or the axis is unknown, for example in an STL file.
 
     Raises:
         OutputError: If this run of the command line also writes the file.
@@ -269,10 +265,9 @@ def _read_up_axis(path: Path, _changed: int) -> str:
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL, OBJ or COLLADA file; None if missing, invalid or other.
+    """Return the convex hull [m] of an STL, OBJ or COLLADA file; None if it cannot be read.
 
-    The unit of length of an STL or OBJ file counts as metre in a URDF. The scale of a ``<mesh>`` is
-    not applied.
+    The scale of a ``<mesh>`` is not applied.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
@@ -289,8 +284,7 @@ the size of large published meshes, for example 29 MB (trunk of Go1)."""
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     """Return the convex hull of a mesh file, or a diagnostic if the file is invalid. Cached.
 
-    A mesh without a hull, for example a flat mesh, is returned itself. The unit of length of an STL
-    or OBJ file counts as metre in a URDF.
+    The unit of length of an STL or OBJ file counts as metre in a URDF.
 
     Args:
         path: The file.
@@ -322,7 +316,7 @@ triangles."""
 def _read_binary_stl(path: Path) -> Mesh | None:
     """Read a binary STL file, with three vertices per triangle; None for other or empty files.
 
-    The result equals the mesh that trimesh reads. Trimesh is slow to import.
+    This reader replaces trimesh, which is slow to import.
     """
     if path.suffix.lower() != ".stl" or path.stat().st_size <= _STL_HEADER_BYTES:
         return None
@@ -338,11 +332,7 @@ def _read_binary_stl(path: Path) -> Mesh | None:
 def _load_mesh(path: Path, *, merge: bool) -> Any:
     """Read all parts of a mesh file as one mesh of trimesh; ``merge`` merges equal vertices.
 
-    Raises:
-        UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
-        InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
-        OutputError: If this run of the command line also writes the COLLADA file.
-        Exception: Any error of trimesh for another broken file.
+    A broken file can raise any exception of the parsers.
     """
     import trimesh  # slow to import; yourdfpy depends on it
 
@@ -357,16 +347,7 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
 
 @lru_cache(maxsize=64)
 def _read_collada(path: Path, _changed: int) -> Mesh:
-    """Read all parts of a COLLADA file; cached, since hull and integrals need the same triangles.
-
-    Parsing takes most of the time of both. The cache is smaller than the caches of the results,
-    because triangles take more memory.
-
-    Raises:
-        UnreadableError: As `_load_mesh`.
-        InputError: As `_load_mesh`.
-        OutputError: If this run of the command line also writes the file.
-    """
+    """Read all parts of a COLLADA file as one mesh [m]. Cached, because parsing is slow."""
     mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
     points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
     for array in (points, faces):
@@ -386,8 +367,7 @@ def read_mesh_integrals(
 
     Returns:
         Volume; CoM, shape (3,); integral of x x^T about the CoM, shape (3, 3); in powers of the
-        unit of `mesh_hull`. None if the file is unreadable, or the surface is not closed, or its
-        triangles are not all oriented outwards.
+        unit of `mesh_hull`. None if the file is unreadable or encloses no solid, for example.
     """
     try:
         mesh = _load_mesh(path, merge=True)
