@@ -41,11 +41,9 @@ class _MuJoCoFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find ``mujoco``, and let `_MuJoCoLoader` import it.
+        """Return the import specification of ``mujoco``, for `_MuJoCoLoader`; None without.
 
-        None for other modules, and if MuJoCo is not installed.
-
-        The signature is that of ``importlib.abc.MetaPathFinder.find_spec``.
+        None for other modules. The signature is that of ``importlib.abc.MetaPathFinder.find_spec``.
         """
         if fullname != "mujoco":
             return None
@@ -60,8 +58,7 @@ def guard_mujoco_import() -> None:
     """Let a later ``import mujoco`` succeed if the OpenGL backend named in MUJOCO_GL fails.
 
     MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
-    because the import then succeeds. Nothing is done either if MuJoCo is already
-    imported. If MuJoCo is not installed, the first module that needs MuJoCo reports the error.
+    because the import then succeeds.
     """
     guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)
     if os.environ.get("MUJOCO_GL") and "mujoco" not in sys.modules and not guarded:

@@ -143,15 +143,15 @@ MAX_LISTED_NAMES = 16
 number of joints of a quadruped with four joints per leg."""
 
 NUM_CLOSE_NAMES = 5
-"""Number of valid names that the message of `UnknownNameError` lists if there are more than
-`MAX_LISTED_NAMES`. `UnknownNameError` describes the order, of which these names are the first.
-Chosen, not tuned.
+"""Number of similar names that the message of `UnknownNameError` lists if there are more than
+`MAX_LISTED_NAMES` valid names. Chosen, not tuned.
 """
 
 
 _BASE_NAMES = ("base", "base_link", "body", "pelvis", "root", "torso", "trunk")
-"""Usual names of the base link of a robot, in lower case. A user who writes one of these names for
-a robot with another name of the base means the base. Source: names in public robots."""
+"""Usual names of the base link of a robot, in lower case, which a user may write for a base with
+another name. Source: names in public robots.
+"""
 
 
 _WORD = re.compile(r"[^\W_]+")
@@ -211,10 +211,8 @@ class UnknownNameError(ModelError):
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
     """Sort valid names by their similarity to an unknown name; upper and lower case are equal.
 
-    1. Names that contain the unknown name, such as ``FR_foot_collision`` for ``FR_foot``.
-    2. Names whose words are all in the unknown name, such as ``FR`` for ``FR_foot``.
-    3. Other names. Of more than `MAX_LISTED_NAMES` valid names, only the `NUM_CLOSE_NAMES` most
-       similar names (`difflib`) are returned, the most similar first.
+    First come names that contain the unknown name, then names whose words are all in the unknown
+    name. If there are many names, the result contains only a few others.
     """
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))

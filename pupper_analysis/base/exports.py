@@ -21,8 +21,8 @@ def make_lazy_exports(
     """Create ``__getattr__``, ``__dir__`` and ``__all__`` of a package from its stub file (.pyi).
 
     The stub contains ``from .module import name as name``, or ``from . import module as module``.
-    For a module with another name, the stub contains ``from . import module as _module`` and
-    ``name = _module``. Names from missing modules, and tools without a folder, are left out.
+    For a module with another name, the stub contains ``from . import module as _module`` and ``name
+    = _module``. Names from missing modules are left out.
 
     Args:
         package: ``__name__`` of the package.
@@ -47,10 +47,10 @@ def make_lazy_exports(
     sources = {name: source for name, source in sources.items() if not name.startswith("_")}
 
     def get_attribute(name: str) -> Any:
-        """Import an object that the package's stub file (``.pyi``) exports, and return the object.
+        """Import and return an object that the package's stub file (``.pyi``) exports.
 
         Raises:
-            AttributeError: If the stub does not export the name, or the name is left out.
+            AttributeError: If no such name is exported.
         """
         if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
@@ -62,11 +62,7 @@ def make_lazy_exports(
         return value
 
     def list_names() -> list[str]:
-        """Return the names that the stub (``.pyi`` file) exports, and the special names, sorted.
-
-        Names from missing modules, and tools without a folder, are left out. Special names are the
-        attributes of the package that begin with two underscores.
-        """
+        """Return the exported names and the special names of the package, sorted, for ``dir``."""
         special = [name for name in vars(sys.modules[package]) if name.startswith("__")]
         return sorted({*special, *sources})
 
@@ -74,11 +70,7 @@ def make_lazy_exports(
 
 
 def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) -> str:
-    """Return the module from which a stub imports a name; "" if the module is missing.
-
-    In ``from . import name`` and ``from .tools import name``, the name must be a module that
-    exists.
-    """
+    """Return the module from which a stub imports a name; "" if the module is missing."""
     parts = node.module.split(".") if node.module else []
     parents = package.split(".")[: len(package.split(".")) - node.level + 1]
     path = folder.joinpath(*[".."] * (node.level - 1), *parts)

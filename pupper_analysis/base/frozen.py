@@ -33,8 +33,8 @@ def freeze(value: Any) -> Any:
     """Return a read-only version of an array or a ``dict``, with the same content.
 
     Arrays and dictionaries in the values of a ``dict`` become read-only, too. Other values, for
-    example lists, tuples and subclasses of ``dict``, are returned unchanged. A writeable array is
-    returned as a read-only view: the array itself stays writeable.
+    example lists and tuples, are returned unchanged. A writeable array is returned as a read-only
+    view: the array itself stays writeable.
     """
     kind = type(value)
     if kind is float or kind is str:

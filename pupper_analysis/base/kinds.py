@@ -103,15 +103,10 @@ def _is_animation(file: BinaryIO) -> bool:
 
 
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
-    """Return the cells of a plan that a measurement has filled in.
+    """Return the cells of a plan that a measurement has filled in; None if the file is no plan.
 
-    A plan is a CSV file with a row per stand, written by ``fit --plan``. Some columns describe the
-    stand (commands, lifted feet, added mass ...). The other columns are for measurements, for
-    example of joint positions, and are empty at first.
-
-    Returns:
-        Non-empty cells of the columns for measurements. None if the file is no CSV text in UTF-8,
-        or lacks the column "command" or "position".
+    A plan is a CSV file with a row per stand, written by ``fit --plan``. Columns for measurements,
+    for example of joint positions, are empty at first.
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))
@@ -165,9 +160,8 @@ STAND_TABLE: Final = OutputKind(
 """CSV file with positions and torques of the joints in a stand."""
 
 PLAN_KIND: Final = OutputKind("plan of stands", _is_empty_plan, keeps=_has_measurements)
-"""CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
-plan without measurements. A new plan never replaces a plan with measurements, not even with
-``force``.
+"""CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan never
+replaces a plan with measurements, not even with ``force``.
 """
 
 RECORD_KIND: Final = OutputKind(
@@ -196,7 +190,7 @@ def generated_model_kind(known: str | None) -> OutputKind:
 
     Args:
         known: SHA-256 of the content as written. None if unknown; the result is then
-            ``MODEL_KIND``, whose files are replaced without ``force`` only by the same content.
+            ``MODEL_KIND``.
     """
     if known is None:
         return MODEL_KIND

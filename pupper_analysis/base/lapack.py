@@ -24,10 +24,7 @@ _EXTENSION = "scipy.linalg._flapack"
 
 
 def _load_lapack() -> Any:
-    """Return the extension module with the LAPACK routines, without importing ``scipy.linalg``.
-
-    If the extension module does not exist, ``scipy.linalg.lapack`` is returned.
-    """
+    """Return a module with the LAPACK routines, if possible without importing ``scipy.linalg``."""
     if "scipy.linalg" not in sys.modules and _EXTENSION not in sys.modules:
         folders = [f"{folder}/linalg" for folder in scipy.__path__]
         spec = PathFinder.find_spec(_EXTENSION, folders)

@@ -19,8 +19,8 @@ _guard: Final = threading.Lock()
 """Lock of the threads of this process: a single thread at a time reads or changes `_held`."""
 
 _held: Final[set[str]] = set()
-"""Resolved paths of the lock files that this process holds. The set prevents that this process
-locks a file twice. The system itself would grant the second lock to the same process.
+"""Resolved paths of the lock files that this process holds. The system itself would grant a second
+lock to the same process.
 """
 
 
@@ -77,9 +77,7 @@ def _open_locked(place: str) -> int | None:
 
 
 def _lock(handle: int) -> bool:
-    """Lock an open file; return False if another process holds the lock, else True.
-
-    ``handle`` is the file descriptor.
+    """Lock an open file (descriptor ``handle``); return False if another process holds the lock.
 
     On systems without POSIX locks, nothing is locked and the result is True.
     """

@@ -22,9 +22,9 @@ _EXTENSION = "scipy.optimize._minpack"
 used if the module cannot be loaded."""
 
 _STEP_FACTOR = 100
-"""Upper bound of the norm of the first step, as a multiple of the norm of the initial guess. Both
-norms use MINPACK's scaling of the variables. If the initial guess is zero, this number itself is
-the upper bound. The value is the default of SciPy."""
+"""Upper bound of the norm of the first step, as a multiple of the norm of the initial guess, in
+MINPACK's scaling of the variables. The value is the default of SciPy.
+"""
 
 
 def find_root(
@@ -59,10 +59,7 @@ def find_root(
 
 
 def _load_minpack() -> Any:
-    """Return the extension module with MINPACK.
-
-    None if the module cannot be loaded without its package, or lacks the routine ``_hybrj``.
-    """
+    """Return the extension module with MINPACK; None if it is not usable without its package."""
     if _EXTENSION in sys.modules:
         return sys.modules[_EXTENSION]
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/optimize" for folder in scipy.__path__])

@@ -20,28 +20,28 @@ from pupper_analysis.base.diagnostics import Diagnostic, format_number
 from pupper_analysis.base.units import units_of
 
 MAX_SHOWN_NUMBERS = 12
-"""Largest number of elements of a vector, or of a sequence of numbers and names, that a table cell
-shows on one line. Chosen: number of joints of a quadruped with three joints per leg."""
+"""Largest number of elements of a vector that a table cell shows on one line. Chosen: number of
+joints of a quadruped with three joints per leg.
+"""
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of entries of a mapping or a sequence that a table cell shows, one per line. Also
-the largest number of fields and reported properties of a result whose nested tables are unfolded.
-Chosen: number of joints of a quadruped with three joints per leg."""
+"""Largest number of lines of a table cell, and of rows of a result whose nested tables are
+unfolded. Chosen: number of joints of a quadruped with three joints per leg.
+"""
 
 MAX_TEXT_LENGTH = 200
-"""Largest number of characters of the text of a nested object. A longer text is cut off; a field
-that is a result with a longer text is shown as a table. Chosen, not tuned."""
+"""Largest number of characters of the text of a nested object. A longer text is cut off, or a table
+replaces it. Chosen, not tuned.
+"""
 
 NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Relative threshold up to which a table cell shows a float of an array, a mapping or a sequence of
-numbers as 0; also the ``repr`` of a result, for short arrays. The reference is the largest absolute
-number of the array or sequence, or 1 if 1 is larger. The reference of an entry of a mapping is the
-number itself, or 1 if 1 is larger, since entries may have different units. Smaller numbers are
-rounding errors of double precision. Also the largest relative span of the values of a table column
-that counts as rounding (`study`). Chosen, not tuned.
+"""Absolute value up to which a float of an array or sequence is shown as 0 in a table cell,
+relative to the largest number of the array or sequence, or to 1 if 1 is larger. Smaller numbers are
+rounding errors of double precision. Also the relative span of a column of values that counts as
+rounding (`study`). Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"
@@ -54,9 +54,8 @@ TableRow = tuple[str, str, str]
 def render_result(result: object) -> str:
     """Return the HTML table of a result: a row per public field, with value and unit.
 
-    Warnings (`list_warnings`) are the first rows. A field that is a result with a long text is a
-    table in the cell, which is unfolded if ``result`` has at most `MAX_SHOWN_ROWS` rows without
-    warnings.
+    Warnings (`list_warnings`) are the first rows. A nested result with a long text is a table that
+    the reader can fold.
 
     Args:
         result: Instance of a dataclass. The properties that its class lists in ``_reported`` have
@@ -181,7 +180,7 @@ def _number_text(value: float) -> str:
 def _array_html(values: np.ndarray[Any, Any]) -> str:
     """Return the HTML of an array: numbers of a short vector, else shape, minimum and maximum.
 
-    For elements that are no real numbers, only the shape. For an array without elements, "empty".
+    Arrays without real numbers have no minimum and maximum.
     """
     if values.size == 0:
         return "empty"
@@ -197,10 +196,9 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
 
 
 def _sequence_html(values: Sequence[object]) -> str:
-    """Return the HTML of a sequence: a line per item, for at most `MAX_SHOWN_ROWS` items.
+    """Return the HTML of a sequence: a line per item; short simple sequences on a single line.
 
-    The number of omitted items follows. A short sequence of numbers and names is on a single line.
-    An empty sequence is a dash.
+    At most `MAX_SHOWN_ROWS` lines with items are shown.
     """
     if not values:
         return _NOTHING
@@ -212,10 +210,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines.
-
-    Without lines, the result is a dash.
-    """
+    """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines."""
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS

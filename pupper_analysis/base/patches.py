@@ -15,8 +15,7 @@ from pathlib import Path
 def make_patch(path: Path, before: bytes, after: bytes) -> str:
     r"""Return the changes of a UTF-8 file as a patch; empty without changes.
 
-    Only ``\n`` ends a line, as for ``git`` and ``patch``. All other characters, for example ``\r``,
-    belong to the line.
+    A line ends at a line feed, as for ``git`` and ``patch``; a carriage return belongs to the line.
 
     Args:
         path: The file. The patch names it relative to the working folder. A file that is not below
@@ -37,9 +36,7 @@ _NO_LINE_END = "\n\\ No newline at end of file\n"
 
 
 def _relative_name(path: Path) -> str:
-    """Return the name of a file in a patch: the path relative to the working folder.
-
-    A file outside of the working folder is named without folders.
+    """Return the name of a file in a patch, relative to the working folder if below it.
 
     A tab follows a name with a space, so that ``patch`` finds the end of the name.
     """

@@ -50,10 +50,7 @@ class ProgressClock:
 
     @property
     def remaining(self) -> float | None:
-        """Estimated remaining time of the stage [s].
-
-        None before the first part of the stage is completed, and after the last part.
-        """
+        """Estimated remaining time of the stage [s]; None if unknown."""
         if not 0 < self.done < self.total:
             return None
         part_duration = (self._updated - self._stage_start) / self.done

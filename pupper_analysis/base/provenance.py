@@ -56,7 +56,7 @@ class Provenance:
     def lines(self) -> tuple[str, ...]:
         """Return the provenance as lines of text for a page, with shortened hashes.
 
-        The lines do not contain ``request``. At most `_MAX_LISTED_FILES` input files are listed.
+        The lines do not contain ``request``, and at most `_MAX_LISTED_FILES` input files.
         """
         versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         files = [f"{name} sha256:{digest[:12]}" for name, digest in self.files.items()]
@@ -83,10 +83,9 @@ def list_versions() -> dict[str, str]:
 
 
 def collect_provenance() -> Provenance:
-    """Collect command, options, versions and file hashes of the current run.
+    """Collect command, options, versions and file hashes of the current run (`runs`).
 
-    The run is the command or Python call in progress (`runs`). Outside of a run, the provenance
-    contains neither command nor options nor files.
+    Outside of a run, the provenance contains date and versions only.
     """
     run = current_run()
     files = {}
@@ -128,10 +127,7 @@ def to_marked_json(content: object) -> str:
 
 
 def _iter_result_types(content: object) -> Iterator[type]:
-    """Yield the class of each dataclass in a result, mapping, list or tuple, without diagnostics.
-
-    Nested values are searched, too.
-    """
+    """Yield the classes of the dataclasses in a result or container, without diagnostics."""
     if is_dataclass(content) and not isinstance(content, Diagnostic):
         yield type(content)
         content = to_plain(content)

@@ -16,8 +16,8 @@ from typing import Any
 import scipy
 
 _EXTENSION = "scipy.spatial._qhull"
-"""Name of SciPy's extension module with the convex hulls. The module is private and may be renamed.
-If it does not exist or its import fails, ``scipy.spatial`` is used.
+"""Name of SciPy's extension module with the convex hulls. The module is private and may be renamed;
+``scipy.spatial`` then replaces it.
 """
 
 _PACKAGE, _LAPACK = "scipy.linalg", "scipy.linalg.cython_lapack"
@@ -26,10 +26,7 @@ extension module uses. `_load_without_packages` replaces the package by an empty
 
 
 def _load_extension() -> Any:
-    """Return the extension module with the convex hulls.
-
-    If this module cannot be loaded without its package, ``scipy.spatial`` is returned.
-    """
+    """Return a module with the convex hulls, if possible without importing ``scipy.spatial``."""
     loaded = sys.modules.get(_EXTENSION)
     if loaded is None and "scipy.spatial" not in sys.modules:
         loaded = _load_without_packages()
@@ -41,11 +38,10 @@ def _load_extension() -> Any:
 
 
 def _load_without_packages() -> ModuleType | None:
-    """Load the extension module while an empty package replaces ``scipy.linalg``.
+    """Load the extension module without SciPy's packages; None if impossible.
 
-    If ``scipy.linalg`` is already imported, it is not replaced. Otherwise a later import of
-    ``scipy.linalg`` imports the whole package. During the call (12 ms), no other thread may import
-    ``scipy.linalg``. None if the module cannot be loaded.
+    An empty package replaces ``scipy.linalg`` during the call (12 ms), in which no other thread may
+    import ``scipy.linalg``.
     """
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/spatial" for folder in scipy.__path__])
     if spec is None or spec.loader is None:

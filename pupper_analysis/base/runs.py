@@ -76,8 +76,6 @@ class RunFiles:
     def register_written(self, path: Path, *, edited: bool = False) -> None:
         """Register a file that the run has written. A missing file is ignored.
 
-        Outputs that were deleted or replaced since their registration are removed from ``outputs``.
-
         Args:
             path: The file.
             edited: Whether the run has edited the file in place. The file then counts as an input

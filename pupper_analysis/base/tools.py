@@ -26,8 +26,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 TOOLS_GROUP = "pupper_analysis.tools"
-"""Group of entry points for tools of other Python packages: ``name = "its_package"``. Also the name
-of the package that contains the tools of this package."""
+"""Group of entry points for tools of other Python packages: ``name = "its_package"``. This
+package's own tools are in the package of this name.
+"""
 
 FORMATS_GROUP = "pupper_analysis.formats"
 """Group of entry points for formats of other Python packages: ``name = "its_package"``."""
@@ -101,9 +102,7 @@ def own_tools() -> Mapping[str, ToolPackage]:
 def other_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
-    A tool is omitted if its name is the name of a tool of this package. An entry point is omitted
-    if it names a module instead of a package. An entry point whose package is not installed is
-    omitted, too.
+    Tools of this package have priority over tools of other packages with the same name.
     """
     return _find_plugins(TOOLS_GROUP, "command.py")
 
@@ -111,8 +110,7 @@ def other_tools() -> Mapping[str, ToolPackage]:
 def find_tool_modules(module: str) -> Mapping[str, str]:
     """Return {tool: package} of the tools that contain a module with a given name.
 
-    Tools of this package are first, then tools of other distributions. ``module`` is the name
-    without ``.py``.
+    Tools of this package are first. ``module`` is the name without ``.py``.
     """
     tools = {**own_tools(), **other_tools()}
     return {
@@ -153,10 +151,7 @@ def formats() -> Mapping[str, Format]:
 
 
 def find_format(path: Path) -> Format | None:
-    """Return the file format, other than URDF and MJCF, that uses the suffix of a file.
-
-    None for the suffixes of URDF, xacro and MJCF, for unknown suffixes, and without a suffix.
-    """
+    """Return the file format, other than URDF and MJCF, that uses the suffix of a file, or None."""
     suffix = path.suffix.lower()
     if suffix in _COMMON_SUFFIXES:
         return None
@@ -207,7 +202,7 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
     Args:
         group: Group of entry points.
         file_name: File by which `_find_own_packages` finds packages of the same kind in this
-            package. Their names are left out. The file need not exist in the registered package.
+            package. Their names are left out.
     """
     if not _may_have_entry_points(group):
         return MappingProxyType({})
@@ -230,10 +225,8 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
 def _may_have_entry_points(group: str) -> bool:
     """Return False if certainly no installed package has an entry point in a group.
 
-    The files ``entry_points.txt`` in the folders of ``sys.path`` are searched for the name of the
-    group; this takes 2 ms. The result is True if a file contains the name. It is also True if
-    packages may be installed in another way: in an archive or egg, or by an import finder of
-    another package.
+    The files ``entry_points.txt`` in ``sys.path`` are searched for the name of the group, which
+    takes 2 ms; ``importlib.metadata`` takes 35 ms.
     """
     for finder in sys.meta_path:
         if hasattr(finder, "find_distributions") and finder is not PathFinder:

@@ -101,7 +101,7 @@ MIXED_UNITS: Final = JointUnits(
 def combine_joint_units(units: Iterable[JointUnits]) -> JointUnits:
     """Return the units for a table of several joints: the common units, or `MIXED_UNITS`.
 
-    `MIXED_UNITS` if hinges and slides are mixed. `HINGE_UNITS` without joints.
+    `HINGE_UNITS` without joints.
     """
     different = set(units)
     return MIXED_UNITS if len(different) > 1 else next(iter(different), HINGE_UNITS)
@@ -161,17 +161,16 @@ class Position(float):
 
 
 _TYPED_DIGITS = 4
-"""Largest number of significant digits with which `find_untyped_degrees` considers an angle as
-typed by a user, possibly in degrees. Most angles that were converted from degrees to radians have
-more digits. Chosen, not tuned."""
+"""Largest number of significant digits of an angle that a user may have typed in degrees. Most
+angles that were converted from degrees to radians have more digits. Chosen, not tuned.
+"""
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
     """Return an angle [rad] as a number of degrees if its user may have meant degrees, else None.
 
-    For example, 20 rad is out of range, so a user who types 20 probably means 20 deg. Two
-    conditions must hold. The number in degrees is within the limits. It has at most four
-    significant digits, as a typed number (20 deg in rad is 0.34907).
+    For example, 20 rad is out of range, so a user who types 20 probably means 20 deg. The number in
+    degrees must be within the limits, and have few digits (20 deg in rad is 0.34907).
 
     Args:
         angle: Angle that is out of range [rad].
@@ -193,8 +192,7 @@ VARYING_UNIT: Final = "varies"
 def units_of(kind: type) -> dict[str, str]:
     """Return {field: unit} of a result class, from ``field(metadata={"unit": ...})``.
 
-    Fields without a unit, dimensionless fields and fields whose unit varies are left out. The
-    result is empty for a class that is no dataclass.
+    Fields without a fixed unit are left out.
     """
     if not is_dataclass(kind):
         return {}

@@ -21,8 +21,7 @@ def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
         uses: {mode: names of the parameters that the mode uses}.
 
     Raises:
-        ConfigurationError: If such an option was typed. The message names the modes that use the
-            option.
+        ConfigurationError: If such an option was typed.
     """
     for name, option in _list_typed_parameters():
         if name not in uses[mode]:
@@ -68,11 +67,7 @@ def refuse_alone(needed: Collection[str], *idle: str) -> None:
 
 
 def _list_typed_parameters() -> Iterator[tuple[str, str]]:
-    """Yield the parameters that the user typed, as pairs: name, and longest spelling.
-
-    An example is ``("payload", "--payload")``. Values from the file of ``--stance`` are not
-    included.
-    """
+    """Yield (name, longest spelling) of the typed parameters, such as ("payload", "--payload")."""
     context = click.get_current_context()
     for parameter in context.command.params:
         name = str(parameter.name)

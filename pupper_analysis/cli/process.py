@@ -75,8 +75,8 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
     is written as a backslash escape. At the end, the original streams are restored.
 
     Yields:
-        Streams that replace standard output and error. A stream that is not replaced, for example
-        because it is closed, is not included.
+        Streams that replace standard output and error; without streams that are not replaced, for
+        example because they are closed.
     """
     before = sys.stdout, sys.stderr
     _reopen_closed_streams()
@@ -112,8 +112,8 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
 def _reopen_closed_streams() -> None:
     """Open the null device in place of closed standard streams.
 
-    Otherwise the next opened file would get the descriptor of a closed stream. Output of libraries
-    to this stream would be written to the file.
+    The next opened file would get the descriptor of a closed stream, and output of libraries to
+    this stream would be written to the file.
     """
     for number in range(3):
         try:
@@ -175,10 +175,8 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Convert signals that end the process to the exception `ProcessEnded`, within a context.
 
     The signals are SIGINT, SIGTERM and SIGHUP, if they have the default handler. Outside of the
-    main thread, no signal is caught. A second signal ends the process at once.
-
-    If a library suppresses the exception, a timer raises it again. There is no timer if the
-    platform has no interval timers, or if the process handles or ignores SIGALRM.
+    main thread, no signal is caught. A second signal ends the process at once. If a library
+    suppresses the exception, a timer raises it again, if the platform has one.
 
     Yields:
         Record of the signal.
@@ -197,11 +195,7 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
         raise ProcessEnded
 
     def raise_again(_number: int, _frame: FrameType | None) -> None:
-        """Raise `ProcessEnded` again if a library has suppressed it; called by the interval timer.
-
-        Nothing is raised while a `ProcessEnded` is being handled, or after ``ending.caught`` is
-        set.
-        """
+        """Raise `ProcessEnded` again if a library has suppressed it; called by the timer."""
         handled = sys.exc_info()[1]
         while handled is not None and not isinstance(handled, ProcessEnded):
             handled = handled.__context__

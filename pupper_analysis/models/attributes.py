@@ -68,9 +68,8 @@ class JointAttribute:
     def read_compiled_value(self, model: MjModel, joint: int) -> float:
         """Read the value of this parameter for a joint of a compiled MuJoCo model.
 
-        The parameter must be damping, dry friction, armature or spring stiffness
-        (``COMPILED_ATTRIBUTES``). If MuJoCo stores a polynomial, the value is the linear
-        coefficient.
+        The parameter must be in ``COMPILED_ATTRIBUTES``. If MuJoCo stores a polynomial, the value
+        is the linear coefficient.
 
         Args:
             model: Compiled model.
@@ -96,9 +95,7 @@ numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
-    """Return an effort or velocity limit of a URDF; inf if the value means "unspecified".
-
-    This is the case from 1e9 (``UNSTATED``) up.
+    """Return an effort or velocity limit of a URDF; inf from ``UNSTATED`` up ("unspecified").
 
     Args:
         stated: Effort [N m, N] or velocity limit [rad/s, m/s] in the URDF.
@@ -107,10 +104,7 @@ def known_limit(stated: float) -> float:
 
 
 def known_positions(stated: Array) -> Array:
-    """Return position limits [rad, m] with absolute values from ``UNSTATED`` up made infinite.
-
-    The sign of each limit is kept.
-    """
+    """Return position limits [rad, m]; absolute values from ``UNSTATED`` up become infinite."""
     return np.where(np.abs(stated) >= UNSTATED, np.copysign(np.inf, stated), stated)
 
 

@@ -104,13 +104,11 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 def refuse_uncommitted(path: Path) -> None:
     """Raise an error if a file in a git repository differs from its committed version.
 
-    Untracked files are accepted, and files that differ from the commit only in line ends. Every
-    file is accepted if git is not installed, or cannot list the files (for example of another
-    owner).
+    Untracked files are accepted, and files that differ from the commit only in line ends. If git is
+    not available, nothing is checked.
 
     Raises:
-        OutputError: If the file has uncommitted changes, was added but never committed, or will be
-            written by the run.
+        OutputError: If the file has uncommitted changes, for example.
         InputError: If a file in the repository cannot be read.
     """
     path = path.resolve()

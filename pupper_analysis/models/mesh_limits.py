@@ -16,22 +16,22 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESH_BYTES: Final = 50_000_000
-"""Maximum size [bytes] of a mesh file that is converted, and of a COLLADA file that is read; larger
-files are rejected. Chosen above the files of published robots, for example 29 MB (trunk of Go1).
-For a text file of this size MuJoCo computes the hull within a minute."""
+"""Maximum size [bytes] of a mesh file that is converted, and of a COLLADA file that is read. Chosen
+above the files of published robots, for example 29 MB (trunk of Go1). For a text file of this size
+MuJoCo computes the hull within a minute.
+"""
 
 MAX_MESH_VERTICES: Final = 1_000_000
-"""Maximum number of vertices of a mesh in a format other than STL and OBJ; larger meshes are
-rejected. Chosen above the largest published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles
-a million in 5 s, with 2 GB."""
+"""Maximum number of vertices of a mesh in a format other than STL and OBJ. Chosen above the largest
+published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles a million in 5 s, with 2 GB.
+"""
 
 MAX_MESH_PARTS: Final = 10_000
 """Maximum number of nodes and shapes of all scenes of a COLLADA file, each instance counted.
 Chosen: a link of a robot has dozens."""
 
 _MAX_INDICES: Final = 6 * MAX_MESH_VERTICES
-"""Maximum number of vertex indices of a glTF file; files with more indices are rejected. Derived
-from two triangles per vertex."""
+"""Maximum number of vertex indices of a glTF file. Derived from two triangles per vertex."""
 
 _GLB_HEADER: Final = struct.Struct("<4sIIII")
 """Format of the header of a glTF binary: magic number, version, length of the file; length and type
@@ -42,9 +42,8 @@ of the first chunk, which is JSON.
 def check_gltf(data: bytes) -> Diagnostic | None:
     """Check if a glTF binary describes too many vertices to be read.
 
-    Counted are the vertices and indices of all primitives, and all elements of accessors without
-    data. A shared accessor is counted once per primitive. A broken file raises another exception,
-    for example `struct.error` or `KeyError`.
+    A shared accessor is counted once per primitive. A broken file raises another exception, for
+    example `struct.error` or `KeyError`.
 
     Args:
         data: Content of the file (.glb).
@@ -90,7 +89,6 @@ class _ColladaScene:
     def extent(self, node: etree._Element) -> _Extent:
         """Count the parts of a COLLADA node, and the characters that describe the shapes.
 
-        Parts are the node, its shapes, and the parts of all contained nodes; each instance counts.
         A node that contains itself gets more parts than allowed, so that the file is refused.
 
         Args:
@@ -116,9 +114,9 @@ class _ColladaScene:
 def check_collada(data: bytes) -> Diagnostic | None:
     """Check if a COLLADA file has more parts, or more text in its shapes, than may be read.
 
-    The limits apply to the sum over all scenes, in which each instance of a node or shape counts.
-    There may be `MAX_MESH_PARTS` parts. The text of the shapes may have up to twice
-    `MAX_MESH_BYTES` characters. A broken file raises an `etree.XMLSyntaxError`.
+    The limits apply to the sum over all scenes, in which each instance of a node or shape counts:
+    `MAX_MESH_PARTS` parts, and twice `MAX_MESH_BYTES` characters. A broken file raises an
+    `etree.XMLSyntaxError`.
 
     Args:
         data: Content of the file (.dae).

@@ -25,13 +25,13 @@ from pupper_analysis.models.xml import add_element, join_numbers, make_unique_na
 
 _MAX_POSITION: Final = 1e6
 """Absolute value [rad, m] from which a joint limit counts as missing, because Pinocchio uses the
-largest double for "no limit". Lower and upper limit are tested separately. Chosen, not tuned.
+largest double for "no limit". Chosen, not tuned.
 """
 
 _IDENTITY_ATOL: Final = 1e-12
 """Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
-rotation matrix. If both frames are equal, the link of the joint gets the name of the body frame.
-Otherwise the body frame gets a link of its own. Chosen, not tuned."""
+rotation matrix. Equal frames become a single link. Chosen, not tuned.
+"""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""
@@ -49,12 +49,7 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: For example in these cases:
-
-            - A joint has another type, or a slide lacks a lower or upper limit.
-            - There are several free flyers, a free flyer is not at the root, or the root has a free
-              flyer and another joint.
-            - A URDF cannot state a shape.
+        ModelError: If a URDF cannot state a joint or shape, for example a slide without limits.
     """
     floating = _check_joints(model, source)
     writer = _UrdfWriter(model, floating, source)
@@ -65,12 +60,7 @@ def write_urdf_of_model(
 
 
 def _check_joints(model: pin.Model, source: str) -> bool:
-    """Check that a URDF can state the joints of a Pinocchio model; return whether the base is free.
-
-    Raises:
-        ModelError: If a joint other than the first is a free flyer, or has a type other than hinge
-            and slide. Also if the base is free, and a further joint is connected to the world.
-    """
+    """Return True if the base is free; raise a ModelError if a URDF cannot state the joints."""
     flyers = [
         index for index in range(1, model.njoints) if model.joints[index].shortname() == _FREE_FLYER
     ]
@@ -123,9 +113,8 @@ class _UrdfWriter:
     def add_links(self) -> None:
         """Add the links and joints of the Pinocchio model to the URDF.
 
-        Each joint and the root have a link. If a body frame is equal to the frame of its joint, the
-        link of the joint gets the name of the body frame. Each further body frame gets a link of
-        its own. If the base is free, body frames that are fixed to the world are omitted.
+        The link of a joint has the name of the body frame that equals the joint's frame, if any.
+        Further body frames get links of their own, fixed to the joint's link.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
@@ -163,8 +152,7 @@ class _UrdfWriter:
     def _add_joint(self, index: int) -> None:
         """Add a Pinocchio joint to the URDF; raise ModelError for a slide without two limits.
 
-        A hinge without limits becomes continuous. If a hinge has a single limit, the other limit is
-        written as `UNSTATED`, since a URDF has no infinite numbers.
+        A missing limit of a hinge is written as `UNSTATED`, since a URDF has no infinite numbers.
         """
         model = self._model
         is_flyer = self._floating and index == 1
@@ -214,8 +202,8 @@ class _UrdfWriter:
     def add_shape(self, item: pin.GeometryObject, folder: Path, index: int) -> None:
         """Add a collision shape to the link that moves with the shape's parent joint.
 
-        Meshes are written to ``folder`` as ``shape_INDEX.stl``. A shape without such a link, for
-        example an obstacle in the world, is skipped.
+        Meshes are written to ``folder`` as ``shape_INDEX.stl``. Shapes without such a link, for
+        example obstacles in the world, are skipped.
 
         Raises:
             ModelError: If a shape has no counterpart in a URDF.
@@ -244,8 +232,7 @@ class _UrdfWriter:
 def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
     """Convert a mesh, convex shape or ellipsoid to the bytes of an STL file [m].
 
-    Raises:
-        ModelError: If the shape is of another type.
+    Other shapes raise a ModelError with ``name`` and ``source``.
     """
     import trimesh  # comes with yourdfpy, and is slow to import
 

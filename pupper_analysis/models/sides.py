@@ -156,8 +156,7 @@ def find_unlike_pairs(
 
 
 def _are_equal(first: float, second: float) -> bool:
-    """Return True if two motor parameters differ by at most ``_MOTOR_PARAMETER_RTOL`` (relative).
-    """
+    """Return True if two motor parameters agree within ``_MOTOR_PARAMETER_RTOL`` (relative)."""
     return first == second or abs(first - second) <= _MOTOR_PARAMETER_RTOL * abs(second)
 
 

@@ -24,12 +24,12 @@ _DECLARATIONS: Final = ("property", "arg", "macro")
 expression that uses their names has an effect."""
 
 _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
-"""Children of an included file's root that change neither links nor joints. An included file with
-only these, declarations and further harmless includes is accepted, and ignored."""
+"""Children of an included file's root that change neither links nor joints."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Pattern in the names of included files without links and joints. A file that does not exist on
-this computer is assumed to be harmless if its name, in lower case, contains a match."""
+"""Pattern in the names (lower case) of included files that are assumed to contain neither links nor
+joints if they do not exist on this computer.
+"""
 
 _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 """Pattern of ``$(find NAME)/`` at the start of a path."""
@@ -55,13 +55,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file contains xacro elements and must be expanded by xacro, for example
-            in these cases:
-
-            - The file contains a macro call, a condition, or another xacro element that may change
-              links or joints.
-            - An included file may change links or joints, or cannot be read.
-            - A xacro expression is outside of the removed elements.
+        ModelError: If the file must be expanded by xacro, for example because of a macro call.
     """
     declared = [element for element in root.iter() if element.prefix == XACRO_PREFIX]
     if not declared:
@@ -96,9 +90,7 @@ def _remove(element: etree._Element) -> None:
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
     """Return True if a xacro element is known to change neither links nor joints.
 
-    An ``<include>`` is harmless in two cases: all elements of the included file are harmless; or
-    the file does not exist, and its name matches `_HARMLESS_NAMES`. ``resolve`` finds the file.
-    ``depth`` is the number of nested includes up to this element.
+    ``resolve`` finds included files. ``depth`` is the number of nested includes up to this element.
     """
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:

@@ -124,10 +124,9 @@ class XmlDocument:
     elements: list[XmlElement]
 
     def render(self) -> bytes:
-        """Return the bytes of the file with all changes of the elements applied.
+        """Return the bytes of the file with the changes of the elements applied.
 
-        A new child of an existing element is omitted if neither it nor a descendant has an
-        attribute.
+        New elements without attributes in themselves or a descendant may be omitted.
         """
         data = self.data
         splices = self.list_splices()
@@ -233,10 +232,8 @@ def _splice_children(
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield the byte replacements that insert new elements as first children of an element.
 
-    The new elements get the indentation of the first child, if this child is on a separate line.
-
-    Yields:
-        (start, end, new bytes): the new bytes replace ``data[start:end]``.
+    The new bytes of (start, end, new bytes) replace ``data[start:end]``. The new elements get the
+    indentation of the present first child.
     """
     end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":

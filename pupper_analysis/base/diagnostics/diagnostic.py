@@ -117,10 +117,7 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """Group of this diagnostic, by the required action of the user.
-
-        Wrong (repair), assumed (check) or found (no action).
-        """
+        """Group of this diagnostic, by the required action of the user."""
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:
@@ -133,10 +130,7 @@ class Diagnostic:
 
     @property
     def short(self) -> str:
-        """Short English text of this diagnostic for a terminal.
-
-        Empty if the catalogue has no short text.
-        """
+        """Short English text of this diagnostic for a terminal; empty if the catalogue has none."""
         template = entry(self.code).short
         if not template:
             return ""
@@ -262,10 +256,7 @@ def _shorten_diagnostics(value: Value) -> Value:
 
 
 def _change_names(value: Value, change: Callable[[str], str]) -> Value:
-    """Apply a function to all texts in a value of a diagnostic, except terms and phrases.
-
-    Texts in tuples and in nested diagnostics are changed, too.
-    """
+    """Apply a function to the texts in a value of a diagnostic, except terms and phrases."""
     if isinstance(value, tuple):
         return tuple(_change_names(item, change) for item in value)
     if isinstance(value, Diagnostic):

@@ -20,15 +20,10 @@ from pupper_analysis.models.transmission import actuator_gear
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
-    The gear has no losses. The supply voltage is the smaller absolute end of the control range. The
-    current limit is the smaller absolute end of the force range, divided by the torque constant:
-    the motor exerts such a torque in both directions. Numbers that a ``dcmotor`` does not state are
-    unknown (None). Also unknown are:
-
-    - an armature or a gear of zero,
-    - thermal numbers, if the actuator has no thermal model,
-    - the supply voltage, if the control is no voltage (attribute ``input``),
-    - supply voltage or current limit, if the range is not limited, or does not contain both signs.
+    The gear has no losses. The supply voltage is the smaller absolute end of the control range, if
+    the control is a voltage. The current limit is the smaller absolute end of the force range,
+    divided by the torque constant: the motor exerts such a torque in both directions. Numbers that
+    the actuator does not state are unknown (None), for example an armature of zero.
 
     Args:
         model: MuJoCo model.
@@ -98,11 +93,9 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
 def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     """Return the text of MuJoCo's ``dcmotor`` element for a motor at a joint.
 
-    The element has one thermal node. If the motor has two nodes (winding and housing), their
-    thermal resistances and their heat capacities are added: the final temperature is equal, but the
-    winding heats up more slowly. Unknown numbers are omitted. If the thermal resistance or the
-    capacity of the winding is unknown, all thermal numbers are omitted. Losses of the gear,
-    friction, and limits of torque and temperature are not written.
+    The element has one thermal node. The thermal resistances and the heat capacities of winding and
+    housing are added: the final temperature is equal, but the winding heats up more slowly. Losses
+    of the gear, friction, limits of torque and temperature, and unknown numbers are not written.
 
     Args:
         motor: Motor.
@@ -110,12 +103,8 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
         name: Name of the actuator; by default the name of the joint.
 
     Raises:
-        ModelError: For example in these cases:
-
-            - Torque constant or gear ratio are unknown.
-            - The resistance is neither stated nor known from supply voltage and stall current.
-            - Thermal resistance and capacity are known, but a temperature or the rise of the
-              resistance is unknown.
+        ModelError: If a required number is unknown, for example the torque constant or the gear
+            ratio.
     """
     constant = motor.get("torque_constant")
     words = {

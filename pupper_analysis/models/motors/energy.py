@@ -110,12 +110,8 @@ def compute_motor_energy(
 def _find_constants(motor: Motor) -> tuple[float, float, float]:
     """Return torque per current [N m/A], back-EMF constant [V s/rad] and resistance [ohm].
 
-    The first two are at the output. The back-EMF constant is torque constant x gear ratio, or
-    supply voltage / speed without load if these are unknown. The constant is at least the torque
-    per current, since no gear creates energy.
-
-    Raises:
-        ModelError: If a number is unknown.
+    The first two are at the output. The back-EMF constant is at least the torque per current, since
+    no gear creates energy.
     """
     per_ampere, ohms = motor.output_torque_per_ampere, motor.winding_ohms
     if motor.torque_constant is not None and motor.gear_ratio is not None:

@@ -52,9 +52,9 @@ def find_motor(name: str) -> Motor:
         name: Name of `list_motors`, or path.
 
     Raises:
-        UnknownNameError: If ``name`` has no suffix, and is neither a known name nor a file; or if a
-            key of a TOML file is unknown.
-        ModelError: If the file cannot be read, or is not valid.
+        UnknownNameError: If ``name`` is neither a known name nor a file, or a key of a file is
+            unknown.
+        ModelError: If the file cannot be read, or is not valid. A ``name`` with a suffix is a file.
         OutputError: If this run of the command line also writes the file.
     """
     if name in list_motors():
@@ -100,7 +100,7 @@ def read_bam_parameters(path: Path) -> Motor:
     Torque constant, friction and armature in these files are at the output: the gear ratio is
     therefore 1. The gear efficiency is 1 minus the load-dependent friction of the model, which is
     the fraction of the torque that a driving motor loses. Models m1 and m2 have no load-dependent
-    friction: their efficiency is unknown. Other terms of the models are not read.
+    friction: their efficiency is unknown.
 
     Args:
         path: JSON file.
@@ -152,9 +152,6 @@ def _make_motor(
         source: Source of the numbers without an entry in ``sources``.
         stated: {number of the motor: text with unit}.
         sources: {number of the motor: its own source}.
-
-    Raises:
-        ModelError: If a number is not valid, or numbers contradict each other.
     """
     try:
         numbers = {

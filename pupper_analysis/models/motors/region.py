@@ -30,9 +30,8 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Utilisation, shape (n,): 0 for a torque up to 1e-9 N m (`_MIN_TORQUE`), at any speed. For
-        larger torques, infinite if the motor has no torque at the speed, and NaN if the speed is
-        NaN. NaN if the torque is NaN.
+        Utilisation, shape (n,): 0 for a torque up to `_MIN_TORQUE`, infinite for a larger torque if
+        the motor has no torque at the speed.
 
     Raises:
         ModelError: If a number of the motor is unknown.

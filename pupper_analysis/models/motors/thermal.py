@@ -206,9 +206,10 @@ def compute_continuous_torque(
     """Return the largest torque at the output that a motor exerts permanently at rest [N m].
 
     With this torque, the winding finally reaches its limit temperature: i^2 R (1 + alpha (T_limit -
-    T_0)) = (T_limit - T_a) / R_th. If thermal numbers are unknown, the result is the continuous
-    torque of the data sheet, which is valid only for the temperatures of the data sheet. The
-    largest torque of the motor at rest, if known, bounds the result.
+    T_0)) = (T_limit - T_a) / R_th. If thermal numbers are unknown, the result (without ``ambient``
+    and ``limit``) is the continuous torque of the data sheet, which is valid only for the
+    temperatures of the data sheet. The largest torque of the motor at rest, if known, bounds the
+    result.
 
     Args:
         motor: Motor.

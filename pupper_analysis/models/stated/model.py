@@ -216,9 +216,10 @@ class RobotModel:
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the file contains a free joint, or moving links branch from the fixed base.
+        """Whether the base is free: the file has a free joint, or several moving links at the base.
 
-        The URDF of a legged robot usually contains no free joint.
+        The URDF of a legged robot usually contains no free joint. Links that are fixed to the base
+        count as part of the base.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
@@ -282,8 +283,9 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Find the link with whose motion a link moves: itself, the nearest moving ancestor, or the
-        root.
+        """Find the link with whose motion a link moves: itself, or the nearest moving ancestor.
+
+        The root is returned if no ancestor moves.
         """
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:
