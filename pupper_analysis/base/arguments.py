@@ -45,10 +45,6 @@ _T = TypeVar("_T")
 def check_finite(name: str, value: object) -> float:
     """Return an argument as a float; raise an error if it is no finite real number.
 
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
-
     Raises:
         ConfigurationError: If the value is no finite real number, or a bool.
     """
@@ -86,10 +82,6 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     Infinite values and NaN are accepted. Texts, Booleans and complex numbers are rejected, also as
     single elements of a list: NumPy would convert them silently. Masked arrays with a masked
     element are also rejected.
-
-    Args:
-        name: Name of the argument, for the message.
-        values: Values of the argument.
 
     Raises:
         ConfigurationError: If the values are rejected, or cannot be converted.
@@ -144,11 +136,6 @@ def _contains_boolean(values: object) -> bool:
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """Convert an argument to a vector (size,) of finite numbers, or raise an error.
 
-    Args:
-        name: Name of the argument, for the message.
-        values: Values of the argument.
-        size: Required number of elements.
-
     Raises:
         ConfigurationError: If the values are no such vector.
     """
@@ -171,10 +158,6 @@ def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
     The vector is first scaled, because squares of components below 1e-162 or above 1e154 would
     underflow or overflow.
 
-    Args:
-        name: Name of the argument, for the message.
-        values: Vector (3,).
-
     Raises:
         ConfigurationError: If the values are no finite vector (3,), or all zero.
     """
@@ -192,10 +175,6 @@ def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
 
     The elements are not checked.
 
-    Args:
-        name: Name of the argument, for the message.
-        values: Value of the argument.
-
     Raises:
         ConfigurationError: If the value is a text, bytes or no iterable.
     """
@@ -212,10 +191,6 @@ accept. The bound prevents overflow in later computations. Chosen, not tuned: no
 
 def check_length(name: str, value: object) -> float:
     """Return a length or a coordinate [m] as a float; raise an error beyond `MAX_LENGTH`.
-
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
 
     Raises:
         ConfigurationError: If the value is no finite number, or its magnitude exceeds
@@ -293,11 +268,6 @@ def check_fields(instance: Any) -> None:
 
 def check_type(name: str, value: object, hint: Any) -> None:
     """Check a value against a type hint; accept any value if the hint is not supported.
-
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
-        hint: Type hint.
 
     Raises:
         ConfigurationError: If the type of the value does not match the hint.
@@ -426,9 +396,7 @@ def _make_elements_test(
 ) -> Callable[[Any], bool]:
     """Return a function that tests whether a value is an iterable whose elements pass a test.
 
-    Args:
-        element: Function that tests an element.
-        of_known_length: Whether the value must be a sequence or an array, not just an iterable.
+    With ``of_known_length``, the value must be a sequence or an array.
     """
 
     def has_valid_elements(value: Any) -> bool:

@@ -70,8 +70,7 @@ def make_placement(quaternion: Array, position: Array) -> pin.SE3:
 def make_inertia(mass: float, com: Array, tensor: Array) -> pin.Inertia:
     """Return the spatial inertia of a body, even if a moment of inertia is negative.
 
-    Pinocchio's constructor rejects a tensor with a negative diagonal element. A model file may
-    contain such a tensor, so the attributes are set without the constructor.
+    Pinocchio's constructor rejects a negative moment of inertia, which a model file may contain.
 
     Args:
         mass: Mass [kg].

@@ -211,8 +211,8 @@ class UnknownNameError(ModelError):
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
     """Sort valid names by their similarity to an unknown name; upper and lower case are equal.
 
-    First come names that contain the unknown name, then names whose words are all in the unknown
-    name. If there are many names, the result contains only a few others.
+    Names that contain the unknown name, or consist of its words, come first. If there are many
+    names, the result contains only a few others.
     """
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))

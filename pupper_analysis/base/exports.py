@@ -21,8 +21,7 @@ def make_lazy_exports(
     """Create ``__getattr__``, ``__dir__`` and ``__all__`` of a package from its stub file (.pyi).
 
     The stub contains ``from .module import name as name``, or ``from . import module as module``.
-    For a module with another name, the stub contains ``from . import module as _module`` and ``name
-    = _module``. Names from missing modules are left out.
+    Names from missing modules are left out.
 
     Args:
         package: ``__name__`` of the package.

@@ -150,8 +150,8 @@ _result_streams: list[TextIO] = []
 def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> Iterator[io.BytesIO]:
     """Yield a buffer whose content is written to a file if the ``with`` block succeeds.
 
-    A regular file is replaced atomically, and keeps its mode. A new file has the mode given by the
-    umask. Links are followed. Pipes, devices and redirected standard streams are written in place.
+    A regular file is replaced atomically, and keeps its mode. Links are followed. Pipes, devices
+    and redirected standard streams are written in place.
 
     Args:
         path: Output file; missing folders are created. ``-`` is standard output.
@@ -161,7 +161,7 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 
     Raises:
         OutputError: If the file cannot be written, or must not be replaced, or the block raises an
-            ``OSError`` other than ``BrokenPipeError``.
+            ``OSError``.
         BrokenPipeError: If the reader of a pipe has ended.
     """
     buffer = io.BytesIO()
@@ -216,14 +216,9 @@ def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None
 def _check_replaceable(
     path: Path, target: Path, status: os.stat_result, kind: OutputKind, *, force: bool
 ) -> None:
-    """Raise an OutputError if an existing file must not be replaced.
+    """Raise an OutputError if the existing file ``target`` must not be replaced.
 
-    Args:
-        path: Path as named by the user.
-        target: Path with links resolved.
-        status: Status of the existing file.
-        kind: Kind of the output.
-        force: Whether files of other kinds may be replaced.
+    ``force`` permits to replace files of other kinds; ``path`` is the file as named by the user.
     """
     run = current_run()
     regular = is_replaceable(status) and status.st_size > 0
@@ -393,14 +388,12 @@ class Writing:
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
     """Write several files completely, or change none of the files.
 
-    Before a file is replaced, all new contents are on disk, and the old files have second names
-    (hard links, otherwise copies). If a replacement fails or is interrupted, the earlier
-    replacements are undone. If the process is killed, each file has either the old or the new
-    content.
+    If a replacement fails or is interrupted, the earlier replacements are undone. If the process is
+    killed, each file has either the old or the new content.
 
     Args:
-        writings: Files to write. Existing files keep the mode, and the owner if permitted. New
-            files get the mode given by the umask; missing folders are created.
+        writings: Files to write. Existing files keep the mode, and the owner if permitted. Missing
+            folders are created.
         backup: Whether to copy each existing file to ``NAME.bak`` (``NAME.bak2`` etc. if the name
             is taken).
 
@@ -408,8 +401,8 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
         Paths of the backup copies.
 
     Raises:
-        OutputError: If a file cannot be written or restored, must not be replaced, or differs from
-            the content that the caller expects (`Writing.before`), for example.
+        OutputError: For example if a file cannot be written, must not be replaced, or differs from
+            the content that the caller expects (`Writing.before`).
     """
     files = [_StagedFile(writing) for writing in writings]
     copies: list[Path] = []
@@ -600,8 +593,7 @@ class _StagedFile:
 def _undo_replacements(files: Sequence[_StagedFile], copies: Sequence[Path]) -> None:
     """Restore the replaced files, and remove the backup copies.
 
-    Raises:
-        OutputError: If a file cannot be restored; the message contains the path of the old file.
+    If a file cannot be restored, an OutputError contains the path of the old file.
     """
     for file in reversed(files):
         file.restore()

@@ -101,11 +101,7 @@ def read_change_time(path: Path) -> int:
 
 
 def describe_missing_file(path: Path) -> Diagnostic:
-    """Return the message about a missing file, with similar names of files in its folder.
-
-    Args:
-        path: The missing file.
-    """
+    """Return the message about a missing file, with similar names of files in its folder."""
     return diagnose("no-such-file", alike=[str(file) for file in find_similar_files(path)])
 
 
@@ -113,9 +109,6 @@ def find_similar_files(path: Path) -> list[Path]:
     """Return up to three files in the folder of a missing file that have similar names.
 
     The most similar name is the first.
-
-    Args:
-        path: The missing file.
     """
     names: list[str] = []
     with suppress(OSError, ValueError), os.scandir(path.parent) as entries:

@@ -105,8 +105,7 @@ def _is_animation(file: BinaryIO) -> bool:
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     """Return the cells of a plan that a measurement has filled in; None if the file is no plan.
 
-    A plan is a CSV file with a row per stand, written by ``fit --plan``. Columns for measurements,
-    for example of joint positions, are empty at first.
+    A plan is a CSV file of ``fit --plan`` with a row per stand, and with columns for measurements.
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))

@@ -76,13 +76,10 @@ def eig(matrix: Array) -> tuple[ComplexArray, NDArray[Any], NDArray[Any]]:
 
 
 def _combine_pairs(imaginary: Array, vectors: Array) -> ComplexArray:
-    """Convert LAPACK's real columns to complex eigenvectors, shape (n, n).
+    """Convert LAPACK's real columns ``vectors`` to complex eigenvectors, shape (n, n).
 
-    LAPACK returns the real and the imaginary part of a complex pair as two columns.
-
-    Args:
-        imaginary: Imaginary parts of the eigenvalues, shape (n,); positive first in each pair.
-        vectors: Columns of LAPACK, shape (n, n).
+    LAPACK returns the real and the imaginary part of a complex pair as two columns. ``imaginary``
+    (n,) contains the imaginary parts of the eigenvalues, positive first in each pair.
     """
     combined = np.array(vectors, dtype=complex, order="F")
     first = np.flatnonzero(imaginary > 0)

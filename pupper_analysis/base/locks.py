@@ -28,8 +28,8 @@ lock to the same process.
 def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
     """Hold an exclusive lock on a file; yield False if another context or process holds the lock.
 
-    The system releases the lock when the process ends, also if it is killed. On systems without
-    POSIX locks, only other contexts of this process are locked out.
+    The system releases the lock when the process ends. On systems without POSIX locks, only other
+    contexts of this process are locked out.
 
     Args:
         path: The lock file. Created if needed.

@@ -63,10 +63,6 @@ class RunFiles:
 
         An input is a file that the run has read and not written.
 
-        Args:
-            path: Name of the file, for the error.
-            identity: Device and inode number of the file.
-
         Raises:
             OutputError: If the file is such an input.
         """

@@ -199,10 +199,8 @@ def _find_own_packages(file_name: str) -> Mapping[str, ToolPackage]:
 def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
     """Return {name: package} of the tools or formats that other distributions register.
 
-    Args:
-        group: Group of entry points.
-        file_name: File by which `_find_own_packages` finds packages of the same kind in this
-            package. Their names are left out.
+    ``group`` is the group of entry points. Names of this package's packages with ``file_name`` are
+    left out.
     """
     if not _may_have_entry_points(group):
         return MappingProxyType({})

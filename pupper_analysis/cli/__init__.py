@@ -79,10 +79,6 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command that the first word of the command line names; called by click.
 
-        Args:
-            ctx: Context of the group.
-            args: Words of the command line.
-
         Returns:
             Name of the command; command; words after the name.
 

@@ -43,9 +43,6 @@ def complete_command(step: NextStep | None) -> str:
     The line contains the command and the words of the step, the typed robot, and most of the typed
     options that both commands have.
 
-    Args:
-        step: Next step; None for none.
-
     Returns:
         Command line; empty without a step, or if no such line is possible, for example because the
         next command needs more files than were typed.
@@ -101,12 +98,7 @@ def _replace_step_of_weld(
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
-    """Return the typed words that specify the robot or its model files, the URDF first.
-
-    Args:
-        arguments: Names of the arguments of the running command.
-        values: {name of a parameter: typed value}.
-    """
+    """Return the typed words that specify the robot or its model files, the URDF first."""
     words = [
         word
         for name in _ROBOT_ARGUMENTS
@@ -121,16 +113,10 @@ def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> 
 def _fit_robot_arguments(
     robot: list[str], arguments: Set[str | None], target: click.Command, *, required: bool
 ) -> list[str] | None:
-    """Select the typed words of the robot that the suggested next command accepts as arguments.
+    """Return the typed words of the robot that a suggested next command accepts as arguments.
 
-    Args:
-        robot: Typed words of the robot, from `_list_typed_robot`.
-        arguments: Names of the arguments of the running command.
-        target: Suggested next command.
-        required: True if the next command needs the typed robot, because the step names no files.
-
-    Returns:
-        Words; None if ``required`` and the next command needs more words than were typed.
+    ``arguments`` are the names of the running command's arguments. None if ``required``, and the
+    next command ``target`` needs more words.
     """
     from pupper_analysis.pupper.named_robots import is_variant
 
@@ -159,10 +145,6 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
 
     Typed values of an option are kept if the step adds a value for a pattern of joints, such as
     ``--kp 'knee_*=5'``.
-
-    Args:
-        step: Next step.
-        values: {name of a parameter: typed value}.
     """
     following = (*step.words[1:], "")
     replacing = [
@@ -194,9 +176,6 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
     """Create the command line that requests the nearest reachable stance, after a refusal.
 
     Options of the relaxed requirements have the values of the reachable stance (`error.nearest`).
-
-    Args:
-        error: Error that the requested stance is out of reach.
 
     Returns:
         Command line; empty if there is none, for example without a reachable stance.
@@ -231,11 +210,7 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
 
 
 def print_next_step(step: NextStep | None) -> None:
-    """Print the command line of a suggested next step, if any (`complete_command`).
-
-    Args:
-        step: Next step; None for none.
-    """
+    """Print the command line of a suggested next step, if any (`complete_command`)."""
     if line := complete_command(step):
         click.echo(f"  next: {line}")
 
@@ -253,15 +228,9 @@ def _list_common_options(
     target: click.Command,
     excluded: Sequence[str],
 ) -> Iterator[str]:
-    """Yield the typed options, with values, that the suggested next command also has.
+    """Yield the typed options, with values, that the suggested next command ``target`` also has.
 
-    Options for outputs and ``--force`` are left out.
-
-    Args:
-        order: Typed parameters.
-        values: {name of a parameter: typed value}.
-        target: Next command.
-        excluded: Options that are not yielded, for example because the next step sets them.
+    Options for outputs, ``--force`` and the options ``excluded`` are left out.
     """
     known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
     for option in dict.fromkeys(order):

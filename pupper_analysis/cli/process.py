@@ -52,9 +52,6 @@ class TolerantStream(io.RawIOBase):
         """Write data to the stream, and return the number of written bytes.
 
         After the first output error, data are discarded; their size is returned nevertheless.
-
-        Args:
-            data: Object with the buffer interface, such as bytes.
         """
         if not self._gone:
             try:

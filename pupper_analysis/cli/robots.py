@@ -180,9 +180,6 @@ class RobotOptions:
     def select_robot(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
         """Determine the single robot that the words and options of a command specify.
 
-        Args:
-            words: Words that name a robot, or its model files.
-
         Returns:
             Name or specification of a variant of the package's own robot, or files; None if no
             robot is specified.
@@ -210,9 +207,6 @@ class RobotOptions:
 
         A URDF and the MJCF after it are a single robot.
 
-        Args:
-            words: Words that name robots, or model files.
-
         Returns:
             Names or specifications of variants of the package's own robot, and files; empty if no
             robot is specified.
@@ -231,11 +225,7 @@ class RobotOptions:
     def _attach_options(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        """Add the typed options for files to the selected robots that are loaded from files.
-
-        Raises:
-            ConfigurationError: If such an option is typed, and no robot is from files, for example.
-        """
+        """Add the typed options for files to the selected robots that are loaded from files."""
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
         ):
@@ -426,11 +416,7 @@ def pass_robot_options(command: Command) -> Command:
 def add_options(
     *groups: tuple[Callable[[Command], Command], ...],
 ) -> Callable[[Command], Command]:
-    """Create a decorator that adds groups of options to a command-line command, in this order.
-
-    Args:
-        *groups: Groups of option decorators, such as `FILE_OPTIONS`.
-    """
+    """Create a decorator that adds groups of options to a command-line command, in this order."""
 
     def add(command: Command) -> Command:
         """Add the options of all groups to a command."""

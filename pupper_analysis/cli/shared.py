@@ -125,11 +125,6 @@ class OutputPath(click.Path):
 
         Programs choose by the suffix how to open a file.
 
-        Args:
-            option: Name of the option, for errors.
-            path: Output file.
-            kind: Format that is written.
-
         Raises:
             ConfigurationError: If the suffix is not permitted.
         """
@@ -207,10 +202,6 @@ class Command(click.Command):
 
         Several errors of click are replaced by more helpful ones, for example with similar options.
 
-        Args:
-            ctx: Context of the command.
-            args: Words after the name of the command.
-
         Returns:
             Words that click has not processed.
 
@@ -277,9 +268,6 @@ class Command(click.Command):
         """Refuse words such as ``height=12cm`` and ``-height``, where a known option lacks hyphens.
 
         Click reads ``height=12cm`` as a robot, and ``-height`` as options ``-h``, ``-e`` and so on.
-
-        Raises:
-            click.UsageError: If there is such a word.
         """
         options = {name for option in self.params for name in option.opts if name[:2] == "--"}
         for previous, word in pairwise(("", *words)):
@@ -293,10 +281,9 @@ class Command(click.Command):
                 raise click.NoSuchOption(name, message, ctx=ctx)
 
     def _refuse_repetition(self, ctx: click.Context) -> None:
-        """Refuse an option with two different values, because click would ignore one of them.
+        """Refuse an option (or NAME in ``NAME=VALUE``) with two different values.
 
-        Raises:
-            click.UsageError: If there is such an option, also a repeated NAME in ``NAME=VALUE``.
+        Click would ignore one of the values. The error is a click.UsageError.
         """
         repeatable = copy.copy(self)
         repeatable.params = [copy.copy(parameter) for parameter in self.params]
@@ -326,12 +313,7 @@ class Command(click.Command):
         return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
-        """Create the error about a missing argument, with its meaning and a usage line.
-
-        Args:
-            ctx: Context of the command.
-            name: Name of the argument.
-        """
+        """Create the error about a missing argument, with its meaning and a usage line."""
         shown = self._list_metavars(ctx)
         message = diagnose(
             "argument-missing",
@@ -469,8 +451,7 @@ def _refuse_other_dashes(
 ) -> None:
     """Refuse a known option or a number that begins with a Unicode dash in place of ``-``.
 
-    Raises:
-        click.UsageError: If there is such a word. Names of existing files are accepted.
+    The error is a click.UsageError. Names of existing files are accepted.
     """
     for word in words:
         wanted = ""
@@ -486,8 +467,7 @@ def _refuse_other_dashes(
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
     """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
-    Raises:
-        click.UsageError: If there are such words. Names of existing files are accepted.
+    The error is a click.UsageError. Names of existing files are accepted.
     """
     known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
     known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
@@ -510,10 +490,8 @@ def _refuse_separate_values(
 ) -> None:
     """Refuse numbers that are typed as separate words, such as ``--payload-at 0 0 8cm``.
 
-    Click reads such a number as a robot, or a negative number as an option ``-4``.
-
-    Raises:
-        click.UsageError: If there are such words. The message contains the words to type.
+    Click reads such a number as a robot, or a negative number as an option ``-4``. The error
+    (click.UsageError) contains the words to type.
     """
     forms = {
         name: option.metavar or ""
@@ -663,12 +641,7 @@ def _list_named_files(command: click.Command, context: click.Context) -> Iterato
 
 
 def _prepare_outputs(command: Command, context: click.Context) -> None:
-    """Check that the results of a command can be written, and register the files as outputs.
-
-    Raises:
-        OutputError: If a result cannot or must not be written, or two have the same path.
-        ConfigurationError: If a suffix belongs to another format.
-    """
+    """Check that the results of a command can be written, and register the files as outputs."""
     from pupper_analysis.base import files
 
     targets: set[Path] = set()
@@ -696,13 +669,7 @@ def _prepare_outputs(command: Command, context: click.Context) -> None:
 def file_option(
     *names: str, help: str, required: bool = False
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Create a decorator that adds an option for an input file to a command-line command.
-
-    Args:
-        *names: Names of the option, such as ``--urdf``.
-        help: Text in ``--help``.
-        required: Whether the option must be typed.
-    """
+    """Create a decorator that adds an option for an input file to a command-line command."""
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
 
@@ -812,10 +779,6 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     A path may be the name of a variant of the package's own robot (such as ``v3``), which has both
     formats.
 
-    Args:
-        one: First typed path.
-        other: Second typed path.
-
     Returns:
         Path of the URDF; path of the MJCF. If a file cannot be read, the paths as typed.
 
@@ -860,11 +823,6 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         """Parse the text of an option, for example ``5deg``, into the SI unit of the quantity.
 
         A number without a unit is in the SI unit.
-
-        Args:
-            value: Text of the user, or a number, such as a default value.
-            param: Parameter of the command, for errors.
-            ctx: Context of the command, for errors.
 
         Returns:
             Value in the SI unit, for example [m] or [rad].
@@ -941,20 +899,12 @@ def lacks_unit(kind: str, value: float) -> bool:
     """Return True if a number without a unit is probably not in the SI unit.
 
     Such a number is finite and beyond the bound of its quantity in `MAX_BARE_NUMBERS`.
-
-    Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``.
-        value: Number, taken in the SI unit of the quantity.
     """
     return MAX_BARE_NUMBERS.get(kind, math.inf) < abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
     """Parse the text ``NAME=VALUE`` of an option into the name and the text of the value.
-
-    Args:
-        option: Name of the option, for errors.
-        text: Text; the first equals sign separates name and value.
 
     Raises:
         ConfigurationError: If the text has another form.
@@ -1019,10 +969,6 @@ _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     """Parse the text ``NAME=NUMBER`` of an option into the name and the number.
 
-    Args:
-        option: Name of the option, for errors.
-        text: Text; the number has no unit.
-
     Raises:
         ConfigurationError: If the text has another form.
     """
@@ -1078,10 +1024,6 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
 def parse_position(option: str, text: str) -> tuple[str, float]:
     """Parse the text ``NAME=POSITION`` of an option into the name and the position [rad or m].
 
-    Args:
-        option: Name of the option, for errors.
-        text: Text; the position is an angle or a length, with or without a unit.
-
     Raises:
         ConfigurationError: If the text has another form.
     """
@@ -1092,10 +1034,7 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
 def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
     """Create the message about an invalid number with unit, with a correction if possible.
 
-    Args:
-        kind: Quantity, a key of ``UNIT_FACTORS``.
-        text: Invalid text.
-        given: Whole typed value that contains ``text``, if longer.
+    ``given`` is the whole typed value that contains ``text``, if longer.
     """
     units = tuple(UNIT_FACTORS[kind])
     with suppress(ValueError):
@@ -1127,8 +1066,7 @@ def _spell_unit(kind: str, text: str) -> str:
 def show_progress(what: str) -> AbstractContextManager[object]:
     """Show a progress message while a context is active, if standard error is a terminal.
 
-    Args:
-        what: Message, for example ``simulating``.
+    ``what`` is the message, for example ``simulating``.
     """
     return _display_progress(what) if sys.stderr.isatty() else nullcontext()
 
@@ -1160,9 +1098,6 @@ def format_progress(clock: ProgressClock) -> str:
     """Format the progress of a computation, with the remaining or elapsed time [s].
 
     The text is empty before ``MIN_REPORTED_TIME``.
-
-    Args:
-        clock: Clock of the computation.
     """
     from pupper_analysis.present.document import text
 
@@ -1254,10 +1189,6 @@ def confirm_written(path: Path | str) -> None:
 def write_json(path: Path | None, content: object) -> None:
     """Write results as a JSON file and print the path; without a path, write nothing.
 
-    Args:
-        path: Output file of the user, or None.
-        content: Results.
-
     Raises:
         ProcessEnded: If a signal, such as Ctrl-C, has arrived.
         ConfigurationError: If a value has no JSON equivalent.
@@ -1276,11 +1207,6 @@ def write_json(path: Path | None, content: object) -> None:
 
 def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] = ()) -> None:
     """Write results as a single HTML file and print the path; without a path, write nothing.
-
-    Args:
-        path: Output file of the user, or None.
-        results: Results of the command.
-        robots: Robots of the results, for 3-D views.
 
     Raises:
         ProcessEnded: If a signal, such as Ctrl-C, has arrived.
@@ -1385,9 +1311,6 @@ def parse_xacro_args(texts: Sequence[str]) -> dict[str, str]:
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
     """Parse the values ``NAME=DIR`` of an option with the folders of ROS packages.
 
-    Args:
-        packages: Values of ``--package``.
-
     Returns:
         {package: folder}.
 
@@ -1439,10 +1362,6 @@ fine_tolerance_option = click.option(
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
     """Change tolerances of a model comparison by the typed values of ``--tolerance KIND=VALUE``.
 
-    Args:
-        tolerances: Tolerances of the comparison of two models.
-        changes: Texts ``KIND=VALUE``.
-
     Raises:
         ConfigurationError: If a text has another form, or a kind or value is not valid.
     """
@@ -1453,9 +1372,6 @@ def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Toler
 
 def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
     """Parse the values ``URDF_NAME=MJCF_NAME`` of the option ``--map``.
-
-    Args:
-        pairs: Values of the option.
 
     Returns:
         {name in the URDF: name in the MJCF}.

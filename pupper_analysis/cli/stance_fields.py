@@ -37,11 +37,7 @@ value of the option under this name."""
 
 
 def make_option(field: Field) -> Callable[[Command], Command]:
-    """Create a decorator that adds the option of a stand-task field to a command-line command.
-
-    Args:
-        field: Field, which determines the form of the option.
-    """
+    """Create a decorator that adds the option of a stand-task field to a command-line command."""
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     if field.per or field.choices:
@@ -117,10 +113,6 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
 def format_as_options(task: StandTask, attributes: Sequence[str]) -> dict[str, list[str]]:
     """Format requirements of a stand task as options of a command, the inverse of `make_task`.
 
-    Args:
-        task: Task.
-        attributes: Attributes of `StandTask` to format.
-
     Returns:
         {option: its values}, for example ``{"--swing": ["FL=20mm"]}``, without values that are
         None. Empty if a value has no form as option, for example a contact surface.
@@ -157,10 +149,6 @@ def to_task_value(field: Field, value: Any) -> Any:
 
     Texts such as ``FL=10cm`` of a repeatable option become a mapping, with numbers in SI units.
 
-    Args:
-        field: Field of the task.
-        value: Value of the option, from click.
-
     Raises:
         ConfigurationError: If a text has another form, or a contact is stated twice.
     """
@@ -192,11 +180,6 @@ def _parse_value(field: Field, text: str, given: str) -> Any:
 
 def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     """Parse the text of a contact, such as ``wall:0.4m,mu=0.6``, into a contact surface.
-
-    Args:
-        option: Name of the option, for errors.
-        text: Text of the surface: kind, size and properties.
-        given: Complete value of the option, for errors.
 
     Returns:
         Surface that a part of the robot touches; for ``weld``, the fixation of the part in the
@@ -293,9 +276,6 @@ stance_option = click.option(
 
 def read_stance_file(path: Path) -> dict[str, Any]:
     """Read the option values of a stance file (TOML).
-
-    Args:
-        path: File, as saved by the live page.
 
     Returns:
         {parameter: value in the form of the command line}.

@@ -220,11 +220,10 @@ class RobotAndTask:
         Args:
             words: Words that name the robots.
             visuals: False if the robots are not drawn: visual meshes are then not converted.
-            default: Names of variants of the package's own robot that are loaded if no robot is
-                selected.
+            default: Names of variants that are loaded if no robot is selected.
 
         Raises:
-            ConfigurationError: If an option is not valid or has no effect, for example.
+            ConfigurationError: For example if an option is not valid, or has no effect.
             VariantError: If a word names no robot, or a scale is not valid.
             ModelError: If a robot cannot be loaded from its files.
             UnknownNameError: If an option names a joint or frame that a robot lacks.
@@ -295,10 +294,6 @@ class RobotAndTask:
 
         If the verdict is that the files describe different robots, the first difference to repair
         may be printed, too.
-
-        Args:
-            result: Result.
-            robot: Robot of the result.
         """
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
@@ -311,13 +306,9 @@ class RobotAndTask:
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Parse the typed servo gains (``--kp``, ``--kd``): stiffness kp and damping kd.
 
-        Args:
-            robot: Robot.
-
         Returns:
-            kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Each is a number for all joints, or a list,
-            shape (nu,), in actuator order. None if the option was not typed: the gains of the model
-            apply.
+            kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Each is a number for all joints, or a list
+            in actuator order. None if the option was not typed: the gains of the model apply.
 
         Raises:
             ConfigurationError: If a typed gain has another form.
@@ -510,8 +501,8 @@ def apply_motors(
 ) -> tuple[Robot, dict[str, Motor]]:
     """Assign the motors of ``--motor`` to joints, and set the effort limits of these joints.
 
-    The effort limit of a joint with a motor becomes the largest torque of the motor at rest, unless
-    ``--effort`` names the joint.
+    The effort limit becomes the largest torque of the motor at rest, unless ``--effort`` names the
+    joint.
 
     Args:
         texts: Texts ``[JOINTS=]MOTOR`` of ``--motor``.
@@ -551,13 +542,13 @@ def parse_continuous_torques(
         robot: Robot.
 
     Returns:
-        {joint: continuous torque [N m, of a slide N]}; {joint: motor} of the joints whose torque is
-        that of a motor.
+        {joint: continuous torque [N m, of a slide N]}; {joint: motor} of the joints with the torque
+        of a motor.
 
     Raises:
         UnknownNameError: If a pattern matches no joint, or a text names no motor.
         ConfigurationError: If a text has another form, or names a motor for a slide.
-        ModelError: If the motor's file cannot be read or is not valid, or lacks a number.
+        ModelError: If the motor's file is not valid, or lacks a number, for example.
     """
     from pupper_analysis.models.motors.thermal import compute_continuous_torque
 
@@ -644,14 +635,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
 def draw_requested_stand(
     robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None
 ) -> None:
-    """Draw a stand to the file of ``--figure``, and print the path; without a path, draw nothing.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        statics: Statics of the stand, with the forces that are drawn.
-        path: Output file of the user, or None.
-    """
+    """Draw a stand to the file of ``--figure``, and print the path; without a path, do nothing."""
     if path is not None:
         from pupper_analysis.present.figures.pose import write_pose_figure
 

@@ -95,10 +95,9 @@ numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
-    """Return an effort or velocity limit of a URDF; inf from ``UNSTATED`` up ("unspecified").
+    """Return an effort or velocity limit of a URDF [N m, N; rad/s, m/s].
 
-    Args:
-        stated: Effort [N m, N] or velocity limit [rad/s, m/s] in the URDF.
+    Values from ``UNSTATED`` up mean "unspecified", and become infinite.
     """
     return math.inf if stated >= UNSTATED else stated
 

@@ -115,9 +115,7 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     """Compile a MuJoCo model with the structure of a multibody tree and placeholder parameters.
 
-    Args:
-        parameters: Tree with the joints, their types, and the frames (sites of the model).
-        base: Name of the base body in the model.
+    ``base`` is the name of the base body in the model.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -324,17 +322,10 @@ def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
 def _add_pinocchio_joint(
     result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
 ) -> tuple[int, pin.SE3]:
-    """Add a free, hinge or slide joint of MuJoCo's model to a Pinocchio model.
+    """Return the index of a new Pinocchio joint, and the pose of the moved body in its frame.
 
-    Args:
-        result: Pinocchio model; modified.
-        model: MuJoCo model.
-        index: Id of the joint in MuJoCo's model.
-        parent: Index of the parent joint in the Pinocchio model.
-        placement: Pose of the moved body in the frame of the parent joint, at ``qpos0``.
-
-    Returns:
-        Index of the new joint, and pose of the moved body in the frame of this joint.
+    ``index`` is the id of MuJoCo's free, hinge or slide joint. ``placement`` is the pose of the
+    moved body in the frame of the joint ``parent``, at ``qpos0``. ``result`` is modified.
     """
     name = model.joint(index).name
     kind = JointKind(int(model.jnt_type[index]))
@@ -366,14 +357,10 @@ def _add_pinocchio_joint(
 def split_joint_placement(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
     """Return the constant placements before and after the motion of a MuJoCo hinge or slide.
 
-    B is the frame of the moved body. J is the joint frame, fixed to the body, with its origin at
-    ``jnt_pos``. B0 is the frame B at the joint position ``qpos0``, as specified by ``body_pos`` and
-    ``body_quat``. At the joint position q, the pose of B in B0 is ``before * M(q) * after``. M(q)
-    is the rotation about, or the translation along, ``jnt_axis`` by q.
-
-    Args:
-        model: MuJoCo model.
-        joint: Id of the joint.
+    B is the frame of the moved body, and B0 this frame at the joint position ``qpos0``. J is the
+    joint frame, fixed to the body, with its origin at ``jnt_pos``. At the joint position q, the
+    pose of B in B0 is ``before * M(q) * after``. M(q) is the rotation about, or the translation
+    along, ``jnt_axis`` by q.
 
     Returns:
         Placement of J in B0 at a joint position of zero; placement of B in J at any joint position.

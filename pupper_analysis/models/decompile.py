@@ -147,10 +147,6 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
 
     Most elements without a name get a name such as ``body_3``. The given model is not modified.
 
-    Args:
-        model: Compiled model.
-        source: Name of the model, for messages.
-
     Raises:
         ModelError: If the model has no names or an unsupported element, for example, or the
             compiled spec differs from the model.
@@ -380,14 +376,10 @@ class _SpecWriter:
 def _copy_fields(
     element: Any, model: mujoco.MjModel, prefix: str, index: int, names: Mapping[str, str]
 ) -> None:
-    """Copy the values of one element from the arrays of a model into a spec element, in place.
+    """Copy the values of element ``index`` of a model into a spec element, in place.
 
-    Args:
-        element: Element of the new spec, modified.
-        model: Compiled model.
-        prefix: Prefix of the arrays, such as ``geom``.
-        index: Id of the element in the model.
-        names: {field of the element: suffix of the array}.
+    ``names`` is {field of the spec element: suffix of the array}, and ``prefix`` the prefix of the
+    arrays, such as ``geom``.
     """
     for name, source in names.items():
         value = getattr(model, f"{prefix}_{source}")[index]

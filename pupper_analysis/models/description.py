@@ -83,11 +83,7 @@ class Description:
     converted: str = ""
 
     def with_additions(self, *additions: Addition) -> Description:
-        """Return a copy whose MJCF has further additions, for example a floor or servos.
-
-        Args:
-            additions: Elements to add to the MJCF.
-        """
+        """Return a copy whose MJCF has further additions, for example a floor or servos."""
         spec = self.mjcf.copy()
         apply_additions(additions, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *additions))

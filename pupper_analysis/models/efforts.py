@@ -241,11 +241,11 @@ def resolve_effort_limit(
         model: MuJoCo model of the MJCF.
         joint: Id of a hinge or slide.
         effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
-            the URDF states no effort.
+            unknown.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
         empty_range: Force range of the joint in the MJCF that permits no force (``null_efforts``),
-            which the compiled model does not contain. None if there is no such range.
+            which the compiled model does not contain.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives
@@ -367,14 +367,7 @@ def _is_empty(
 ) -> bool:
     """Return True if a force or control range of an MJCF is empty, and so permits no force.
 
-    Args:
-        file: The MJCF.
-        kind: ``joint`` or ``actuator``.
-        name: Name of the element.
-        attribute: Attribute with the range.
-        range_: Lower and upper end.
-        limited: MuJoCo's flag for the range, such as ``forcelimited``. With a flag other than
-            "auto", the result is False.
+    False if ``limited``, MuJoCo's flag for the range, is not "auto".
     """
     low, high = (float(end) for end in range_)
     if limited != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
@@ -386,10 +379,6 @@ def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement
     """Return the torque limit that ``actuatorfrcrange`` of a joint states, as a list.
 
     The list is empty if there is no limit, or the limit is at least ``UNSTATED``.
-
-    Args:
-        model: MuJoCo model.
-        joint: Id of the joint.
     """
     unknown = (
         model.jnt_actfrcrange[joint, 1] >= UNSTATED
@@ -403,10 +392,6 @@ def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement
 def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
     """Return the largest torque or force [N m, N] that the actuators of a joint can exert.
 
-    Args:
-        model: MuJoCo model.
-        joint: Id of the joint.
-
     Returns:
         Larger magnitude of the limits in both directions; infinite if one direction has no limit.
     """
@@ -415,12 +400,7 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the torque limits at the joint [N m, N] that attributes of an actuator state.
-
-    Args:
-        model: MuJoCo model.
-        actuator: Id of the actuator.
-    """
+    """Return the torque limits at the joint [N m, N] that attributes of an actuator state."""
     gear = float(actuator_gear(model, actuator)[0])
     return [limit.scaled(gear) for limit in _read_actuator_forces(model, actuator)]
 

@@ -54,9 +54,6 @@ def pointed_file(blob: bytes) -> str | None:
     """Return the SHA-256 hash of the file that a Git LFS pointer represents.
 
     None for other contents, and for a pointer without SHA-256.
-
-    Args:
-        blob: Bytes of the file.
     """
     if not blob.startswith(LFS_POINTER) or len(blob) >= _MAX_POINTER_BYTES:
         return None

@@ -140,17 +140,14 @@ def read_model(
     Args:
         path: The file, the name of a published robot, ``package://NAME/FILE``, or a robot in memory
             (see `read_objects`).
-        packages: Folders of ROS packages, for ``package://`` in a URDF and ``$(find)`` in a xacro
-            file.
+        packages: {ROS package: its folder}, for ``package://`` and for ``$(find)`` in a xacro file.
         xacro: {argument: value} with which a xacro file is expanded, which evaluates the Python
-            expressions in the file. None: nothing is evaluated. Ignored for other models.
+            expressions in the file. None: nothing is evaluated.
 
     Raises:
         ConfigurationError: If ``path`` is of another type.
-        ModelError: If the file cannot be loaded, for example because xacro must be expanded. The
-            message is a single line with location and reason.
-        UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
-            argument.
+        ModelError: If the file cannot be loaded, for example because xacro must be expanded.
+        UnknownNameError: If a robot of MuJoCo Menagerie or an argument of a xacro file is unknown.
         OutputError: If this run of the command line also writes the file, or for example a mesh.
     """
     if is_object(path):
@@ -184,15 +181,13 @@ def read_as_urdf(
     Args:
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
             the reader of another format.
-        packages: {ROS package: its folder}, for ``package://`` in ``model`` or a URDF, and
-            ``$(find)`` in a xacro file.
+        packages: {ROS package: its folder}, for ``package://`` and for ``$(find)`` in a xacro file.
         xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
         ConfigurationError: If ``model`` is of another type.
         ModelError: If the file or object cannot be read, or is not a URDF.
-        UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
-            argument.
+        UnknownNameError: If a robot of MuJoCo Menagerie or an argument of a xacro file is unknown.
         MissingPackageError: If a package that the reader of the format needs is not installed.
         OutputError: If this run of the command line also writes the file.
     """

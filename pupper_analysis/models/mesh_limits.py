@@ -45,9 +45,6 @@ def check_gltf(data: bytes) -> Diagnostic | None:
     A shared accessor is counted once per primitive. A broken file raises another exception, for
     example `struct.error` or `KeyError`.
 
-    Args:
-        data: Content of the file (.glb).
-
     Returns:
         Reason to refuse the file; None if the file is accepted.
     """
@@ -90,9 +87,6 @@ class _ColladaScene:
         """Count the parts of a COLLADA node, and the characters that describe the shapes.
 
         A node that contains itself gets more parts than allowed, so that the file is refused.
-
-        Args:
-            node: Element ``<node>``.
         """
         if node not in self._extents:
             self._extents[node] = _Extent(MAX_MESH_PARTS + 1, 0)
@@ -117,9 +111,6 @@ def check_collada(data: bytes) -> Diagnostic | None:
     The limits apply to the sum over all scenes, in which each instance of a node or shape counts:
     `MAX_MESH_PARTS` parts, and twice `MAX_MESH_BYTES` characters. A broken file raises an
     `etree.XMLSyntaxError`.
-
-    Args:
-        data: Content of the file (.dae).
 
     Returns:
         Reason to refuse the file; None if the file is accepted.

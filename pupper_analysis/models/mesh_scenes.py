@@ -42,17 +42,16 @@ class UnreadableError(Exception):
 
 
 def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
-    """Read all parts of a mesh file as one mesh, without materials.
+    """Read all parts of a mesh file as one mesh [m], without materials.
 
-    A COLLADA file states the length of its unit, which is applied, as RViz and Gazebo do. The axis
-    that points up is not applied, as in RViz.
+    The unit of length that a COLLADA file states is applied, but not its up axis, as in RViz.
 
     Args:
         data: Content of the file.
         ending: Suffix of the file: .dae, .glb, .off or .ply.
 
     Raises:
-        UnreadableError: If the mesh is broken, or has too many vertices or parts, or too much text.
+        UnreadableError: If the mesh is broken, or exceeds a limit.
     """
     import trimesh  # comes with yourdfpy, and is slow to import
 

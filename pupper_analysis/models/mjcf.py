@@ -134,10 +134,6 @@ _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
     """Compile a spec, and check the numbers of the model.
 
-    Args:
-        spec: Spec.
-        source: File, for messages.
-
     Raises:
         ModelError: If MuJoCo rejects the spec (the message is MuJoCo's), or if the model contains
             an invalid number.
@@ -217,10 +213,6 @@ def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj
     """Return the two objects, such as joints, that an equality constraint connects.
 
     Each object is (object type, id). The second id is -1 if there is no second object.
-
-    Args:
-        model: MuJoCo model.
-        index: Id of the equality constraint.
     """
     # eq_objtype is only valid for constraints of bodies or sites.
     object_type = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(

@@ -134,10 +134,7 @@ def _describe_missing_files(
 ) -> list[Diagnostic]:
     """Return a note about missing mesh files and a note about missing texture files, if any.
 
-    Args:
-        meshes: {mesh: missing file}.
-        textures: {texture: missing file}.
-        geoms: Geoms with these meshes.
+    ``meshes`` and ``textures`` are {name: missing file}; ``geoms`` have these meshes.
     """
     collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
@@ -198,8 +195,8 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
         Model; names of the shells; MuJoCo's message about the first flat mesh ("" if none).
 
     Raises:
-        ValueError: If a flat mesh determines a mass, or MuJoCo does not compile the spec for
-            another reason. Other exceptions of ``make`` are not converted.
+        ValueError: If a flat mesh determines a mass, for example. Other exceptions of ``make`` are
+            not converted.
     """
     shells: list[str] = []
     first_message = ""
@@ -218,12 +215,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
 
 
 def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
-    """Set in a spec, in place, that MuJoCo computes the inertia of given meshes as thin shells.
-
-    Args:
-        spec: Spec; modified.
-        names: Names of the meshes.
-    """
+    """Set in a spec, in place, that MuJoCo computes the inertia of given meshes as thin shells."""
     for mesh in spec.meshes:
         if mesh.name in names:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -362,12 +354,8 @@ class IncludeTree:
     ) -> XmlNode:
         """Convert a parsed MJCF element and its descendants to nodes, with the includes expanded.
 
-        Args:
-            element: Element as parsed.
-            path: File that contains the element.
-            within: Resolved paths of the files whose inclusion leads to the element.
-            depth: Nesting depth below the root.
-            childclass: Default class from the ``childclass`` of the elements above.
+        ``within`` are the resolved paths of the including files. ``childclass`` is the default
+        class from the elements above.
         """
         attributes = {str(name): str(value) for name, value in element.attrib.items()}
         place = Place(path, line_of(element))
@@ -429,12 +417,7 @@ class IncludeTree:
         self._copies_by_model[name] = tree.copies
 
     def _find_included(self, element: etree._Element, path: Path) -> Path:
-        """Return the existing file of an include or attached model, and count the include.
-
-        Raises:
-            ModelError: For example if the file does not exist, or there are too many includes.
-            OutputError: If this run of the command line also writes the file.
-        """
+        """Return the existing file of an include or attached model, and count the include."""
         if next(self._include_counter) > MAX_INCLUDES:
             raise make_element_error(
                 path, element, diagnose("too-many-includes", most=MAX_INCLUDES)
@@ -857,10 +840,6 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
 
     If MuJoCo does not compile the file, ``refusal`` of the result contains the error.
 
-    Args:
-        path: The file.
-        root: Root element.
-
     Raises:
         ModelError: For example if an include or an attribute is not valid, or a mass depends on a
             missing mesh.
@@ -953,10 +932,7 @@ def _compile_file(
 ) -> MjcfFile:
     """Compile a new spec of an MJCF, and return the `MjcfFile` with the model or the error.
 
-    Args:
-        tree: Elements of the file.
-        index: Index of the elements.
-        make_spec: Function that creates the spec and its diagnostics; called several times.
+    ``make_spec`` creates the spec and its diagnostics; it is called several times.
     """
     path = tree.path
     spec, notes = make_spec()

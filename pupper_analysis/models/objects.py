@@ -69,10 +69,6 @@ def is_object(model: object) -> bool:
 def check_model(argument: str, model: object) -> None:
     """Check that a model is a path, a text or a robot in memory.
 
-    Args:
-        argument: Name of the argument, for the message.
-        model: Model of the caller.
-
     Raises:
         ConfigurationError: If the model has another type; the message lists the accepted types.
     """
@@ -83,10 +79,6 @@ def check_model(argument: str, model: object) -> None:
 
 def require_path(argument: str, model: object) -> None:
     """Raise an error if a model is a robot in memory, because it has no file to write.
-
-    Args:
-        argument: Name of the argument, for the message.
-        model: Model of the caller.
 
     Raises:
         ConfigurationError: If the model is an object or an XML text.
@@ -114,9 +106,6 @@ class ObjectFiles:
         """Add armature and gravity of the Pinocchio model to an MJCF; a URDF cannot state them.
 
         Meshes of the temporary folder become assets in memory.
-
-        Args:
-            mjcf: MJCF that was converted from the URDF of the Pinocchio model.
 
         Returns:
             Modified copy; ``mjcf`` itself if no object is a Pinocchio model.
@@ -147,17 +136,14 @@ def read_objects(
 ) -> Iterator[ObjectFiles]:
     """Context manager: convert robots in memory to `UrdfFile` and `MjcfFile` objects.
 
-    Meshes of a geometry model are in a private temporary folder, which is removed at the end of the
-    context.
+    Meshes of a geometry model are in a private temporary folder, which is removed at the end.
 
     Args:
-        models: Objects. A ``pin.GeometryModel`` contains the shapes of the only ``pin.Model`` in
-            the list.
-        packages: Folders of ROS packages, for ``package://`` in a URDF.
+        models: Objects. A ``pin.GeometryModel`` contains the shapes of the only ``pin.Model``.
+        packages: {ROS package: its folder}, for ``package://`` in a URDF.
 
     Raises:
-        ConfigurationError: If a geometry model does not belong to exactly one ``pin.Model``, for
-            example.
+        ConfigurationError: If a geometry model does not belong to exactly one ``pin.Model``.
         ModelError: If no robot can be made of an object; the message names the reason.
         OutputError: If this run of the command line also writes a file that a model uses.
     """
@@ -201,11 +187,7 @@ def _read_object(
 ) -> UrdfFile | MjcfFile:
     """Convert a robot in memory (object or XML text) to a `UrdfFile` or `MjcfFile`.
 
-    Args:
-        model: Robot in memory, but no ``pin.GeometryModel``.
-        geometry: Shapes of a ``pin.Model``; None without shapes.
-        packages: {ROS package: its folder}, for ``package://`` in a URDF.
-        folder: Folder to which the meshes of ``geometry`` are written.
+    ``geometry`` contains the shapes of a ``pin.Model``; its meshes are written to ``folder``.
     """
     if isinstance(model, UrdfFile | MjcfFile):
         return model
@@ -238,11 +220,6 @@ def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
 
     The XML of a spec with an attached model may be missing, because the compiler settings differ,
     or the folder of the attached model's files is unknown.
-
-    Args:
-        path: Path that messages contain instead of a file's path.
-        spec: Spec.
-        name: Kind of the robot in memory, for the note, such as ``MjSpec``.
     """
     note, file = _make_memory_note(name), None
     problem: Exception | None = None
@@ -281,10 +258,8 @@ def _make_text_file(
 ) -> UrdfFile | MjcfFile:
     """Convert an XML text in memory to a `UrdfFile` or `MjcfFile`.
 
-    Args:
-        text: URDF or MJCF; relative paths in the text start at the current folder.
-        name: Kind of the robot in memory, for messages, such as ``XML text``.
-        packages: {ROS package: its folder}, for ``package://`` in a URDF.
+    Relative paths in the text start at the current folder. ``name`` is the kind of the robot in
+    memory, for messages.
     """
     path = Path(f"<{name}>")
     text = text.lstrip("\ufeff \t\r\n")

@@ -109,13 +109,7 @@ def line_of(element: etree._Element) -> int | None:
 
 
 def make_element_error(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
-    """Return the ModelError for a problem of an element, with file and line.
-
-    Args:
-        path: The file.
-        element: Element with the problem.
-        problem: Diagnostic of the problem.
-    """
+    """Return the ModelError for a problem of an element, with file and line."""
     return make_file_error(Place(path, line_of(element)), problem)
 
 
@@ -134,12 +128,7 @@ def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
 
 
 def make_input_error(path: Path, error: InputError) -> ModelError:
-    """Return the ModelError for a model file that cannot be read.
-
-    Args:
-        path: The file.
-        error: Error of reading.
-    """
+    """Return the ModelError for a model file that cannot be read."""
     return make_file_error(Place(path, error.line), error.cause)
 
 

@@ -218,16 +218,16 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
     Published names are robots of MuJoCo Menagerie, and descriptions of the package
-    ``robot_descriptions``. A path is returned unchanged, also if the file does not exist. If a
-    description states several files, an MJCF is preferred to a URDF, and a URDF to a xacro file.
+    ``robot_descriptions``. A path is returned unchanged, also if the file does not exist. MJCF
+    files of a description are preferred to URDF files.
 
     Args:
         model: Path or name.
         packages: {ROS package: its folder}. Other packages are searched in the current folder, in
-            the folders above, and in ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
+            the folders above, and in the folders of ROS.
 
     Raises:
-        ModelError: For example if a ROS package or a description is not found, or the name is a web
+        ModelError: For example if a package or a description is not found, or the name is a web
             address.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
@@ -369,8 +369,7 @@ def expand_xacro(
     """Expand a xacro file, and return the URDF text. Python expressions in the file are evaluated.
 
     ``$(find NAME)`` is resolved as ``package://NAME``, from the folder of the file; a ROS
-    installation is not necessary. A faulty XML declaration, for example behind blank lines, is
-    accepted.
+    installation is not necessary.
 
     Args:
         path: The file.

@@ -110,7 +110,7 @@ class Mesh:
 def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
     """Return the spatial inertia of a convex hull with a density of 1 kg/m^3; None without volume.
 
-    The integral of x x^T over a tetrahedron of volume V with edges e_i from the origin is V/20
+    For a tetrahedron of volume V with edges e_i from the origin, the integral of x x^T is V/20
     (sum_i e_i e_i^T + s s^T), with s = sum_i e_i.
     """
     middle = hull.vertices.mean(axis=0)
@@ -231,11 +231,7 @@ class Shape:
         return None if solid is None else self.pose.placement.act(solid)
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Return the shape, expressed in an outer frame instead of the frame of its body.
-
-        Args:
-            pose: Pose of the body in the outer frame, for example in the world.
-        """
+        """Return the shape in an outer frame, in which ``pose`` is the pose of the shape's body."""
         return replace(self, pose=pose * self.pose)
 
     @property
@@ -367,17 +363,15 @@ class Shape:
     def outline(self, circle: Array, globe: Array) -> Array | None:
         """Return centres of equal balls that together have the same convex hull as the shape.
 
-        The radius of the balls is ``minkowski_terms.ball``: the radius of a sphere or capsule, and
-        0 for boxes, cylinders and meshes. Ellipses (of cylinders) and ellipsoids are approximated
-        by points.
+        The radius of the balls is ``minkowski_terms.ball``, for example 0 for a box. Ellipses (of
+        cylinders) and ellipsoids are approximated by points.
 
         Args:
             circle: Points of the unit circle, shape (n, 2), that represent an ellipse.
             globe: Points of the unit sphere, shape (n, 3), that represent an ellipsoid.
 
         Returns:
-            Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown
-            (missing mesh, plane).
+            Centres, shape (n, 3) [m], in the frame of the body; None if the extent is unknown.
         """
         if self.minkowski_terms is None:
             return None
@@ -476,12 +470,7 @@ def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = No
 
 
 def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return a mesh of a compiled MuJoCo model, with vertices [m] in the frame of the mesh.
-
-    Args:
-        model: MuJoCo model.
-        mesh: Id of the mesh.
-    """
+    """Return a mesh of a compiled MuJoCo model, with vertices [m] in the frame of the mesh."""
     first_vertex, num_vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first_face, num_faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     return Mesh(

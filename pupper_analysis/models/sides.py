@@ -131,11 +131,10 @@ def find_unlike_pairs(
 ) -> list[tuple[str, str]]:
     """Return the left-right pairs of joints whose values of one parameter differ unexpectedly.
 
-    Values that agree within 2 % (``_MOTOR_PARAMETER_RTOL``) are equal. If most pairs are equal, or
-    the unequal pairs share values, the motors of a type have a single set of values, and all
-    unequal pairs are returned. If the motors were identified individually, pairs with a ratio of at
-    least ``_MIN_REPORTED_RATIO`` are returned. (In five published robots with identified motors,
-    there are 1.67 to 2 distinct values per unequal pair.)
+    Pairs that differ by a factor of at least ``_MIN_REPORTED_RATIO`` are returned. Other unequal
+    pairs are returned if most pairs are equal, or if the unequal pairs share values: the motors of
+    a type then have a single set of values. (In five published robots whose motors were identified
+    individually, there are 1.67 to 2 distinct values per unequal pair.)
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.

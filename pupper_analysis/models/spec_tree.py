@@ -227,11 +227,6 @@ class SpecTree:
 
         For the effort, the force ranges of the joint and its actuators are scaled, and the control
         ranges of torque motors.
-
-        Args:
-            joint: Joint.
-            attribute: Parameter that an MJCF can specify.
-            factor: Factor.
         """
         element = self.spec.joint(joint)
         if attribute == BY_KIND["effort"]:

@@ -97,12 +97,12 @@ def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
     """Find the joints on whose positions the lengths of tendons with actuators depend.
 
-    - Fixed tendon: the joints with a nonzero coefficient.
-    - Spatial tendon: the joints that move some, but not all points of a branch of its path.
+    The joints of a fixed tendon have a nonzero coefficient; those of a spatial tendon move some,
+    but not all points of a branch of its path.
 
     Returns:
-        {id of an actuator at a tendon: ids of the joints}. The set of joints is empty for a gear of
-        zero, and for a spatial tendon that depends on a free joint or a ball joint.
+        {id of an actuator at a tendon: ids of the joints}. No joints are listed for a gear of zero,
+        and for a spatial tendon that depends on a free joint or a ball joint.
     """
     found = {actuator: set(levers) for actuator, levers in fixed_tendon_levers(model).items()}
     for actuator in found:
@@ -252,10 +252,6 @@ def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
     """Read the force law of an actuator with fixed gain.
 
     Without affine bias, stiffness and damping are 0.
-
-    Args:
-        model: MuJoCo model.
-        actuator: Id of the actuator.
     """
     gain = float(model.actuator_gainprm[actuator, 0])
     affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value

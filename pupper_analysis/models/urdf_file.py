@@ -120,9 +120,6 @@ class UrdfFile:
         ``ROS_PACKAGE_PATH``, and the folders above the URDF. A relative name without scheme starts
         at the folder of the URDF.
 
-        Args:
-            filename: Text of the attribute.
-
         Returns:
             The file; None if it is not found, or is a Git LFS pointer.
 
@@ -437,12 +434,6 @@ def check_joint(
 ) -> None:
     """Validate type, limit, name and links of a joint.
 
-    Args:
-        path: The file, for messages.
-        name: Name of the joint.
-        joint: Element of the joint, which `check_element` accepts.
-        links: {name: link} of the URDF.
-
     Raises:
         ModelError: If the joint is not valid.
     """
@@ -472,11 +463,6 @@ def check_tree(
     path: Path, links: Mapping[str, etree._Element], joints: Mapping[str, etree._Element]
 ) -> None:
     """Check that the joints of a URDF connect the links to a single tree.
-
-    Args:
-        path: The file, for messages.
-        links: {name: link}.
-        joints: {name: joint}.
 
     Raises:
         ModelError: If the links form no single tree, or a chain is too long.

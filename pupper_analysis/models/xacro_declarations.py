@@ -46,11 +46,6 @@ if there is no such file."""
 def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) -> list[Diagnostic]:
     """Remove unused xacro declarations and harmless includes from a URDF tree, in place.
 
-    Args:
-        path: The file, for messages.
-        root: Root element; modified.
-        resolve: Function that finds included files.
-
     Returns:
         A list with a note on the removed elements; empty if there are none.
 

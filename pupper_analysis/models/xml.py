@@ -102,10 +102,6 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     The default namespace is removed from the tags. A faulty XML declaration, for example behind
     white space, is accepted. Xacro elements of a ``<robot>`` stay in the tree.
 
-    Args:
-        path: The file, for messages.
-        text: Text of the file.
-
     Raises:
         ModelError: For example if the text is not well-formed, or exceeds a limit.
     """

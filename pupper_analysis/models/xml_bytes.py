@@ -66,13 +66,7 @@ class XmlElement:
         self.changes[name] = value
 
     def rename_or_set(self, old: str, name: str, value: str) -> None:
-        """Set an attribute of this element; rename the attribute with the old name, if present.
-
-        Args:
-            old: Old name.
-            name: Name of the attribute.
-            value: New value.
-        """
+        """Set an attribute of this element; rename the attribute with the old name, if present."""
         if name != old and old in self.attributes:
             self.renamed[old] = name
         self.set(name, value)
@@ -200,10 +194,6 @@ def splice_attributes(data: bytes, element: XmlElement) -> Iterator[tuple[int, i
 
     Each replacement is (start, end, new bytes): the new bytes replace ``data[start:end]``.
     Attributes are renamed and changed in place; new attributes follow the last attribute.
-
-    Args:
-        data: Bytes of the file.
-        element: Element with the changes.
     """
     if not element.changes:
         return

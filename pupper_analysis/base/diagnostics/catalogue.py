@@ -85,9 +85,6 @@ def codes() -> Iterator[str]:
 def entry(code: str) -> Entry:
     """Return the severity, the group and the text templates of a diagnostic's code.
 
-    Args:
-        code: Code, such as ``"mesh-missing"``.
-
     Raises:
         KeyError: If neither this package's catalogue nor a plug-in's catalogue contains the code.
     """

@@ -283,22 +283,12 @@ NOT_STATED = Term("not stated")
 
 
 def describe_effort(value: float, unit: str) -> Quantity | Term:
-    """Return a torque or force limit for a message: a quantity, or "not stated" if not finite.
-
-    Args:
-        value: Limit [N m, N].
-        unit: Unit of the limit.
-    """
+    """Return a torque or force limit for a message: a quantity, or "not stated" if not finite."""
     return Quantity(value, unit) if math.isfinite(value) else NOT_STATED
 
 
 def describe_bound(value: float, unit: str) -> Quantity | Term:
-    """Return a limit for a message: a quantity, or the term "unlimited" if not finite.
-
-    Args:
-        value: Limit, in ``unit``.
-        unit: Unit of the limit.
-    """
+    """Return a limit for a message: a quantity, or the term "unlimited" if not finite."""
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED
 
 
@@ -421,11 +411,6 @@ class _TemplateFormatter(Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Return a value as text in the language of the formatter.
-
-        Args:
-            value: Value of a placeholder: number, text, term, diagnostic, subject, pair or tuple.
-            format_spec: Format specification in the template; ignored for terms, phrases,
-                diagnostics and subjects.
 
         Raises:
             ValueError: If the specification is not valid.

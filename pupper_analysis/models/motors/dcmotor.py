@@ -25,11 +25,6 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     divided by the torque constant: the motor exerts such a torque in both directions. Numbers that
     the actuator does not state are unknown (None), for example an armature of zero.
 
-    Args:
-        model: MuJoCo model.
-        actuator: Id of the actuator.
-        source: Name of the file, for messages.
-
     Raises:
         ModelError: If the actuator is no ``dcmotor``, or its numbers contradict each other.
     """
@@ -70,10 +65,6 @@ def _find_symmetric_limit(ends: Array) -> float | None:
 def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
     """Read the motors of all ``dcmotor`` actuators with transmission ``joint`` of a MuJoCo model.
 
-    Args:
-        model: MuJoCo model.
-        source: Name of the file, for messages.
-
     Returns:
         {joint: motor}; the last motor in the file if a joint has several.
 
@@ -96,11 +87,6 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     The element has one thermal node. The thermal resistances and the heat capacities of winding and
     housing are added: the final temperature is equal, but the winding heats up more slowly. Losses
     of the gear, friction, limits of torque and temperature, and unknown numbers are not written.
-
-    Args:
-        motor: Motor.
-        joint: Name of the joint.
-        name: Name of the actuator; by default the name of the joint.
 
     Raises:
         ModelError: If a required number is unknown, for example the torque constant or the gear

@@ -220,13 +220,8 @@ class Motor:
     ) -> None:
         """Raise a ModelError if a number / its expected value is not in [``least``, ``most``].
 
-        Args:
-            number: Name of the field; an unknown number is not checked.
-            expected: Value [unit] of the formula; None if unknown.
-            formula: Formula of the expected value, with names of fields.
-            unit: Unit of both values.
-            most: Largest accepted ratio.
-            least: Smallest accepted ratio.
+        ``expected`` is the value [``unit``] of the ``formula``. Unknown values (None) are not
+        checked.
         """
         stated: float | None = getattr(self, number)
         if stated is None or expected is None:
@@ -244,9 +239,6 @@ class Motor:
 
     def get(self, number: str) -> float:
         """Return a value of this motor, such as the resistance; raise an error if it is unknown.
-
-        Args:
-            number: Name of the field.
 
         Raises:
             ModelError: If the number is unknown.

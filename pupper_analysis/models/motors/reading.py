@@ -68,9 +68,6 @@ def find_motor(name: str) -> Motor:
 def read_motor(path: Path) -> Motor:
     """Read a motor from a TOML file: ``name``, ``source``, and numbers with units.
 
-    Args:
-        path: File.
-
     Raises:
         ModelError: If the file cannot be read, states no source, contains a value that is not
             valid, or contains numbers that contradict each other.
@@ -98,12 +95,8 @@ def read_bam_parameters(path: Path) -> Motor:
     """Read the JSON parameter file of a BAM servo model, m1 to m6.
 
     Torque constant, friction and armature in these files are at the output: the gear ratio is
-    therefore 1. The gear efficiency is 1 minus the load-dependent friction of the model, which is
-    the fraction of the torque that a driving motor loses. Models m1 and m2 have no load-dependent
-    friction: their efficiency is unknown.
-
-    Args:
-        path: JSON file.
+    therefore 1. The gear efficiency is 1 minus the load-dependent friction of the model, and is
+    unknown for m1 and m2.
 
     Raises:
         ModelError: If the file cannot be read, or is not valid.
@@ -146,12 +139,8 @@ def _make_motor(
 ) -> Motor:
     """Create a `Motor` from texts with numbers and units, such as ``80 mN m/A``.
 
-    Args:
-        path: File with the numbers, for messages.
-        name: Name of the motor.
-        source: Source of the numbers without an entry in ``sources``.
-        stated: {number of the motor: text with unit}.
-        sources: {number of the motor: its own source}.
+    ``stated`` is {field of `Motor`: text}. ``sources`` is {field of `Motor`: source}, for fields
+    with another source than ``source``.
     """
     try:
         numbers = {

@@ -111,12 +111,6 @@ def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
 def check_motor_number(name: str, value: float, kind: UnitKind, given: str) -> None:
     """Check that the value of a motor's quantity is finite and in the range of its kind.
 
-    Args:
-        name: Name of the quantity, for messages.
-        value: Value [``kind.unit``].
-        kind: Kind of quantity.
-        given: Text of the value, for messages.
-
     Raises:
         ConfigurationError: If the value is out of range.
     """

@@ -148,11 +148,6 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
     """Return the location of an element without a name, from the line that MuJoCo's parser records.
 
-    Args:
-        file: The file.
-        element: Element of the spec.
-        body: Named body around the element.
-
     Returns:
         The location of the element; the location of the body if no line is recorded.
     """
@@ -205,15 +200,8 @@ def _make_joint(
 ) -> Joint:
     """Convert a joint of an MJCF; the result is expressed in the base frame.
 
-    Args:
-        file: The MJCF.
-        model: Compiled model.
-        data: MuJoCo data at zero joint positions.
-        joint: Id of the joint.
-        names: Name of each body, by id.
-        to_base: Pose of the world in the base frame.
-        spec_joint: Joint in the spec of the file; None if the spec has no such joint.
-        empty_range: Empty force range of the joint; see ``null_efforts``.
+    ``data`` is at zero joint positions, and ``to_base`` is the pose of the world in the base frame.
+    ``spec_joint`` is the joint in the file's spec, if any.
     """
     body = int(model.jnt_bodyid[joint])
     kind = JOINT_KIND_NAMES[int(model.jnt_type[joint])]

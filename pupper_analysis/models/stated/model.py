@@ -251,9 +251,6 @@ class RobotModel:
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
         """Return the name of a joint parameter in the file format, and the element that states it.
 
-        Args:
-            attribute: Parameter.
-
         Returns:
             Name for messages, and child element of the joint that contains the parameter: ("limit
                 effort", "limit") in a URDF. The element is None if there is no such child.
