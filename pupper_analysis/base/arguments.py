@@ -77,7 +77,7 @@ def match_names(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Convert an argument to a new array of floats of any shape; refuse what is no real number.
+    """Convert an argument to a new array of floats of any shape; reject other types than numbers.
 
     Infinite values and NaN are accepted. Texts, Booleans and complex numbers are rejected, also as
     single elements of a list: NumPy would convert them silently. Masked arrays with a masked

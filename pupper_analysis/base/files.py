@@ -161,8 +161,8 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 
     Raises:
         OutputError: If the file cannot be written, or must not be replaced, or the block raises an
-            ``OSError``.
-        BrokenPipeError: If the reader of a pipe has ended.
+            ``OSError`` other than ``BrokenPipeError``.
+        BrokenPipeError: If the reader of a pipe has ended, for example.
     """
     buffer = io.BytesIO()
     try:

@@ -42,7 +42,7 @@ class UnreadableError(Exception):
 
 
 def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
-    """Read all parts of a mesh file as one mesh [m], without materials.
+    """Read all parts of a mesh file as one mesh, without materials.
 
     The unit of length that a COLLADA file states is applied, but not its up axis, as in RViz.
 

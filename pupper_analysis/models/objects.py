@@ -143,7 +143,8 @@ def read_objects(
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
 
     Raises:
-        ConfigurationError: If a geometry model does not belong to exactly one ``pin.Model``.
+        ConfigurationError: If a geometry model does not belong to exactly one ``pin.Model``, for
+            example.
         ModelError: If no robot can be made of an object; the message names the reason.
         OutputError: If this run of the command line also writes a file that a model uses.
     """

@@ -176,10 +176,7 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """Mesh of the shape; None if unknown.
-
-        As in MuJoCo, only the convex hull matters.
-        """
+        """Mesh of the shape, usually its convex hull; None if unknown."""
         return self.read()
 
     def compute_volume(self) -> float | None:

@@ -268,7 +268,7 @@ class SpecTree:
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Add a horizontal plane with MuJoCo's default contact parameters as floor.
 
-        The plane can collide with each geom whose ``contype`` is not 0.
+        The contact bits permit collisions with each geom whose ``contype`` is not 0.
 
         Args:
             beneath: Height z [m] of the plane, which is then added to a new body; existing bodies

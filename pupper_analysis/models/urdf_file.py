@@ -295,7 +295,7 @@ _UNIQUE_CHILDREN: Final[Mapping[str, tuple[str, ...]]] = {
     "collision": ("origin", "geometry"),
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
-"""{tag: children that may occur only once}."""
+"""{tag: children of which `check_element` accepts only one}."""
 
 _REQUIRED_CHILDREN: Final[Mapping[str, tuple[str, ...]]] = {
     "inertial": ("mass", "inertia"),
