@@ -1,8 +1,9 @@
 """Base classes of results, and the conversion to JSON, dictionaries and tables.
 
-A result is a dataclass whose dictionaries and arrays are read-only. `Result` provides a short
-``repr``, JSON, and plots; `Tabular` a pandas table; `Pictured` pictures and animations of the
-robot. Plots and pictures are made by the package ``present``, which is imported at the first use.
+A result is a dataclass; its fields that are dictionaries or arrays are read-only. `Result` provides
+a short ``repr``, JSON, and plots; `Tabular` a pandas table; `Pictured` pictures and animations of
+the robot. Plots and pictures are made by the package ``present``, which is imported at the first
+use.
 """
 
 from __future__ import annotations

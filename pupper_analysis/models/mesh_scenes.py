@@ -1,4 +1,4 @@
-"""Reading of mesh files with several parts, such as COLLADA, as one mesh in metres.
+"""Reading of mesh files with several parts, such as COLLADA, as one mesh.
 
 Input is the content of a file in a format other than STL and OBJ. Files that are small, but
 describe large meshes, are refused before they are read (`mesh_limits`).

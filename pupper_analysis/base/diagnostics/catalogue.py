@@ -1,4 +1,4 @@
-"""Catalogue of all texts for users, by key and language.
+"""Catalogue of the texts of diagnostics and documents, by key and language.
 
 Each TOML file contains the texts of a package or of a part of a package: ``catalogue/statics.toml``
 the texts of ``statics``. Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a

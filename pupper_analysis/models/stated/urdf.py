@@ -316,7 +316,7 @@ triangles."""
 def _read_binary_stl(path: Path) -> Mesh | None:
     """Read a binary STL file, with three vertices per triangle; None for other or empty files.
 
-    This reader replaces trimesh, which is slow to import.
+    Reason: trimesh, which reads other files, is slow to import.
     """
     if path.suffix.lower() != ".stl" or path.stat().st_size <= _STL_HEADER_BYTES:
         return None
