@@ -98,7 +98,7 @@ def _replace_step_of_weld(
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
-    """Return the typed words that specify the robot or its model files, the URDF first."""
+    """Return the typed words that specify the robot or its model files, such as ``v3``."""
     words = [
         word
         for name in _ROBOT_ARGUMENTS

@@ -281,7 +281,7 @@ class Command(click.Command):
                 raise click.NoSuchOption(name, message, ctx=ctx)
 
     def _refuse_repetition(self, ctx: click.Context) -> None:
-        """Refuse an option (or NAME in ``NAME=VALUE``) with two different values.
+        """Refuse different values of an option that is not repeatable, or of a NAME in NAME=VALUE.
 
         Click would ignore one of the values. The error is a click.UsageError.
         """

@@ -460,8 +460,9 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
 
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
-"""Pattern of printf directives that access memory (``%n``, ``%s``, ``%S``). Attributes with such
-directives are refused, because MuJoCo's reader uses some texts as format strings and would crash.
+"""Pattern of printf directives that access memory (``%n``, ``%s``, ``%S``). Attributes outside of
+`_TEXT_ATTRIBUTES` with such directives are refused, because MuJoCo's reader uses some texts as
+format strings and would crash.
 """
 
 _TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")

@@ -51,7 +51,7 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
-"""Pattern of an XML declaration that parsers reject: behind white space, or without version 1.N
+"""Pattern of an XML declaration that libxml2 rejects: behind white space, or without version 1.N
 (for example ``<?xml version="0.0"?>``). Eight of 902 public URDFs have a rejected version, but
 MuJoCo and Pinocchio read these files.
 """
@@ -143,10 +143,10 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 
 
 def blank_faulty_declaration(data: bytes) -> bytes:
-    """Overwrite an XML declaration behind white space or without version 1.N with blanks.
+    """Replace an XML declaration behind white space or without version 1.N by blanks.
 
-    Parsers reject such a declaration. All other bytes keep their positions and lines. The encoding
-    in the declaration is lost: the caller passes UTF-8.
+    XML parsers such as libxml2 reject such a declaration. All other bytes keep their positions and
+    lines. The encoding in the declaration is lost: the caller passes UTF-8.
     """
     return _FAULTY_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
 

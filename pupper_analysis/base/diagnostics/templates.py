@@ -163,7 +163,7 @@ class Quantity:
         Without a number format, the format is ``.4g``.
 
         Raises:
-            KeyError: If the unit is not in `_UNIT_FACTORS`.
+            KeyError: If the unit cannot be converted to the requested unit.
         """
         shown, colon, digits = spec.rpartition(":")
         omit_unit = bool(colon and not shown)

@@ -86,7 +86,7 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
 
     The element has one thermal node. The thermal resistances and the heat capacities of winding and
     housing are added: the final temperature is equal, but the winding heats up more slowly. Losses
-    of the gear, friction, limits of torque and temperature, and unknown numbers are not written.
+    of the gear, friction, peak torque, limit temperature and unknown numbers are not written.
 
     Raises:
         ModelError: If a required number is unknown, for example the torque constant or the gear

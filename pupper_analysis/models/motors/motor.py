@@ -25,9 +25,9 @@ between a stated stall current and voltage / resistance. Losses in a gear only r
 """
 
 MIN_STALL_RATIO = 0.3
-"""Smallest accepted ratio between a stated number of a motor, such as the stall torque, and its
-value from other numbers. Below this ratio, friction and gear would lose more than 70 % of the
-torque, which suggests other units. The smallest ratio in the data files is 0.57
+"""Smallest accepted ratio between most stated numbers of a motor, such as the stall torque, and
+their values from other numbers. Below this ratio, friction and gear would lose more than 70 % of
+the torque, which suggests other units. The smallest ratio in the data files is 0.57
 (feetech-sts3215-7v4). Chosen, not tuned.
 """
 

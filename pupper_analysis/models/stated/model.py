@@ -252,8 +252,8 @@ class RobotModel:
         """Return the name of a joint parameter in the file format, and the element that states it.
 
         Returns:
-            Name for messages, and child element of the joint that contains the parameter: ("limit
-                effort", "limit") in a URDF. The element is None if there is no such child.
+            Name for messages, and tag of the joint's child element that contains the parameter,
+            such as ("limit effort", "limit") in a URDF. The tag is None if there is no such child.
         """
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
