@@ -392,8 +392,8 @@ class SpecTree:
     def limit_effort(self, joint: str, effort: float) -> None:
         """Replace the force limits of a joint by a symmetric limit of the sum of its actuators.
 
-        Only actuators with transmission ``joint`` are considered. Control ranges of torque motors
-        are disabled.
+        Only actuators with transmission ``joint`` are limited: without one, the joint has no limit.
+        Control ranges of torque motors are disabled.
 
         Args:
             joint: Joint.
