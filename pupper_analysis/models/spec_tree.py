@@ -392,8 +392,8 @@ class SpecTree:
     def limit_effort(self, joint: str, effort: float) -> None:
         """Replace the force limits of a joint by a symmetric limit of the sum of its actuators.
 
-        Only actuators with transmission ``joint`` are limited: without one, the joint has no limit.
-        Control ranges of torque motors are disabled.
+        Control ranges of torque motors at the joint are disabled. A joint without such an actuator,
+        for example one that a tendon drives, gets the limit as ``actuatorfrcrange``.
 
         Args:
             joint: Joint.
@@ -401,12 +401,15 @@ class SpecTree:
         """
         unlimited, limited = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
         self.spec.joint(joint).actfrclimited = unlimited
-        transmission = mujoco.mjtTrn.mjTRN_JOINT
+        transmissions = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
         motors = [
             motor
             for motor in self.spec.actuators
-            if motor.trntype == transmission and motor.target == joint
+            if motor.trntype in transmissions and motor.target == joint
         ]
+        if not motors:
+            self.spec.joint(joint).actfrclimited = limited
+            self.spec.joint(joint).actfrcrange = (-effort, effort)
         for motor in motors:
             max_force = effort / len(motors) / abs(float(motor.gear[0]) or 1.0)
             motor.forcelimited, motor.forcerange = limited, (-max_force, max_force)

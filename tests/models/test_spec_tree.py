@@ -163,6 +163,27 @@ def test_scaled_effort_changes_only_the_actuators_of_the_joint() -> None:
     assert model.actuator_ctrlrange[:, 1].tolist() == [20.0, 0.0, 5.0, 0.0]
 
 
+def test_effort_limit_bounds_each_transmission_at_a_joint() -> None:
+    """Reference: the joint torques that MuJoCo computes for large controls."""
+    text = """<mujoco><worldbody><body>
+      <joint name="a" actuatorfrcrange="-5 5"/><joint name="b" axis="0 1 0"/>
+      <joint name="c" axis="1 0 0" actuatorfrcrange="-5 5"/>
+      <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+      <tendon><fixed name="t"><joint joint="c" coef="2"/></fixed></tendon>
+      <actuator><motor joint="a" gear="3"/><motor jointinparent="b"/><motor tendon="t"/></actuator>
+      </mujoco>"""
+    tree = SpecTree(mujoco.MjSpec.from_string(text))
+    limits = {"a": 2.0, "b": 3.0, "c": 4.0}
+    for joint, effort in limits.items():
+        tree.limit_effort(joint, effort)
+    model = tree.spec.compile()
+    data = mujoco.MjData(model)
+    for sign in (1.0, -1.0):
+        data.ctrl[:] = sign * 100
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.qfrc_actuator, sign * np.array(list(limits.values())))
+
+
 def test_deleted_joint_leaves_the_elements_of_the_same_name() -> None:
     spec = mujoco.MjSpec.from_string(NAMESAKES)
     delete_joint(spec, spec.joint("knee"))
