@@ -603,11 +603,13 @@ def convert_urdf_in_memory(
 def _remove_massless_root(tree: UrdfTree) -> bool:
     """Remove the root link of a URDF if it only states a free base; return True if removed.
 
-    Such a link has no inertial, and a floating joint as its only joint.
+    Such a link has no mass and no moments of inertia, and a floating joint as its only joint.
     """
     base = tree.base
     below = tree.child_joints.get(base.name, [])
-    is_floating = base.inertial is None and [joint.kind for joint in below] == ["floating"]
+    inertia = base.inertia
+    has_inertia = inertia is not None and bool(inertia.mass or np.any(inertia.inertia))
+    is_floating = not has_inertia and [joint.kind for joint in below] == ["floating"]
     if is_floating:
         tree.remove_base()
     return is_floating

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pytest
 from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.from_urdf import MjcfXml
-from tests.support.robots import arm, urdf_text
+from tests.support.robots import arm, quadruped, urdf_text
 
 
 def test_mimic_without_multiplier_and_offset_has_1_and_0(tmp_path: Path) -> None:
@@ -61,3 +62,27 @@ def test_colliding_geom_is_named_after_its_link(tmp_path: Path) -> None:
     collides = {model.geom(i).name: bool(model.geom_contype[i]) for i in range(model.ngeom)}
     assert {name for name, on in collides.items() if on and link in name} == {f"{link}_collision"}
     assert not [name for name, on in collides.items() if name and not on]
+
+
+ZERO_INERTIAL = (
+    '<inertial><mass value="0"/>'
+    '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+
+
+@pytest.mark.parametrize("inertial", ["", ZERO_INERTIAL])
+def test_massless_root_above_a_floating_joint_states_a_free_base(
+    inertial: str, tmp_path: Path
+) -> None:
+    """Reference: 6 + 8 degrees of freedom, and the sum of the masses in the text."""
+    path = tmp_path / "rooted.urdf"
+    root = (
+        f'<link name="root">{inertial}</link><joint name="free" type="floating">'
+        '<parent link="root"/><child link="base"/></joint></robot>'
+    )
+    path.write_text(urdf_text(quadruped()).replace("</robot>", root))
+    robot = pa.load_robot(path)
+    assert robot.floating
+    assert robot.pin_model.nv == robot.mj_model.nv == 14
+    assert robot.total_mass == pytest.approx(sum(part.mass for part in quadruped().values()))
+    assert robot.base == "base"
