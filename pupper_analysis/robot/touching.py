@@ -85,16 +85,15 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     properties = FrozenDict(
         {name: contact for name, contact in properties_by_name.items() if contact != Touching()}
     )
-    if properties == robot.touching:
-        return robot
     bare = robot if not robot.touching else robot.bare
-    if bare is None:
-        raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     for name, contact in contacts.items():
         if isinstance(contact, Weld) and contact.place is not None:
-            _require_hand(
-                name, name not in own_feet and bool(_find_frame(bare, name).chain), "place"
-            )
+            is_moved = name not in own_feet and bool(_find_frame(bare or robot, name).chain)
+            _require_hand(name, is_moved, "place")
+    if properties == robot.touching:
+        return robot
+    if bare is None:
+        raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     return _build_with_contacts(bare, properties) if properties else bare
 
 

@@ -22,6 +22,7 @@ from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.simulation.rollout import make_stand_start, simulate_commands
 from pupper_analysis.statics.contacts import prescribed_forces
 from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
@@ -529,6 +530,12 @@ def test_welds_that_make_no_sense_are_refused(
     with pytest.raises(pa.PupperAnalysisError, match=message) as refused:
         pa.solve_stand(armed, pa.StandTask(contacts=contacts))
     assert "\n" not in str(refused.value)
+
+
+def test_weld_of_a_foot_at_a_place_is_refused_if_the_robot_has_the_weld_already() -> None:
+    robot = with_contacts(load("v3"), {"FR": pa.Weld()})
+    with pytest.raises(pa.ConfigurationError, match="omit place"):
+        with_contacts(robot, {"FR": pa.Weld(place=(0.0, 0.0, 0.1))})
 
 
 def test_weld_of_a_base_without_body_is_refused(tmp_path: Path) -> None:
