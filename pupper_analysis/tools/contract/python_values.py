@@ -1203,10 +1203,12 @@ class Evaluator:
             return self._apply_function(
                 {**_PURE_FUNCTIONS, **_LIST_FUNCTIONS}[name], *map(plain, arguments), **said
             )
-        if name == "isinstance" and str(arguments[-1].value) in _BUILTIN_TYPES:
-            return isinstance(
-                self._to_plain(arguments[0]), _BUILTIN_TYPES[str(arguments[-1].value)]
-            )
+        if (
+            name == "isinstance"
+            and len(arguments) == 2
+            and str(arguments[1].value) in _BUILTIN_TYPES
+        ):
+            return isinstance(self._to_plain(arguments[0]), _BUILTIN_TYPES[str(arguments[1].value)])
         if name in _COPY_FUNCTIONS and arguments:
             return self._copy_value(arguments[0].value, keywords)
         if called in _TABLE_CONSTRUCTORS and all(

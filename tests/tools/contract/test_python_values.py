@@ -148,6 +148,7 @@ LOST = {
         "x = B.f()\n", "<super().f()>"),
     "super outside a class": ("x = super().y\n", "<super().y>"),
     "as in with": ("x = 1\nwith open('f') as x:\n    pass\n", "<open('f') as x>"),
+    "a type without value": ("x = isinstance()\n", "<isinstance()>"),
     "a text's pattern": ("x = '%1000000000d' % 1\n", "<'%1000000000d' % 1>"),
 }  # fmt: skip
 
