@@ -14,6 +14,7 @@ from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS
 from pupper_analysis.tools.fit.record.listen import TraceRecording
@@ -348,7 +349,7 @@ def _make_stand_table(plan: StandPlan) -> doc.Table:
 
 
 @build_document.register(Recording)
-def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
+def recording_document(recording: Recording, robot: Robot | None = None) -> doc.Document:
     """Create the report of a recording of stands: recorded, existing and missing stands."""
     counts = {
         "taken": len(recording.recorded_stands),
@@ -362,7 +363,7 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
     friction: tuple[doc.Words, ...] = ()
     if angles := recording.friction_angles:
         joint = max(angles, key=lambda name: angles[name])
-        angle = Quantity(angles[joint], "rad")
+        angle = Quantity(angles[joint], "rad" if robot is None else joint_unit(robot, joint))
         friction = (doc.diagnostic_text(diagnose("friction-of-joints", joint=joint, angle=angle)),)
     return doc.Document(
         text("recording-of-stands"),

@@ -80,6 +80,6 @@ def test_stands_of_one_name_that_differ_get_different_names() -> None:
         added={"base": loads},
     ).make_names_unique()
     assert stands.names == ("a", "a #3", "a #4", "a #5", "a", "a #2")
-    averaged = stands.average_repeats()
+    averaged = stands.average_repeats({"hip": "rad"})
     assert averaged.names == ("a", "a #3", "a #4", "a #5", "a #2")
     assert averaged.position[0, 0] == pytest.approx(2e-4)

@@ -832,14 +832,17 @@ def test_stands_are_read_with_units_and_repeated_readings_averaged(tmp_path: Pat
     )
     stands = read_stands(path)
     assert stands.swing == (("FL", "RR"), ("FL", "RR"), ())
-    once = stands.average_repeats()
+    once = stands.average_repeats({"a": "rad"})
     assert once.names == ("one", "two")
     assert once.position[0, 0] == pytest.approx(math.radians(9.05))
     assert not stands.heading.any()
     assert not stands.added
     path.write_text(path.read_text().replace("9.1", "11"))
-    with pytest.raises(MeasurementError, match="not at rest"):
-        read_stands(path).average_repeats()
+    with pytest.raises(MeasurementError, match=r"not at rest: .* differ by 2 deg"):
+        read_stands(path).average_repeats({"a": "rad"})
+    slides = read_stands(path)
+    with pytest.raises(MeasurementError, match=r"not at rest: .* differ by 35 mm"):
+        slides.average_repeats({"a": "m"})
 
 
 def test_known_masses_and_headings_are_read(tmp_path: Path) -> None:

@@ -188,11 +188,14 @@ class MeasuredStands:
                 names[row] = unique_name
         return replace(self, names=tuple(names))
 
-    def average_repeats(self) -> MeasuredStands:
+    def average_repeats(self, units: Mapping[str, str]) -> MeasuredStands:
         """Average the commands and positions of repeated readings of a stand.
 
         Rows are repeated readings if name, feet in the air, heading, and added masses with
         positions are equal. Missing values are left out of the mean.
+
+        Args:
+            units: {joint: unit of the position, rad or m}.
 
         Raises:
             MeasurementError: If repeated positions differ by more than `_MAX_REPEAT_RANGE`, so that
@@ -209,7 +212,7 @@ class MeasuredStands:
                     "stand-not-at-rest",
                     stand=self.names[rows[0]],
                     joint=self.joints[joint],
-                    apart=Quantity(float(ranges[joint]), "rad"),
+                    apart=Quantity(float(ranges[joint]), units[self.joints[joint]]),
                 )
                 raise MeasurementError(self.source, finding)
 

@@ -34,6 +34,7 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
@@ -133,7 +134,7 @@ class Recording(Result):
     recorded_stands: tuple[str, ...]
     existing_stands: tuple[str, ...]
     missing_stands: tuple[str, ...]
-    friction_angles: Mapping[str, float] = field(metadata={"unit": "rad"})
+    friction_angles: Mapping[str, float] = field(metadata={"unit": POSITION_UNIT})
     findings: tuple[Diagnostic, ...]
 
     @property

@@ -632,7 +632,8 @@ class _StandProblem:
         Raises:
             MeasurementError: If the stands cannot be used; for example, too few stands.
         """
-        averaged = stands.check_readings(robot).average_repeats()
+        units = {joint: joint_unit(robot, joint) for joint in stands.joints}
+        averaged = stands.check_readings(robot).average_repeats(units)
         if len(averaged) < MIN_STANDS:
             finding = diagnose("too-few-stands", stands=len(averaged), least=MIN_STANDS)
             raise MeasurementError(averaged.source, finding)
