@@ -37,6 +37,15 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
 """Commands that refuse a stance with a weld or a grip (`--contact NAME=weld`)."""
 
 
+_COMMANDS_WITH_USD = ("audit", "contract", "crosscheck")
+"""Commands that read USD files."""
+
+
+def _is_usd_name(word: str) -> bool:
+    """Return True if a file name has a suffix of USD, such as ``.usda``."""
+    return Path(word).suffix.lower() in (".usd", ".usda", ".usdc", ".usdz")
+
+
 def complete_command(step: NextStep | None) -> str:
     """Create the command line of a suggested next step, for the robot of the running command.
 
@@ -59,6 +68,10 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
+    if step.command not in _COMMANDS_WITH_USD and any(map(_is_usd_name, typed_robot)):
+        typed_robot = [word for word in typed_robot if not _is_usd_name(word)]
+        if not typed_robot:  # the command would load its default robot
+            return ""
     robot = _fit_robot_arguments(typed_robot, arguments, target, required=step.robot_typed)
     if robot is None:
         return ""
