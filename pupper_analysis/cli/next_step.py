@@ -16,6 +16,7 @@ import click
 
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.base.kinds import GENERATOR_NAME
+from pupper_analysis.base.tools import find_format
 from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath, sort_model_paths
 from pupper_analysis.present.document import NextStep
 
@@ -37,13 +38,8 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
 """Commands that refuse a stance with a weld or a grip (`--contact NAME=weld`)."""
 
 
-_COMMANDS_WITH_USD = ("audit", "contract", "crosscheck")
-"""Commands that read USD files."""
-
-
-def _is_usd_name(word: str) -> bool:
-    """Return True if a file name has a suffix of USD, such as ``.usda``."""
-    return Path(word).suffix.lower() in (".usd", ".usda", ".usdc", ".usdz")
+_COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
+"""Commands that read files of registered formats, besides URDF and MJCF."""
 
 
 def complete_command(step: NextStep | None) -> str:
@@ -68,8 +64,8 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
-    if step.command not in _COMMANDS_WITH_USD and any(map(_is_usd_name, typed_robot)):
-        typed_robot = [word for word in typed_robot if not _is_usd_name(word)]
+    if typed_robot and step.command not in _COMMANDS_OF_FORMATS:
+        typed_robot = [word for word in typed_robot if find_format(Path(word)) is None]
         if not typed_robot:  # the command would load its default robot
             return ""
     robot = _fit_robot_arguments(typed_robot, arguments, target, required=step.robot_typed)
