@@ -1,9 +1,9 @@
 """Free the base of a robot that is fixed in the MJCF, and place the frame of a free base.
 
 Input is the spec of an MJCF. A robot that the file fixes to the world gets a free base, for
-example, if there are two or more limbs. The frame of a free base is raised to the height of the
-base's CoM if no limb ends below the frame. Reason: height, roll and pitch of a stand refer to this
-frame.
+example, if there are two or more limbs. The frame of a free base is usually raised to the height of
+the base's CoM if no limb ends below the frame. Reason: height, roll and pitch of a stand refer to
+this frame.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
 """Upper bound of the height [m] of a free base's frame above the lowest point of the limb ends, at
-which the frame counts as at ground level. `place_base_frame` raises such a frame. The tolerance
-covers rounding of a wheel's height and radius. Chosen, not tuned."""
+which the frame counts as at ground level. `place_base_frame` raises only such a frame. The
+tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
 """Lower bound of the cosine of the base tilt at the start [1], about 45 deg, with which
@@ -43,9 +43,9 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a legged robot that the MJCF fixes to the world.
 
-    The base gets a free joint if it has at least two limbs (subtrees with joints), or is free in
-    the URDF. A free joint may also replace slides and hinges that move the base (`join_free_base`);
-    the keyframes are then deleted.
+    A base without joints gets a free joint if it has at least two limbs (subtrees with joints), or
+    is free in the URDF. A free joint may also replace slides and hinges that move the base
+    (`join_free_base`); the keyframes are then deleted.
 
     Args:
         urdf: URDF.
@@ -57,8 +57,8 @@ def free_base(
         changed.
 
     Raises:
-        ModelError: If two or more limbs are fixed to the world without a base body. MuJoCo fuses
-            the root link of a URDF with the world, and the mass of this link is lost.
+        ModelError: If two or more limbs are attached to the world without a base body. For example,
+            MuJoCo's import fuses the root link of a URDF with the world, and loses its mass.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
@@ -211,7 +211,7 @@ def _raise_frame(
     """Raise the frame of a free base; all elements of the body keep their positions in the world.
 
     The frame moves by ``up`` [m] along its z axis. The base poses in the keyframes are changed
-    accordingly.
+    accordingly; ``place`` is the index of the base position in qpos.
     """
     offset = np.array([0.0, 0.0, up])
     elements = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)

@@ -117,8 +117,8 @@ _XML_SECTIONS = {
     "spring": "joint",
     "range": "joint",
 }
-"""{code of a cause: tag or section of the MJCF that contains the elements}, for finding the line of
-the first element (`add_line`)."""
+"""{code of a cause: tag or section of the MJCF} in which `add_line` searches the line of the first
+element."""
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
@@ -290,7 +290,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield servos with a bias or a gain unequal to the stiffness, and actuators with a delay."""
+    """Yield servo biases, gains unequal to the stiffness, and delays as candidate causes."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -510,7 +510,7 @@ def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _reach_the_world(model: mujoco.MjModel, bodies: list[int]) -> bool:
-    """Return True if some of the bodies are fixed to the world or mocap bodies, and others move."""
+    """Return True if some, but not all, bodies are fixed to the world or are mocap bodies."""
     held = [model.body_weldid[body] == 0 or model.body_mocapid[body] >= 0 for body in bodies]
     return any(held) and not all(held)
 

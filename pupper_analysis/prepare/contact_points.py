@@ -166,8 +166,8 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Fit a sphere to the lowest points of a foot, to use the sphere as contact shape.
 
-    The fit is linear least squares: the equation |p - c| = r is linear in c and r^2 - |c|^2. Parts
-    of the foot below four heights above the tip are fitted: 10, 20, 30 and 45 mm. A sphere is
+    The fit is linear least squares: the equation |p - c|^2 = r^2 is linear in c and r^2 - |c|^2.
+    Parts of the foot below four heights above the tip are fitted: 10, 20, 30 and 45 mm. A sphere is
     rejected if the points deviate from its surface, for example.
 
     Args:
@@ -177,8 +177,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
 
     Returns:
         Centre, shape (3,) [m], in the frame of the points, and radius [m], of the accepted sphere
-        with the largest height. The radius is the distance along ``down`` from the centre to the
-        tip. If no sphere is accepted: the tip and 0.
+        with the largest fitted height. The radius is the distance along ``down`` from the centre to
+        the tip. If no sphere is accepted: the tip and 0.
     """
     found = tip, 0.0
     for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]
@@ -488,7 +488,7 @@ def _find_sole_contacts(
 
 
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
-    """Return True if the contact points of a sole are the same before and after a small tilt."""
+    """Return True if the contact points of a sole are nearly equal before and after a small tilt."""
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
         < _SOLE_ATOL

@@ -1,10 +1,10 @@
 """Add position servos to a robot whose MJCF has torque motors, or no actuators.
 
 Inputs are a robot with a stand and the force laws of the actuators; output is a robot with a
-position servo at each independent joint: its position does not follow from closed loops or
-couplings. Candidates of gains and time step are tried in order, until the robot comes to rest in
-the predicted equilibrium (`add_position_servos`). Independent joints of robots with closed loops
-get motors first, to fix the joint order.
+position servo at each independent joint. The position of an independent joint does not follow from
+closed loops or couplings. Candidates of gains and time step are tried in order, until the robot
+comes to rest in the predicted equilibrium (`add_position_servos`). Independent joints of robots
+with closed loops get motors first, to fix the joint order.
 """
 
 from __future__ import annotations
@@ -236,7 +236,8 @@ class _ServoTrials:
 
         The robot must come to rest for each value of ``feedforward``: with (True) or without
         (False) feed-forward torques. Candidates for which ``is_wanted`` returns False are skipped.
-        The time step of the robot is set to that of the candidate.
+        For a URDF alone, time steps at which a candidate chattered are skipped, too. The time step
+        of the robot is set to that of the candidate.
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))

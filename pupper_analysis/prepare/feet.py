@@ -53,8 +53,8 @@ such as a spider's, which end near the height of the base. Chosen, not tuned.
 
 _MAX_SPHERE_DISTANCE = 0.02
 """Upper bound of the distance [m] between a foot frame that the user names and the centre of a
-sphere geom. If the nearest sphere that can collide with the floor is closer than the bound, this
-sphere alone is the contact shape of the foot (`_select_sphere`). Chosen, not tuned."""
+sphere geom, with which `_select_sphere` selects the nearest sphere as contact shape of the foot.
+Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
@@ -70,7 +70,7 @@ class Foot:
     Attributes:
         name: Name.
         body: MuJoCo id of the moving body to which the foot belongs.
-        points: Contact points with the ground; a sole has several.
+        points: Contact points with the ground; a sole usually has several.
     """
 
     name: str
@@ -285,7 +285,7 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Select the sphere geom at a foot frame that the user names, else all given geoms.
+    """Select the nearest sphere geom at a foot frame that the user names, else all given geoms.
 
     ``place`` is the position of the frame, shape (3,) [m], in the world frame.
     """

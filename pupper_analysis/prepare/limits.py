@@ -1,9 +1,9 @@
 """Torque limits in verdicts: motors with a limit of zero, overloaded motors, and unknown limits.
 
 Inputs are a robot and the static joint torques of a stance [N m, N]. Outputs are joint names and
-messages. A message about a limit of zero proposes another limit: that of the other file (URDF or
-MJCF), or that of a similar limb. Other messages contain the torque to hold. A motor counts as
-unloaded if the torque is at most `MIN_TORQUE_PER_MASS` times the robot's mass.
+messages. A message about a limit of zero proposes another limit, if available: that of the other
+file (URDF or MJCF), or that of a similar limb. A motor counts as unloaded if the torque is at most
+`MIN_TORQUE_PER_MASS` times the robot's mass.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
 def list_overloaded_joints(
     robot: Robot, statics: GravityCompensation, positions: Array
 ) -> tuple[str, ...]:
-    """Return the names of the joints whose motors exceed their torque limits in a stance.
+    """Return the names of the joints whose limits do not permit the static torques of a stance.
+
+    The limit of a passive joint is zero.
 
     If only tendons drive some joints, the forces F of the actuators at the tendons are the
     least-squares solution of tau = M F, with the static torques tau of these joints, and the levers
@@ -118,7 +120,7 @@ def _find_tendon_drives(
     Returns:
         Model of the published file. Indices of the joints, in actuator order. Ids of the actuators
         at these tendons. Levers, shape (nu, number of actuators): torque at each joint per unit of
-        actuator force. None if the tendons cannot be evaluated.
+        actuator force. None if no tendon drives a joint alone, for example.
     """
     file = None if robot.published is None else robot.published.file
     driven = {
@@ -175,7 +177,7 @@ def _proposed_limit_fields(
 ) -> dict[str, Any]:
     """Return the fields that propose an effort limit, for the message about a limit of zero.
 
-    ``found`` is a joint with the proposed limit. Without it, all fields are None.
+    ``found`` is a joint with the proposed limit. If it is None, all fields are None.
     """
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}

@@ -1,8 +1,7 @@
 """Messages about changes by the preparation: matched joints, feet, couplings, added servos.
 
 Inputs are the results of preparation passes; outputs are diagnostics. ``robot.notes`` contains
-these diagnostics; a verdict contains those of `report_tendon_joints`. The functions only describe
-changes that the passes have made.
+these diagnostics; a verdict contains those of `report_tendon_joints`. The functions change nothing.
 """
 
 from __future__ import annotations

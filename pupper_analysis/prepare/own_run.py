@@ -663,8 +663,8 @@ def _command_offset(
 ) -> float | None:
     """Compute the position commanded by a servo's ctrl, minus the joint's ``position`` [rad, m].
 
-    The commanded position, at which the actuator exerts no force, is gain * ctrl / (stiffness *
-    gear). None unless the joint has a single actuator, with positive stiffness.
+    The commanded position is gain * ctrl / (stiffness * gear): an actuator without bias exerts no
+    force there. None unless the joint has a single actuator, with positive stiffness.
     """
     actuators = list_joint_actuators(published.model, published.model.joint(joint).id)
     laws = [read_actuator_law(published.model, actuator) for actuator in actuators]
@@ -675,7 +675,7 @@ def _command_offset(
 
 
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Return True if the values of a keyframe's ctrl are its joint angles, not torques.
+    """Return True if the values of a keyframe's ctrl count as joint angles, not torques.
 
     A file with torque motors may contain such a ctrl by mistake.
     """

@@ -91,16 +91,15 @@ class LoadRequest:
     """Options with which the user loads a robot; see `load_robot`.
 
     Attributes:
-        feet: {foot: (frame in the URDF, frame in the MJCF)}; None: feet are detected.
+        feet: {foot: (frame in the URDF, frame in the MJCF)}; None to detect feet.
         fixed_base: True to fix the base in the world.
         name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
         keyframe: Keyframe of the MJCF to start from. None: `find_start_pose` chooses the keyframe,
             with ``home`` tried before all others.
-        as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
-            contacts of all shapes. Soles are not replaced by balls.
-        visuals: True to convert the visual meshes. False: visual geoms are omitted, if the user
-            names no feet.
+        as_is: True to add no servos, motors and contact exclusions, and to keep the contacts of all
+            shapes. Soles are not replaced by balls.
+        visuals: True to convert the visual meshes. False: visual geoms are usually omitted.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -114,8 +113,8 @@ class LoadRequest:
 
 _MIN_PARTIAL_FREE_JOINTS = 4
 """Lower bound of the number of joints with which a child body of the world counts as a free base,
-although it has no free joint. The preparation does not fix such a base. Derived: three slides and a
-ball joint move a body freely.
+although it has no free joint. Unless requested, the preparation does not fix such a base. Derived:
+three slides and a ball joint move a body freely.
 """
 
 
@@ -227,8 +226,8 @@ class Pass:
         condition: Function that returns True if a draft needs the pass.
         after_refusal: True if the pass is also applied after an earlier pass found that no robot
             with a free base can be made (`Draft.refused`).
-        deferred: True if the pass is applied when its result is first needed, for example by a
-            simulation, instead of when the robot is loaded.
+        deferred: True if the pass may be postponed until its result is first needed, for example by
+            a simulation.
     """
 
     name: str
@@ -324,7 +323,7 @@ def _find_requested_feet(
 
 
 def _must_fix_base(draft: Draft) -> bool:
-    """Return True if the robot must be prepared again with a fixed base, as it cannot stand.
+    """Return True if the robot must be prepared again (`_fix_base`), because it cannot stand.
 
     If the user named feet, the base may stay free: commands then report why the robot does not
     stand.
@@ -338,7 +337,7 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name bodies and joints, select keyframes, and discard visual geoms unless feet are given."""
+    """Name bodies and joints, select keyframes, and usually discard visual geoms."""
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom
@@ -379,7 +378,7 @@ def _match(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("couples joints that follow others"), _applies_always)
 def _couple_mimics(draft: Draft) -> PassOutput:
-    """Add the ``<mimic>`` couplings of the URDF to the MJCF."""
+    """Add missing ``<mimic>`` couplings of the URDF to the MJCF (`couple_mimics`)."""
     description, messages = couple_mimics(draft.match, draft.matched_description)
     return replace(draft, description=description), messages
 
@@ -444,7 +443,7 @@ def _narrow_limits(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("refuses joints that move no mass"), _applies_always)
 def _check_masses(draft: Draft) -> PassOutput:
-    """Raise an error if a joint has no inertia: it moves no mass, and has no rotor inertia."""
+    """Raise an error if the inertia at a joint, with rotor inertia, is zero or negative."""
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
@@ -532,7 +531,7 @@ axes.
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
-    """Return joint positions (nu,) [rad, m] of the nominal stand (default `StandTask`), or None."""
+    """Return joint positions (nu,) [rad, m] of the nominal stand; None if no stand is found."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]
@@ -711,16 +710,16 @@ def _store_rest_pose(draft: Draft) -> PassOutput:
 
 
 def _solve_rest_pose(robot: Robot) -> Stand | None:
-    """Solve the nominal stand (default `StandTask`) on MuJoCo's soft ground; None without one."""
+    """Solve the nominal stand (default `StandTask`) on MuJoCo's soft ground; None if not found."""
     with contextlib.suppress(PupperAnalysisError):
         return solve_stand_on_soft_ground(robot, explain=False)
     return None
 
 
 def _pose_without_servos(draft: Draft) -> Robot:
-    """Return the robot before servos are added, but with final start pose and passive joints.
+    """Return the robot before servos are added, with its start pose and detected passive joints.
 
-    Stands and statics need both, and do not depend on the added servos.
+    Stands and statics depend on both, but not on the added servos.
     """
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
@@ -765,7 +764,7 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
 
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
-"""Names of passes whose notes are reordered. `_complete_preparation` puts the note about a fixed
+"""Names of passes whose notes are reordered. `_complete_preparation` puts the pass that fixed the
 base last. `_add_notes` puts the notes about visual meshes after the notes about the matching of
 URDF and MJCF."""
 
@@ -777,12 +776,12 @@ _IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferr
 meshes."""
 
 _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
-"""Passes that run when their results are first needed, for example by a simulation: servos, rest
-pose and visual meshes."""
+"""Passes that may be postponed until their results are first needed, for example by a simulation:
+servos, rest pose and visual meshes."""
 
 
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
-    """Apply passes in order to a draft (the robot in preparation), and return the new draft.
+    """Apply the needed passes in order to a draft (the robot in preparation); return the new draft.
 
     After a `ModelError`, the robot may be prepared again with a fixed base (``fix-base``).
     """
@@ -820,7 +819,7 @@ def make_robot(
     visuals: bool = True,
     finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
-    """Prepare a robot from two files as read; postpone the slow steps until needed.
+    """Prepare a robot from two files as read, with slow steps postponed if possible.
 
     The slow steps are servos, rest pose (the start pose with the feet in soft ground) and visual
     meshes. They are usually postponed until their results are first needed, for example by a
@@ -883,7 +882,7 @@ def _keeps_joint_order(draft: Draft) -> bool:
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Prepare a robot from two files as read: run all preparation passes immediately.
+    """Prepare a robot from two files as read; run the preparation passes immediately.
 
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.
@@ -905,7 +904,7 @@ def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> 
 def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
     """Run the deferred preparation passes; return the robot with notes, and the passes run."""
     draft = _run_passes(_DEFERRED_PASSES, draft)
-    # The reason for a fixed base is the last note.
+    # The reason for a fixed base is the last note of the passes.
     runs = sorted(draft.runs, key=lambda run: run.name == _FIX_BASE)
     return _add_notes(draft.robot, runs), runs
 

@@ -113,7 +113,8 @@ class PublishedModel:
 
 _STEPPING_ATTRIBUTES = ("timestep", "integrator")
 """Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If a file with
-few servos lacks such an attribute, its simulation uses the value of the prepared robot.
+few servos lacks such an attribute, its simulation may use the value of the prepared robot
+(`with_unstated_options`).
 """
 
 
@@ -134,7 +135,7 @@ def has_few_servos(published: PublishedModel) -> bool:
 
 
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
-    """Use the prepared robot's time step and integrator in a published model that states none.
+    """Use the prepared robot's time step and integrator, if the file of a model states none.
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
     added. Without such servos, the model is returned unchanged.
@@ -539,8 +540,8 @@ def _set_tendon_commands(
 
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
-"""Types of actuators that get a position command in the simulation of the published model: servos,
-also with a negative or zero stiffness.
+"""Types of actuators at joints that get no external servo in a simulation of the published model:
+position servos, also with a negative or zero stiffness.
 """
 
 
@@ -563,8 +564,8 @@ def _set_position_commands(
     """Set the controls with which the servos at a joint hold a target position under a torque.
 
     ctrl = gear * q + tau / (gear * stiffness), with the joint position q (``target`` [rad, m]), and
-    the servo's part tau of ``torque`` [N m, N]. A bias of the file is not compensated: its effect
-    is part of the published model.
+    the servo's part tau of ``torque`` [N m, N]. A bias, or a gain unequal to the stiffness, is not
+    compensated: its effect is part of the published model.
     """
     laws = {actuator: read_actuator_law(model, actuator) for actuator in actuators}
     stiffness_sum = sum(law.joint_gains[0] for law in laws.values())
@@ -685,8 +686,8 @@ def _measure_command_law(
     measurement, since zero may be at the end of a ctrlrange, or outside.
 
     Returns:
-        Index of the control, lever [N m or N per unit of ctrl], offset [N m, N]; None if the torque
-        does not depend on the ctrl.
+        Index of the control, lever [N m or N per unit of ctrl], offset [N m, N]; None if no ctrl
+        changes the torque.
     """
     if not actuators:
         return None
@@ -705,9 +706,9 @@ def _measure_command_law(
 
 
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
-    """Return the names of joints whose actuator has an internal controller, such as ``pid``.
+    """Return the names of joints whose actuator has its own control law, such as ``pid``.
 
-    No command can be computed for such an actuator.
+    Such an actuator has several controls, or an internal state. No command is computed for it.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):
@@ -723,7 +724,7 @@ def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tupl
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
     """Return the ids, in the user's MJCF, of joints that the prepared robot's model lacks.
 
-    The prepared robot holds these joints at zero. Free joints and joints of the base body are not
+    These joints are fixed in the prepared robot. Free joints and joints of the base body are not
     listed. Joints are matched by name.
     """
     model = published.model

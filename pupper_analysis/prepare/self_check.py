@@ -130,8 +130,9 @@ which the published file agrees with the predicted equilibrium. Chosen as for a 
 """
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Upper bound of the height error of the CoM [m] with which switched-off elements can count as the
-cause of a torque deviation. Chosen, not tuned.
+"""Height error of the CoM [m] up to which switched-off elements count as the cause, if switching
+them off repairs the torques, and the joint positions agree. Otherwise `HEIGHT_RTOL` applies.
+Chosen, not tuned.
 """
 
 HEIGHT_RTOL = 1e-3
@@ -312,11 +313,11 @@ def _find_loading_causes(
     run: PublishedRun,
     prepared: PublishedRun | None,
 ) -> tuple[Cause, ...]:
-    """Find out if a deviation is due to the preparation, or to differences between URDF and MJCF.
+    """Find causes of a deviation in the preparation, or in differences between URDF and MJCF.
 
-    If the prepared robot agrees with the prediction, changes of the preparation are the probable
-    cause. If the prepared robot deviates as well, a difference between URDF and MJCF may be the
-    cause.
+    ``run`` is the simulation of the published file, ``prepared`` that of the prepared robot. If the
+    prepared robot agrees with the prediction, changes of the preparation are the probable cause. If
+    the prepared robot deviates as well, a difference between URDF and MJCF may be the cause.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -916,8 +917,8 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a failed simulation, by switching off candidates in copies of the model.
 
-    Without the causes, the model passes the test. With one of the causes switched on again, it
-    fails.
+    With the causes switched off, the model passes the test. With all candidates of a tested group
+    switched off except one cause, it fails.
 
     Args:
         published: Published model: the user's file as compiled.

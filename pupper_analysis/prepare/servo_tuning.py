@@ -2,15 +2,15 @@
 
 Units: kp [N m/rad, N/m], kd [N m s/rad, N s/m]. A servo is deflected by tau / kp. The stiffness
 therefore follows from a torque and from the permitted deflection. The time step h bounds the
-stiffness: h sqrt(kp / I), with the inertia I of the joint, must remain well below 2.
+stiffness: h sqrt(kp / I), with the inertia I of the joint, must remain below 2.
 
 The requirement depends on the base:
 
 - Standing robot (`ServoRequirement.of_stand`): all joints hold a single posture against a single
-  load, and the feet press against each other. As far as the time step permits, each hinge is as
-  stiff as the most loaded joint. Each slide is as stiff as a hinge with the lever of a leg, or as
-  its own load requires. Damping is proportional to stiffness: then
-  the damping ratio of a mode is proportional to its frequency.
+  load, and the feet press against each other. As far as the time step and closed loops permit, each
+  hinge is as stiff as the most loaded joint. Each slide is as stiff as a hinge with the lever of a
+  leg, or as its own load requires. Damping is proportional to stiffness: then the damping ratio of
+  a mode is proportional to its frequency.
 - Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
   commanded, and each joint moves alone. Each joint is stiff enough for the worst of random
   postures, as far as the time step permits, and critically damped.
@@ -286,7 +286,7 @@ def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
 
 
 def _round_to_two_digits(value: float) -> float:
-    """Round a positive ``value`` down to two significant digits."""
+    """Round a positive ``value`` down to two significant digits, with a tolerance for rounding."""
     digits = 1 - math.floor(math.log10(value))
     return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 

@@ -41,8 +41,8 @@ square of the gear."""
 
 
 _MIN_IMPRATIO = 1e-9
-"""Lower bound of MuJoCo's option ``impratio`` (dimensionless). Chosen: with a smaller value there
-is no friction."""
+"""Lower bound of MuJoCo's option ``impratio`` (dimensionless). Chosen: with a much smaller value
+there is practically no friction."""
 
 _MAX_LENGTH = 1e4
 """Upper bound of the magnitude of contact margins, and of the coordinates of moving bodies and of
@@ -56,7 +56,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
     Examples are the time step, solver tolerance, rotor inertias and gears.
 
     Raises:
-        ModelError: If a value is out of range; the error contains file, line and value.
+        ModelError: If a value is out of range; the error contains file, value and, if found, line.
     """
     for kind, field, stated, (least, most) in _list_bounded_values(mjcf.model):
         numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
@@ -174,9 +174,9 @@ residual is larger, MuJoCo's solver counts as inaccurate (`find_solver_error`). 
 tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
-"""Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
-a push the constraint forces are in equilibrium, and an inaccurate solver may not be detected.
-Chosen, not tuned.
+"""Force along each axis on the robot in the test of the solver's accuracy, divided by the robot's
+weight [1]. Without a push the constraint forces are in equilibrium, and an inaccurate solver may
+not be detected. Chosen, not tuned.
 """
 
 
@@ -208,8 +208,8 @@ def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: in
 
 
 _TEST_PENETRATION = 1e-3
-"""Penetration of the feet in the test of the solver's accuracy [m], so that contact forces act.
-Chosen, not tuned."""
+"""Distance by which the robot is lowered in the test of the solver's accuracy [m], so that contact
+forces act. Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:

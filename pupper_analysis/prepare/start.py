@@ -6,8 +6,9 @@ stand (the solution of the default `StandTask`) and the keyframe of the prepared
 
 1. A keyframe whose feet are level, whose joints are within the limits, and with which the nominal
    stand exists.
-2. A keyframe from which the unmodified file stands in a simulation.
-3. A stand in the middle of the reachable base heights.
+2. A keyframe from which the unmodified file stands in a simulation, and with which the nominal
+   stand exists.
+3. A stand near the middle of the reachable base heights.
 """
 
 from __future__ import annotations
@@ -194,8 +195,8 @@ _NUM_HEIGHTS = 12
 (`_MIN_HEIGHT_FRACTION`, `_MAX_HEIGHT_FRACTION`). Chosen, not tuned."""
 
 _MIN_GROUND_CLEARANCE = 0.01
-"""Lower bound of the height above the ground [m] of all bodies except those of the feet, in a
-searched start pose. A clearance is needed since feet penetrate the ground. Chosen, not tuned."""
+"""Lower bound of the height above the ground [m] of bodies other than those of the feet
+(`is_clear_of_ground`). A clearance is needed since feet penetrate the ground. Chosen, not tuned."""
 
 _EQUAL_MISS_RTOL = 1e-3
 """Relative tolerance [1] with which the minimum foot errors from two initial guesses count as the
@@ -207,7 +208,7 @@ _MAX_RESET_PASSES = 3
 joints outside the legs (arms, waist) are reset to the requested pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
-"""Required distances of the joints from their limits [rad, m], tried in this order until a start
+"""Wanted distances of the joints from their limits [rad, m], tried in this order until a start
 pose is found that remains within reach on soft ground. Chosen, not tuned."""
 
 _MIN_SIDE_DISTANCE, _MAX_SIDE_DISTANCE = 0.1, 0.6
@@ -786,7 +787,7 @@ def find_start_pose(
         sunk: {keyframe: penetration of the feet [m] at rest}, by which the base is lowered
             (`compute_resting_depths`).
         rest_depth: Function that returns the penetration of the feet [m] with which the unmodified
-            file stands from a keyframe; None if the file falls.
+            file stands from a keyframe, or None if the file falls.
 
     Returns:
         Robot with the start pose, and notes on the choice of the pose.

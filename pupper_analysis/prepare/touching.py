@@ -80,8 +80,8 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        All feet, and a note. In the affected feet, the other shape is the contact shape. None
-        without such feet.
+        All feet, and a note. In the affected feet, the other shape is the contact shape. None if
+        there are no such feet, or no stand on soft ground.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
