@@ -488,7 +488,7 @@ def _find_sole_contacts(
 
 
 def _are_same_points(first: Sequence[ContactPoint], second: Sequence[ContactPoint]) -> bool:
-    """Return True if the contact points of a sole are nearly equal before and after a small tilt."""
+    """Return True if contact points of a sole are nearly equal before and after a small tilt."""
     return len(first) == len(second) and all(
         min(float(np.linalg.norm(point.center - candidate.center)) for candidate in second)
         < _SOLE_ATOL

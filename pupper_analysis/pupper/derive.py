@@ -1,6 +1,6 @@
 """Derive a variant: the URDF with yourdfpy, the MJCF with MuJoCo's spec.
 
-Input are the URDF or MJCF of a base model and the scale factors of the legs and of the torso mass.
+Inputs are the URDF or MJCF of a base model, and the scale factors of the legs and the torso mass.
 Thighs and calves are stretched along their length by a linear map of positions. Masses, inertias,
 shapes and keyframes are changed accordingly. `derive_urdf` and `derive_mjcf` are independent
 implementations; a comparison of both results tests them.
@@ -282,7 +282,8 @@ def _stretch_body(
     """Stretch a body of an MJCF by ``factor`` along an axis, in place, except for its meshes.
 
     ``axis`` is a unit vector (3,) in the body frame. ``meshes`` receives {mesh: scale factors (3,)
-    along the axes of the mesh}; the caller must scale the meshes. Spheres keep their size.
+    along the axes of the mesh}; the caller must scale the meshes. For example, spheres and boxes
+    keep their size.
     """
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):

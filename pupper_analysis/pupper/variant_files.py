@@ -227,7 +227,7 @@ _MJCF_PACKAGE_SUFFIX: Final = "_mj_description"
 
 _NUM_HEAD_BYTES: Final = 4096
 """Number of bytes at the start of an .xml file that are searched for ``<robot``. If the text is
-found, the file is a URDF. Chosen, not tuned.
+found, the file counts as a URDF. Chosen, not tuned.
 """
 
 _PAIR_SEPARATOR: Final = "+"

@@ -2,7 +2,7 @@
 
 Input is a validated URDF; output is the XML of an MJCF with a fixed or free base, as
 `ConvertedMjcf`. Ground, servos and feet are added later, by the passes of the preparation. When a
-robot is loaded from a URDF alone, the conversion fixes the base; a pass frees the base later.
+robot is loaded from a URDF alone, the conversion fixes the base; a pass may free the base later.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class UrdfBodies:
         urdf: URDF.
         tree: Links to be converted.
         meshes: Meshes of the URDF.
-        armature: {joint: rotor inertia [kg m^2]}.
+        armature: {joint: rotor inertia [kg m^2, kg]}.
         notes: Notes on parts that an MJCF cannot express, or that were left out.
         materials: {name: rgba} of the used materials.
         mimics: {joint: (leader, multiplier, offset)} as text; the joint follows the leader.
@@ -397,7 +397,7 @@ class UrdfBodies:
 
 
 def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
-    """Return the text of an attribute; None if element or attribute is missing, or all are zero."""
+    """Return the text of an attribute; None if it is missing, or all numbers in it are zero."""
     text = None if parent is None else parent.get(attribute)
     return None if text is None or is_zero(text) else text
 
@@ -439,7 +439,7 @@ def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 MIN_FREE_BASE_LIMBS = 2
 """Lower bound of the number of moving joints at the base of a URDF (limbs) with which the converted
-robot gets a free base by default. With fewer joints, the base is fixed, as in ``load_robot``."""
+robot gets a free base by default. With fewer joints, the base is usually fixed."""
 
 
 @dataclass(frozen=True)
@@ -450,10 +450,10 @@ class MjcfOptions:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
         fixed_base: True for a fixed base, False for a free base. None: the base is free if it
             floats in the URDF, or has at least two limbs and is not the link ``world``.
-        armature: {joint: rotor inertia [kg m^2]}, which a URDF does not contain; None: no rotor
+        armature: {joint: rotor inertia [kg m^2, kg]}, which a URDF does not contain; None: no rotor
             inertia.
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
-            mass. False to refuse such a URDF.
+            mass. False to refuse a URDF that needs such a repair.
         copy_meshes: True to copy all meshes to a folder beside the MJCF.
         defer_visuals: True to convert visual meshes later (`DeferredMeshes`).
     """
@@ -546,7 +546,7 @@ class ConvertedMjcf:
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
     def make_import(self) -> UrdfImport:
-        """Create a URDF that MuJoCo's own importer accepts, without visual shapes.
+        """Create a URDF for MuJoCo's own importer, without visual shapes.
 
         Some elements are changed as in the converted MJCF, for example invalid inertials. Shapes
         with a mesh that cannot be used are omitted.

@@ -247,12 +247,12 @@ def load_robot(
 
     - A missing URDF or MJCF is converted from the other model.
     - Joints with different names are matched. Joints that a single file contains are held at zero.
-    - Floor, free base and position servos are added if they are missing.
+    - A missing floor, free base and position servos are added if needed.
     - If the robot stands in no keyframe of the MJCF, a stand is searched.
 
-    Servos and visual meshes are made when first needed, for example by the first access to
+    Servos and visual meshes are usually made when first needed, for example by the first access to
     ``mj_model``, ``description`` or ``notes``. Access to ``pin_model``, joint names or feet does
-    not trigger this. Mesh files are read again when visual meshes are made.
+    not trigger this. Mesh files may be read again when visual meshes are made.
 
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie or
@@ -279,8 +279,8 @@ def load_robot(
             read if all its xacro elements are unused declarations.
         xacro_args: {argument of the xacro file: value}, with ``xacro=True``; other arguments have
             default values.
-        as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
-            contacts of all shapes. Soles are then not replaced by balls.
+        as_is: True to add no servos, motors and contact exclusions, and to keep the contacts of all
+            shapes. Soles are then not replaced by balls.
         visuals: Whether the robot has visual geoms. Use False if the robot is not drawn or written:
             the MuJoCo model is then smaller, and is made faster. Without effect if ``feet`` is
             given.
@@ -323,7 +323,7 @@ def load_robot(
 
 @silence_mujoco()
 def load_mjcf_robot(file: MjcfFile) -> Robot:
-    """Load a robot without visual geoms from an MJCF that was already read, as `load_robot` does.
+    """Load a robot from an MJCF that was already read, as `load_robot` does with ``visuals=False``.
 
     Raises:
         ModelError: If no robot can be made of the file, for example if it has several robots.

@@ -39,9 +39,9 @@ _MIN_INERTIA: Final = 1e-14
 ten times MuJoCo's bound."""
 
 _FLAT_MARGIN: Final = 1e-11
-"""Margin of A + B >= C, relative to the largest moment C. If the margin of a flat body is smaller,
-all moments are enlarged by this part of C. Chosen above the rounding of eigenvalues (1e-15) and
-below the tolerance of comparisons (1e-9)."""
+"""Margin of A + B >= C, relative to the largest moment C. If rounding may violate the inequality
+for a flat body, all moments are enlarged by this part of C. Chosen above the rounding of
+eigenvalues (1e-15) and below the tolerance of comparisons (1e-9)."""
 
 ADDED_MASS: Final = 1e-3
 """Mass [kg] of a moving link that has no mass in the URDF, if no link fixed to this link has a
@@ -122,7 +122,7 @@ class LinkBodies:
     def inertia(self, body: str) -> pin.Inertia | None:
         """Return the spatial inertia of a body, or None if the URDF link has no ``<inertial>``.
 
-        The inertia is about the origin of the link frame, expressed in link axes [kg, m, kg m^2].
+        The spatial inertia [kg, m, kg m^2] is expressed in the frame of the link.
         """
         return self.tree.links[body].inertia
 
@@ -158,7 +158,7 @@ def repair_inertials(
 
     An invalid inertial is added to the inertial of a link to which fixed joints connect the link:
     this changes no motion. If no such sum is valid, the moments become the nearest valid moments. A
-    moving body without mass gets `ADDED_MASS`.
+    moving body gets `ADDED_MASS` if neither this body nor a body fixed to it has a mass.
 
     Args:
         urdf: URDF as read.

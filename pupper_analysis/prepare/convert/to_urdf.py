@@ -2,7 +2,7 @@
 
 Input is an MJCF; output is a `ConvertedUrdf` with links, shapes and mimic joints. A link frame of
 the URDF is at the last hinge or slide of the body, if any, because a joint of a URDF moves about
-the origin of the child link. Elements that a URDF cannot contain are reported.
+the origin of the child link. Notes report parts that a URDF cannot contain, such as equalities.
 """
 
 from __future__ import annotations
@@ -483,8 +483,9 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Find the robot in a model: return the id of the base body, or 0 if the base is the world.
 
     Objects, whose only joint is a free joint, are ignored if there is a robot. A robot with a free
-    base has priority over, for example, doors and drawers. Bodies of the world that are coupled at
-    the start, such as a linkage with two fixed pivots, are a single robot whose base is the world.
+    base has priority over, for example, doors and drawers. Bodies of the world that are coupled
+    (`_are_coupled`), such as a linkage with two fixed pivots, are a single robot whose base is the
+    world.
 
     Raises:
         ModelError: If there are several robots or none, for example.
