@@ -169,7 +169,7 @@ def find_feet(
         height_fraction: Factor a [1] of the height bound, see `_MAX_LEG_HEIGHT_FRACTION`.
 
     Raises:
-        ModelError: If no limb with collision geoms ends below the base in one of the poses.
+        ModelError: If there is a pose in which no limb with collision geoms ends below the base.
     """
     return max((_find_lowest_limbs(robot, pose, height_fraction) for pose in poses), key=len)
 

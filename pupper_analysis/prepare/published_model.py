@@ -80,7 +80,7 @@ within the simulated time. Chosen, not tuned.
 
 @dataclass(frozen=True, eq=False)
 class PublishedModel:
-    """Compiled model of the user's file, with indices of the prepared robot's base and joints.
+    """Compiled model of the user's file, with ground height, base body and types of actuators.
 
     Attributes:
         model: Compiled model.
@@ -107,7 +107,7 @@ class PublishedModel:
 
     @property
     def floating(self) -> bool:
-        """Whether the base can move freely in the file, with at least six degrees of freedom."""
+        """Whether the base is free in the file: its body has at least six degrees of freedom."""
         return int(self.model.body_dofnum[self.base_body]) >= 6
 
 

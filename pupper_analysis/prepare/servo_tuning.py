@@ -51,8 +51,8 @@ The bound limits the stiffness kp; h is the time step, and I the inertia at the 
 quarter of the stability limit 2, because the poses in which the robot will be used are unknown."""
 
 _MIN_LEVER_FRACTION = 0.02
-"""Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The
-bound is needed because straight legs need almost no torque. Chosen, not tuned."""
+"""Lower bound of the design torque of a standing robot's servos, divided by weight * base height
+[1]. The bound is needed because straight legs need almost no torque. Chosen, not tuned."""
 
 _LEVER_FRACTION, _MIN_LEVER, _MAX_LEVER = 0.5, 0.1, 1.0
 """Lever of the hinges of a leg, relative to the stand height [1], and its bounds [m]. The lever

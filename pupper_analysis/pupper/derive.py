@@ -108,7 +108,8 @@ def _stretch_link(
     """Stretch a link in place by ``variant.leg_scale`` along the direction to its end.
 
     ``end`` is the pose (4, 4) of the next joint in the link frame. The direction is projected into
-    the plane with the normal ``normal``, the knee axis (3,) in the link frame.
+    the plane with the normal ``normal``, the knee axis (3,) in the link frame. For example, spheres
+    and boxes keep their size.
     """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)

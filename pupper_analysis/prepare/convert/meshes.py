@@ -65,7 +65,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """Notes on all meshes that were left out of the MJCF, a note per reason."""
+        """Notes on meshes that were left out of the MJCF, a note per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
@@ -92,7 +92,7 @@ class MeshFiles:
 
     @property
     def missing_files(self) -> Diagnostic | None:
-        """Message about missing mesh files, with the remedy; None if all files exist."""
+        """Message about missing files of registered meshes, with the remedy; None without any."""
         files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
         return diagnose("meshes-missing", files=files, packages=packages) if files else None

@@ -488,7 +488,7 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
     world.
 
     Raises:
-        ModelError: If there are several robots or none, for example.
+        ModelError: If there are several robots, or no joints, for example.
     """
     joints = Counter(int(model.body_rootid[body]) for body in model.jnt_bodyid)
     floating = model.jnt_bodyid[model.jnt_type == JointKind.FREE]
