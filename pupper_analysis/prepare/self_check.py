@@ -762,7 +762,7 @@ def name_remaining_cause(
     balls = list_ball_joints(robot)
     if own is not None and own.fails:
         return replace(
-            own, causes=balls or robot.compute_once(_test_soft_servos) or _deviating_joint(own)
+            own, causes=balls or robot.compute_once(_test_soft_servos) or _name_probable_cause(own)
         ), published
     run = None if published is None else published.worst
     if published is None or run is None or run.agrees_with_equilibrium:
@@ -833,7 +833,7 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
     return ()
 
 
-def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
+def _name_probable_cause(run: OwnRun) -> tuple[Cause, ...]:
     """Return the probable cause of a failed simulation of the file, without further simulations."""
     joint = run.unheld or run.lifted_leg or run.worst
     if joint is None:
