@@ -198,6 +198,9 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 
     Returns:
         Model; None if the model lacks the base body or a joint of the robot.
+
+    Raises:
+        ModelError: If MuJoCo refuses the changed model.
     """
     spec, model = mjcf.spec.copy(), mjcf.model
     if not _contains_robot(model, robot):

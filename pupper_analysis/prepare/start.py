@@ -895,6 +895,11 @@ def make_start_keyframe(
         reason: Note that explains the keyframe.
         kp: Servo stiffness, shape (nu,) [N m/rad, N/m]; None: value of the robot.
         kd: Servo damping, shape (nu,) [N m s/rad, N s/m]; None: value of the robot.
+
+    Raises:
+        ConfigurationError: If the stand belongs to another robot, for example.
+        ModelError: If a joint has no servo or motor, for example.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     qpos = round_start_configuration(robot, stand)
     torques = stand_statics(robot, stand).joint_torques
