@@ -510,9 +510,10 @@ def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _reach_the_world(model: mujoco.MjModel, bodies: list[int]) -> bool:
-    """Return True if some, but not all, bodies are fixed to the world or are mocap bodies."""
-    held = [model.body_weldid[body] == 0 or model.body_mocapid[body] >= 0 for body in bodies]
-    return any(held) and not all(held)
+    """Return True if some, but not all, bodies are fixed to the world or to mocap bodies."""
+    roots = model.body_weldid[bodies]
+    held = (roots == 0) | (model.body_mocapid[roots] >= 0)
+    return bool(held.any() and not held.all())
 
 
 def _find_wrap_bodies(model: mujoco.MjModel, wrap: int) -> list[int]:

@@ -388,6 +388,7 @@ TIES = {
     "weld": '<equality><weld name="tie" body1="trunk"/></equality>',
     "connect": '<equality><connect name="tie" body1="trunk" anchor="0 0 0"/></equality>',
     "mocap": '<equality><weld name="tie" body1="trunk" body2="hand"/></equality>',
+    "part of mocap": '<equality><weld name="tie" body1="trunk" body2="finger"/></equality>',
     "sites": '<equality><connect name="tie" site1="eye" site2="hook"/></equality>',
     "rope": ROPE.format(limit="") + '<equality><tendon tendon1="rope"/></equality>',
     "limited rope": ROPE.format(limit=' limited="true" range="0 0.3"'),
@@ -397,7 +398,8 @@ TIES = {
 def _tie(folder: Path, tie: str, kp: float) -> Path:
     """Write a quadruped with a trunk that is tied to the world at its height in the keyframe."""
     path = slips.standing(folder).mjcf
-    world = '<site name="hook" pos="0 0 0.65"/><body name="hand" mocap="true" pos="0 0 0.35"/>'
+    world = '<site name="hook" pos="0 0 0.65"/><body name="hand" mocap="true" pos="0 0 0.35">'
+    world += '<body name="finger"/></body>'
     if tie == "sites":
         world = world.replace("0.65", "0.35")
     rewrite_file(
