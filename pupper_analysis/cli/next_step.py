@@ -168,17 +168,13 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
 
 
 def complete_fixed_base_command(running_command: str) -> str:
-    """Create the command line that replaces a command about stands, if the base is fixed.
+    """Create a command line that accepts a fixed base, after the refusal of a command on stands.
 
     Args:
         running_command: Name of the refused command.
-
-    Returns:
-        `gains` with the base welded to the world, if `gains` was refused; otherwise `hold`.
     """
-    if running_command == "gains":
-        return complete_command(NextStep("gains", ("--contact", "base=weld")))
-    return complete_command(NextStep("hold"))
+    words = {"gains": ("--contact", "base=weld"), "live": ("--mujoco",)}.get(running_command)
+    return complete_command(NextStep("hold") if words is None else NextStep(running_command, words))
 
 
 def complete_relaxed_command(error: StanceUnreachableError) -> str:

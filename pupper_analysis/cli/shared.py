@@ -156,9 +156,9 @@ HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
 A short report with a single document prints this number below the results."""
 
 
-_FIXED_BASE_CODE = "base-is-fixed"
-"""Code of the error about a robot with a fixed base, in a command about stands. `Command.invoke`
-adds the command line of a suitable command, for example `hold`, to this error.
+_FIXED_BASE_CODES = ("base-is-fixed", "page-of-fixed-base")
+"""Codes of errors about a robot with a fixed base, in a command about stands. `Command.invoke` adds
+the command line of a suitable command, for example `hold`, to such an error.
 """
 
 
@@ -345,7 +345,7 @@ class Command(click.Command):
             return super().invoke(context)
         except ConfigurationError as error:
             problem = error.problem
-            if isinstance(problem, Diagnostic) and problem.code == _FIXED_BASE_CODE:
+            if isinstance(problem, Diagnostic) and problem.code in _FIXED_BASE_CODES:
                 from pupper_analysis.cli.next_step import (
                     complete_command,
                     complete_fixed_base_command,

@@ -278,20 +278,22 @@ def command(
 
 
 def _check_planned_file(path: Path, robot: Robot, plan: Path) -> None:
-    """Raise an error if a file of stands is missing, for a free base with the command to plan it.
+    """Raise an error if the base is fixed, or if a file of stands is missing.
+
+    The error about a missing file contains the command that plans stands.
 
     Args:
         path: Plan, or file of recorded stands.
         robot: Robot that shall stand.
         plan: Output of the command that the error prints.
     """
+    robot.check_floating()
     # Path.exists raises an error for a name that is too long.
     if not os.path.exists(path):  # noqa: PTH110
         error = InputError(path, describe_missing_file(path))
-        if robot.floating:
-            words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
-            step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
-            error.add_note(complete_command(step))
+        words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
+        step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
+        error.add_note(complete_command(step))
         raise error
 
 
