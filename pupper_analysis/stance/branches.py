@@ -27,8 +27,8 @@ legs:
 32 guesses find all but one of the branches that 256 guesses find."""
 
 _MAX_ITERATIONS = 14
-"""Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. If the target
-is reachable, 6 to 10 iterations are needed. Chosen, not tuned."""
+"""Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. Chosen, not
+tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
 """Upper bound of the number of Levenberg-Marquardt iterations that adapt a known IK branch to
@@ -53,7 +53,8 @@ tuned."""
 
 _INITIAL_DAMPING = 1e-3
 """Initial damping of the Levenberg-Marquardt iterations [m^2/rad^2]: a number that is added to the
-diagonal of J^T J. The elements of J^T J of a leg are 1e-2 to 1e-1. Chosen, not tuned."""
+diagonal of J^T J. The diagonal elements of J^T J are about 1e-2 for Pupper v3. Chosen, not
+tuned."""
 
 _MIN_DAMPING = 1e-12
 """Lower bound of the Levenberg-Marquardt damping after reductions [m^2/rad^2]. Chosen, not
@@ -65,7 +66,7 @@ tuned."""
 
 _CONVERGED_STEP = 1e-4
 """Largest displacement of a joint in an iteration [rad or m], up to which the Levenberg-Marquardt
-iterations end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
+iterations end. In a stand search PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +146,7 @@ def find_branches(
         mostly near local minima of the foot error.
 
     Raises:
-        ModelError: If the lower limit of a joint is above its upper limit.
+        ModelError: If the robot has feet, and the lower limit of a joint is above its upper limit.
     """
     if not robot.feet:
         return {}
@@ -430,9 +431,9 @@ def combine_branches(
 ) -> Iterator[Array]:
     """Yield joint positions (nu,) [rad, m] of combinations of one IK branch per limb.
 
-    The combination with the lowest cost comes first. The cost is a sum over limbs. The cost of a
-    limb is the sum of absolute differences of joint positions from ``near`` [rad, m], plus 1 per um
-    of foot error above 1 um.
+    The combination with the lowest cost, rounded to `_JOINT_DISTANCE_STEP`, comes first. The cost
+    is a sum over limbs. The cost of a limb is the sum of absolute differences of joint positions
+    from ``near`` [rad, m], plus 1 per um of foot error above 1 um.
 
     Args:
         found: {limb: its IK branches}.
@@ -461,8 +462,7 @@ def combine_branches(
 
 _MAX_SORTED_COMBINATIONS = 100_000
 """Upper bound of the number of combinations (an IK branch per limb) that are sorted by cost. Six
-legs with six branches each have 46,656; twelve legs would have 2e9, more than memory holds. Chosen,
-not tuned."""
+legs with six branches each have 46,656; twelve legs would have 2e9. Chosen, not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:

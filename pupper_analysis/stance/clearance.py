@@ -166,7 +166,11 @@ class ClearanceShapes:
 
     @functools.cached_property
     def _pairs(self) -> IntArray:
-        """Index pairs (n, 2) of the collision shapes on links that are not neighbours."""
+        """Index pairs (n, 2) of the collision shapes on links that are not neighbours.
+
+        Links on one joint, or on a joint and its parent, are neighbours. Links that the MJCF
+        excludes from contact, or that touch in the home pose, count as neighbours.
+        """
         model, shapes = self.robot.pin_model, self.shapes
         base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
         joints = [model.getJointId(shape.joint) if shape.joint else base for shape in shapes]
@@ -193,7 +197,7 @@ class ClearanceShapes:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Distance [m] and both links; None if no such links exist.
+            Distance [m] and both links; None without such links with collision shapes.
         """
         for pair in self.find_nearest_pairs(qpos, 1):
             links = self.shapes[pair.one].link, self.shapes[pair.other].link

@@ -190,7 +190,7 @@ class Loops(Constraint):
         return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
     def violation(self, targets: StandTargets, at: Kinematics) -> float:
-        """Return the largest deviation of closed loops from their static deflection [m, rad].
+        """Return the largest deviation of loops and couplings from the static deflection [m, rad].
 
         Infinite if a loop is assembled in another way than in the reference configuration, for
         example with crossed rods.

@@ -50,7 +50,7 @@ class Slider:
         high: Upper end of the range, in the unit of ``low``.
         step: Step of the slider of an angle [deg]. None: 0.1. Other steps are derived from ranges.
         start: Initial value on a new page, in SI units; for a gain only if the model has no gains.
-            None: the nominal value, or 1 for a gain.
+            Without effect for an angle. None: the nominal value, or 1 for a gain.
     """
 
     folder: str

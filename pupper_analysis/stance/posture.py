@@ -31,7 +31,8 @@ from pupper_analysis.stance.task import StandTask
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
 """Largest displacement [rad, m] of a joint with a given position, to close a loop. The displacement
-corrects the rounding of typed positions. Chosen, not tuned."""
+corrects the rounding of typed positions. The error about another joint out of range names the loops
+if closing them moved the joint by more. Chosen, not tuned."""
 
 LIMIT_TOLERANCE = 1e-6
 """Largest excess of a joint position over a joint limit [rad, m] that `steady_state` accepts as
@@ -96,7 +97,7 @@ def find_posture(
     Raises:
         ConfigurationError: If the base is free, a position is out of range, or closed loops and
             couplings cannot be closed.
-        UnknownNameError: If a joint or the keyframe is unknown; the message lists the known names.
+        UnknownNameError: If a joint or the keyframe is unknown.
     """
     check_fixed_base(robot)
     ranges = joint_ranges(robot)

@@ -35,7 +35,7 @@ satisfied, have smaller effects."""
 _MIN_RATE = 1e-3
 """Smallest norm of the derivative of the failed task's residual by displacements of base or joints
 (m and rad mixed) with which these displacements have an effect on the task. Smaller, for example,
-for a stretched limb. Chosen, not tuned: the levers of joints exceed 1 cm."""
+for a stretched limb. Chosen, not tuned: the levers of joints usually exceed 1 cm."""
 
 
 class PostureConflict(NamedTuple):
@@ -70,7 +70,8 @@ def find_conflict(
     The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
     v. A task i opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2, for displacements of
     the base or of the joints (separately, because the base has longer levers). A limit opposes the
-    task f if the descent direction -dr_f/dv of a joint at the limit points beyond the limit.
+    task f if the descent direction -dr_f/dv of a joint at the limit points beyond the limit, by
+    more than `_MIN_SHARE` |dr_f/dv|.
 
     Args:
         robot: Robot.

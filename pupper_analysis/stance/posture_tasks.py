@@ -75,7 +75,8 @@ class PlacoTask(NamedTuple):
     """Task in a PlaCo solver.
 
     Attributes:
-        task: PlaCo's task, with ``update`` and ``error_norm``.
+        task: PlaCo's task, or a replacement (`_MeasuredClearance`), with ``update`` and
+            ``error_norm``.
         update_target: Function that changes the target of ``task`` before an iteration; None if the
             target is fixed.
     """
@@ -438,7 +439,7 @@ def _check_rotation(value: Any) -> Array:
 
 
 def _check_axes(axes: str) -> None:
-    """Raise ConfigurationError if a text contains other letters than x, y and z, or none."""
+    """Raise ConfigurationError if a text is empty, or contains other letters than x, y and z."""
     if not axes or set(axes) - set("xyz"):
         known = ["x", "y", "z", "xy", "xz", "yz", "xyz"]
         raise ConfigurationError("axes", diagnose("not-one-of", given=axes, known=known))

@@ -406,7 +406,7 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
 
 _PROPOSED_INSET = 1e-4
 """Distance [m], in addition to the required margin, of the CoM position that an error message
-proposes from the edge of the support region. Chosen, not tuned."""
+proposes from the edge of the support region, if the region is large enough. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:

@@ -37,8 +37,9 @@ Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
 """Upper bounds of the number of SLSQP iterations of a solve, without and with relaxable
-requirements. Measured on solves that led to a stand: without relaxation, all of 1,500 solves took
-12 iterations or fewer; with relaxation, 90 % of 350 solves took 45 or fewer."""
+requirements. The second value also bounds the first run of `minimise_foot_distances`. Measured on
+solves that led to a stand: without relaxation, all of 1,500 solves took 12 iterations or fewer;
+with relaxation, 90 % of 350 solves took 45 or fewer."""
 
 _FINE_UNIT_DIVISOR = 200.0
 """Divisor [1] of the stand height, which gives the smallest unit of length in the second run of
@@ -47,12 +48,13 @@ the stand height, or a thousandth of the stand height."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the number of SLSQP iterations in the second run of `minimise_foot_distances`,
-which uses a finer unit of distance. About 45 are needed if the feet are at the limit of reach.
-Chosen, not tuned."""
+which uses a finer unit of distance. Chosen, not tuned: usually about 45 are needed if the feet are
+at the limit of reach."""
 
 _MIN_PROGRESS_RATIO = 0.9
 """Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
-counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
+counts as progress. A violation within the solver's tolerance also counts. Iterations without
+progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
 """Largest numbers of successive SLSQP iterations without progress, without and with relaxable
@@ -163,7 +165,7 @@ class StanceProgram:
     The v variables ``x`` are the horizontal base position, the joint positions, and the
     relaxations. Base position and relaxations of lengths are in stand heights, joint positions and
     relaxations of angles in rad or m. Height and orientation of the base equal those of the relaxed
-    goal at each point.
+    task at each point.
 
     Args:
         shapes: Robot with collision shapes.
@@ -244,7 +246,7 @@ class StanceProgram:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
         The sum of squared distances is minimised subject to the constraints of this program, in two
-        runs, the second with the remaining distance as unit. The minimum may be local.
+        runs, the second with a smaller unit of distance. The minimum may be local.
 
         Args:
             qpos: Initial configuration, shape (nq,).
@@ -420,7 +422,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Indices of independent equality and of inequality residuals; number of equalities."""
+        """Indices of independent equality and of inequality residuals; number of those equalities."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._targets.lower, -np.pi), np.minimum(self._targets.upper, np.pi)

@@ -40,8 +40,9 @@ from pupper_analysis.stance.task import StandTask
 
 _DEAD_POINT_RATIO = 1e-2
 """Ratio [1] (mobility of a foot with closed loops) / (mobility without the loops), below which a
-dead point of the loops is reported. A mobility is a singular value of the foot Jacobian. At 1 mrad
-from a dead point the ratio is about 1e-3. Chosen, not tuned."""
+dead point of the loops is reported. A mobility is a singular value of the foot Jacobian. Mobilities
+without loops below this fraction of the largest mobility are ignored. At 1 mrad from a dead point
+the ratio is about 1e-3. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
 """Foot error [m] below which a foot is not reported as out of reach at a dead point of closed

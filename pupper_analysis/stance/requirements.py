@@ -47,7 +47,8 @@ requirement."""
 
 _MAX_RELAXATION = 3.0
 """Upper bound of the change of a length by relaxation, in units of the robot's stand height, if the
-length may change in both directions. Chosen, not tuned."""
+length may change in both directions. The decrease of a height has another bound
+(`_MIN_HEIGHT_RATIO`). Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
 """Lower bound of the ratio (relaxed value) / (requested value), for values that must stay positive
@@ -227,7 +228,7 @@ def _nominal_value(robot: Robot, task: StandTask, field: Field, foot: str) -> An
 def _stance_centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     """Compute the mean (x, y) [m] of stance foot positions, weighted by their contact points.
 
-    Hands are left out. World frame.
+    Hands are left out. World frame. Without such feet, the base position in ``home``.
     """
     stance_feet = [
         place

@@ -62,11 +62,13 @@ of reach: all but one were found before two guesses agreed, the last one after f
 
 _NUM_RANDOM_GUESSES = 32
 """Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
-leg has no exact IK branches. Measured on 48 stands of six bipeds: the guesses found one additional
-stand."""
+leg usually has no exact IK branches. Measured on 48 stands of six bipeds: the guesses found one
+additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the clearance constraints, which searches for the smallest foot error omit."""
+"""Names of the clearance constraints, which searches for the smallest foot error omit. The
+nonlinear program also omits these constraints if the required base pose violates the ground
+clearance."""
 
 
 def search_stand(
@@ -304,7 +306,8 @@ class _StandSearch:
     def solve_from_minimum(self, programme: StanceProgram, qpos: Array) -> Stand | None:
         """Minimise the foot error from a configuration (nq,), then solve a stand from there.
 
-        None if no stand with the feet in place is found, or if the minimisation is not necessary.
+        None if no stand with the feet in place is found. Also None, without a minimisation, if the
+        CoM is not free or such a stand was found before.
         """
         if not self.targets.com_is_free or self.reached:
             return None
@@ -417,8 +420,8 @@ def flatten_soles(context: SearchContext, targets: StandTargets, stand: Stand) -
         stand: Stand with tilted soles.
 
     Returns:
-        A stand with smaller foot errors, since the tilt causes foot errors; the unchanged stand if
-        the tilt cannot be reduced.
+        A stand with smaller foot errors, since the tilt causes foot errors; the unchanged stand,
+        for example, if the tilt cannot be reduced.
     """
     robot = context.robot
     if not targets.com_is_free:
@@ -521,7 +524,8 @@ def relax_foot_orientation(
 NEAR_MISS = 1e-3
 """Largest foot error [m], or constraint violation of the nonlinear program [m, rad], with which IK
 refines a configuration, since a small displacement of the CoM may bring the feet to their targets.
-Chosen, not tuned."""
+Also a reserve in estimates of the required base displacement (`bound_com_shift`). Chosen, not
+tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a

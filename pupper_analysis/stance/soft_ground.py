@@ -206,7 +206,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
 
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
-    """Deflect loops of a posture (nu,) [rad, m] as MuJoCo's soft constraints under static load."""
+    """Deflect loops of a posture (nu,) [rad, m] as MuJoCo does under static load, if possible."""
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
         return qpos

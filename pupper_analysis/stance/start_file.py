@@ -84,7 +84,7 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 
 
 def _read_table(text: str) -> Any:
-    """Read a CSV: mapping {joint: position}, list of numbers, or None for another form."""
+    """Read a CSV: mapping {joint: position}, list of values, or None for another form."""
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
     except csv.Error:
@@ -113,8 +113,7 @@ def _parse_cell(cell: str) -> float | str:
 
 _MAX_POSITION_GAP = 1e-9
 """Largest difference between ``joint_positions`` and the last values of ``qpos`` [rad, m] in a
-file, with which both count as equal. Chosen, not tuned: both have 15 digits in the results of this
-package."""
+file, with which both count as equal. Chosen, not tuned."""
 
 
 def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:

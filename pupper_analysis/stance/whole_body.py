@@ -56,7 +56,7 @@ from pupper_analysis.stance.task import StandTask
 
 POSTURE_TOLERANCE = 1e-6
 """Largest residual [m, rad] with which a task counts as satisfied. Chosen, not tuned: 1 um is below
-the tolerances of usual robots. Residuals of tasks without conflict are about 1e-12."""
+the tolerances of usual robots. Residuals of tasks without conflict are usually about 1e-12."""
 
 _MAX_ITERATIONS = 200
 """Upper bound of the number of trust-region iterations from one initial guess, in each of the two
@@ -144,7 +144,7 @@ class SolvedPosture(Pictured, Tabular):
 
     @property
     def robot(self) -> Robot | None:
-        """Robot of the posture; None for a posture from another process."""
+        """Robot of the posture; None, for example, for a posture from another process."""
         robot: Robot | None = vars(self).get("_robot")
         return robot
 
@@ -422,7 +422,7 @@ class _Stage(NamedTuple):
 
 
 class _PostureSolver:
-    """Solver for the tasks of a posture, in two stages: with preferred tasks, then without.
+    """Solver for the tasks of a posture: with preferred tasks, if any, then without.
 
     Args:
         robot: Robot.
@@ -654,7 +654,7 @@ class _MujocoBody(_PinocchioBody):
     def self_clearances(self) -> Array:
         """Return distances (n,) [m] of links that are no neighbours, by MuJoCo, ascending.
 
-        The pairs of collision shapes are those that Pinocchio finds nearest.
+        The pairs of collision shapes are those of `ClearanceShapes.find_nearest_pairs`.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
         pairs = shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)

@@ -30,11 +30,13 @@ from pupper_analysis.stance.task import StandTask
 
 BISECTION_RTOL = 1e-3
 """Tolerance of the ends of a reachable interval, relative to the first step of the search
-(`_FIRST_STEPS`). Chosen, not tuned."""
+(`_FIRST_STEPS`). Also the relative distance to `_MAX_VALUES` within which an interval counts as
+ending there. Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
 """Step length of the outward search, relative to the first step (`_FIRST_STEPS`), above which a
-full search from all initial guesses follows if IK from the last stand fails. Chosen, not tuned."""
+full search from all initial guesses follows if IK from the last stand fails. After a gap
+(`_RESTART_RATIO`), a full search follows at each step length. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
 """Step length after the outward search has crossed a gap, relative to the first step
@@ -53,8 +55,8 @@ _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05,
 """{base coordinate: first step of the outward search from the initial stand [m or rad]}. Chosen,
 not tuned."""
 _MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
-"""{angle: largest absolute value [rad] that is searched}. Larger angles describe the same
-rotations."""
+"""{angle: largest absolute value [rad] that is searched}. Roll, pitch and yaw within these bounds
+describe all rotations."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
     legs cannot move it in two directions (`can_move_com`). With an ``offset`` in the task, the base
     keeps this offset instead. For shifts in x and y, the CoM follows the base and must keep the
-    task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2, since larger angles
-    describe the same rotations.
+    task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2: within these bounds the
+    three angles describe all rotations.
 
     Args:
         robot: Robot.
@@ -165,8 +167,9 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
 _LIMIT_DISTANCE = 0.01
 """Distance [rad, m] of a moved joint from its limit (with margin) below which the limit is reported
-as the reason for the end of an interval. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and
-joints move several times as fast as the base."""
+as the reason for the end of an interval. Also the displacement above which a joint counts as moved.
+Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several times as fast as the
+base."""
 
 _EDGE_DISTANCE = 1e-3
 """Excess [m] of a margin or clearance over its required value, below which this requirement is

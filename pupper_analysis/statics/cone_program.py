@@ -26,7 +26,8 @@ from pupper_analysis.base.array_types import Array
 
 BALANCE_TOLERANCE = 1e-9
 """Largest residual norm of the balance equations that counts as zero, relative to the norm of the
-base load (N and N m mixed). Chosen, not tuned."""
+base load (N and N m mixed). Also used for other comparisons of rounded numbers, such as normals.
+Chosen, not tuned."""
 
 
 MAX_TOTAL_NORMAL_FORCE = 10.0
@@ -104,7 +105,7 @@ class Balance:
         base_load: Shape (k,) [N, N m]; generalised force on the base, the prescribed forces, and
             the load of these passive joints.
         joint_rows: Shape (nu, size); rows of the transposed Jacobian that belong to the joints.
-        joint_load: Shape (nu,) [N m]; motor torques without contact forces.
+        joint_load: Shape (nu,) [N m, N]; motor torques without contact forces.
         normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
         grips: Shape (g,) [N]; upper bounds of the norms of grip forces.
     """
@@ -338,7 +339,7 @@ class Balance:
         return error <= BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest violation of a cone or grip limit [N], negative inside all."""
+        """Return the largest violation of cones and grip limits [N]; positive if any is violated."""
         excess = []
         for force, normal, coefficient in zip(
             self._contact_part(forces).tolist(),

@@ -30,8 +30,8 @@ _PARALLEL_TOLERANCE = 1e-9
 third singular value. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
-"""Relative tolerance [1] with which a vertex may be outside of a face, or two vertices count as
-equal. Chosen, not tuned."""
+"""Tolerance with which a vertex may be outside of a face, or two vertices count as equal, relative
+to the force, or to 1 N for smaller forces. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,8 @@ def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 SIDES = 48
 """Number of directions in which the boundary of the support region is computed if no tolerance is
-given. Chosen: a regular polygon with 48 corners has 0.3 % less area than its circumscribed circle.
+given. Also the number of rows of `SupportMargin` if feet have separate planes. Chosen: a regular
+polygon with 48 corners has 0.3 % less area than its circumscribed circle.
 """
 
 _MIN_FAILURES = 3

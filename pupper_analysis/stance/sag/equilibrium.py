@@ -296,13 +296,13 @@ x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
 """Predicted scaled residual e[k]^2 / e[k-1] [1] after a Newton step, up to which the step reuses
-the previous Jacobian; e[k] is the scaled residual (`EquilibriumScales.max_residual`) after k steps.
-Chosen as the size of rounding errors."""
+the previous Jacobian in an exact solve (`SagEquilibrium.solve`); e[k] is the scaled residual
+(`EquilibriumScales.max_residual`) after k steps. Chosen as the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration plus MuJoCo's contact margin, in units of `EquilibriumScales.length`, above which a
 point that is assumed to have no contact becomes a contact. For Pupper v3 the force at this
-penetration is 1e-6 N. Chosen, not tuned."""
+penetration is below 1e-6 N. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
 """Factors [1] on the tangential compliance of contact points (`contact_compliance`) in successive

@@ -57,7 +57,7 @@ pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the stance feet that slide in an equilibrium: friction is saturated at loaded points.
+    """Find the stance feet that slide: friction is saturated at all loaded points of the foot.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
     leg is no longer twisted. Such a sole does not count as sliding (`MAX_PIVOT_RATIO`).
@@ -80,7 +80,7 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the contact points that slip in an equilibrium, because friction is too low."""
+    """Find the contact points that slip in an equilibrium: their friction is saturated."""
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.find_slipping_contacts(forces, places))
