@@ -339,7 +339,7 @@ class Balance:
         return error <= BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
     def _largest_violation(self, forces: Array, friction: Array) -> float:
-        """Return the largest violation of cones and grip limits [N]; positive if any is violated."""
+        """Return the largest violation of cones and grip limits [N]; positive if one exists."""
         excess = []
         for force, normal, coefficient in zip(
             self._contact_part(forces).tolist(),
