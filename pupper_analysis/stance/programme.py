@@ -422,7 +422,7 @@ class StanceProgram:
 
     @cached_property
     def _rows(self) -> tuple[IntArray, int]:
-        """Indices of independent equality and all inequality residuals; number of the equalities."""
+        """Indices of independent equality and all inequality residuals; equality count."""
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._targets.lower, -np.pi), np.minimum(self._targets.upper, np.pi)

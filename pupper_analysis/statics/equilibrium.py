@@ -818,7 +818,7 @@ def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
         limits: Shape (nu,) [N m or N]; effort limits; infinite if unknown.
 
     Returns:
-        Mass [kg]; 0 if a motor exceeds the evaluated limit without payload, infinite if no motor
+        Mass [kg]; 0 if a motor reaches the evaluated limit without payload, infinite if no motor
         limits the mass.
     """
     rates = np.where(np.abs(rates) > MIN_TORQUE_PER_MASS, rates, 0.0)
