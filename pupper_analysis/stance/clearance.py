@@ -124,7 +124,7 @@ def measure_distance(
     return result
 
 
-_NO_FLOOR = 1e3
+_ABSENT_FLOOR_DEPTH = 1e3
 """Depth [m] below the world origin of the half-space that replaces the floor if the MJCF has none:
 far below each part of a robot. Chosen, not tuned."""
 
@@ -377,7 +377,7 @@ class ClearanceShapes:
         For shapes on the joint of a hand, the surface that this hand touches is ignored.
         """
         where = self._shape_poses(at)
-        floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)
+        floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_ABSENT_FLOOR_DEPTH)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", floor, coal.Transform3s())
         ]

@@ -48,7 +48,7 @@ _ERROR_BY_CONSTRAINT = {
 constraints, except clearances and the CoM margin, are in ``foot_error``."""
 
 
-_UNPICKLED = ("_statics", "_robot")
+_UNPICKLED_ATTRIBUTES = ("_statics", "_robot")
 """Attributes of a stand that are not pickled: a robot is large, and statics are fast to compute."""
 
 
@@ -114,7 +114,9 @@ class Stand(Pictured, Tabular):
     robot: str
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in _UNPICKLED}
+        return {
+            name: value for name, value in vars(self).items() if name not in _UNPICKLED_ATTRIBUTES
+        }
 
     @cached_property
     def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:

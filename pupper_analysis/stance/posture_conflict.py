@@ -23,7 +23,7 @@ _DIFFERENCE_STEP = 1e-5
 """Step of the finite differences [rad, m]. Chosen, not tuned: much smaller than the lengths of
 links, about 0.1 m, over which squared residuals vary."""
 
-_AT_LIMIT = 1e-6
+_LIMIT_TOLERANCE = 1e-6
 """Distance from a joint limit [rad, m] below which a joint counts as being at the limit. Chosen,
 not tuned."""
 
@@ -103,7 +103,7 @@ def find_conflict(
     descent = -rates[base:]
     positions = qpos[robot.nq - robot.nu :]
     for joint, (value, low, high) in enumerate(zip(positions, *limits, strict=True)):
-        if min(value - low, high - value) < _AT_LIMIT:
+        if min(value - low, high - value) < _LIMIT_TOLERANCE:
             name, is_low = robot.joint_names[joint], bool(value - low < high - value)
             at_limit[name] = float(low if is_low else high)
             outward = -descent[joint] if is_low else descent[joint]

@@ -285,7 +285,7 @@ class AxisAlignTask(PostureTask):
         """Names of the links that this posture task refers to."""
         return (self.frame,)
 
-    def _required(self, body: WholeBody) -> Array:
+    def _required_direction(self, body: WholeBody) -> Array:
         """Return the required direction of the link's axis, unit vector (3,) in world axes."""
         if self.point is None:
             return np.asarray(self.direction)
@@ -297,7 +297,7 @@ class AxisAlignTask(PostureTask):
     def residual(self, body: WholeBody) -> float:
         """Return the angle [rad] between the axis of the link and its required direction."""
         axis = body.pose(self.frame)[0] @ np.asarray(self.axis)
-        required = self._required(body)
+        required = self._required_direction(body)
         return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
@@ -310,7 +310,7 @@ class AxisAlignTask(PostureTask):
 
         def update(body: WholeBody) -> None:
             """Set the target direction of PlaCo's task at the configuration of ``body``."""
-            task.targetAxis_world = self._required(body)
+            task.targetAxis_world = self._required_direction(body)
 
         return PlacoTask(task, update)
 

@@ -51,7 +51,7 @@ _MAX_ITERATIONS = 100
 which uses a finer unit of distance. Chosen, not tuned: usually about 45 are needed if the feet are
 at the limit of reach."""
 
-_MIN_PROGRESS_RATIO = 0.9
+_MAX_PROGRESS_RATIO = 0.9
 """Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
 counts as progress. A violation within the solver's tolerance also counts. Iterations without
 progress end the solve (`_PATIENCE`). Chosen, not tuned."""
@@ -151,7 +151,7 @@ class _Progress:
         if self._last is not None and np.array_equal(x, self._last):
             return
         self._last = x.copy()
-        helps = violation <= max(self._enough, _MIN_PROGRESS_RATIO * self._smallest)
+        helps = violation <= max(self._enough, _MAX_PROGRESS_RATIO * self._smallest)
         self._steps_in_vain = 0 if helps else self._steps_in_vain + 1
         if violation < self._smallest:
             self._smallest, self.x = violation, x.copy()

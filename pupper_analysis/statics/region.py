@@ -26,7 +26,7 @@ from pupper_analysis.statics.support_polygon import (
     support_corners,
 )
 
-_MIN_DEPTH = 1e-7
+_COLLINEAR_TOLERANCE = 1e-7
 """Largest distance [m] of a corner from the line between its neighbours with which the corner
 counts as inside a side. Solutions of the cone program are accurate to about 1e-8 m."""
 
@@ -178,7 +178,7 @@ def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
     while index < len(corners) and len(corners) > 3:
         previous, following = corners[index - 1], corners[(index + 1) % len(corners)]
         if shapely.Point(corners[index]).distance(shapely.LineString([previous, following])) > (
-            _MIN_DEPTH
+            _COLLINEAR_TOLERANCE
         ):
             index += 1
         else:
