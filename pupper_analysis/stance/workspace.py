@@ -125,8 +125,8 @@ def _check_base_moves(robot: Robot) -> None:
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
-    Each coordinate is varied separately, outward from its value in the task to the first value
-    without a stand that the search finds; short gaps in an interval may be missed. Feet stay
+    Each coordinate is varied separately, outward from its value in the task's stand to the first
+    value without a stand that the search finds; short gaps in an interval may be missed. Feet stay
     planted.
 
     The CoM keeps the horizontal position that the task requires. If the task permits any position

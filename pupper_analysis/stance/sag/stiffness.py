@@ -56,7 +56,7 @@ this length fails, the equilibrium counts as lost. Chosen, not tuned."""
 
 _FIRST_CREEP_RATIO = 0.04
 """Relative excess over the largest kp without a static equilibrium, at which creep is simulated
-first. Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
+first. Measured: creep raises the least kp by 4 to 8 % (original, Go2, v3)."""
 
 _MAX_PREDICTIONS = 4
 """Number of creep simulations of `_bisect_stiffness` at predicted kp, before the bracket is halved.
@@ -92,8 +92,8 @@ def minimum_stiffness(
         feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,
             ``sliding`` feet hold none.
         tolerance: Relative tolerance of the result, in (0, 1).
-        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative. Default:
-            1, the same kp at all joints.
+        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative and not
+            all zero. Default: 1, the same kp at all joints.
 
     Returns:
         kp [N m/rad] with which the robot stands: the upper end of the bracket. If the robot stands
@@ -132,13 +132,13 @@ def estimate_minimum_stiffness(
 
     Unlike in `minimum_stiffness`, creep near the result is usually simulated only once: a
     prediction replaces the bisection. Measured: 0 to 5 % above `minimum_stiffness` for T1 and
-    v3-long-leg, within 1 % for v3, original and Go2.
+    v3-long-leg, within 2 % for v3, original and Go2.
 
     Args:
         robot: Robot.
         stand: Stand.
-        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative. Default:
-            1, the same kp at all joints.
+        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative and not
+            all zero. Default: 1, the same kp at all joints.
 
     Raises:
         ConfigurationError: If ``ratios`` is invalid, or the robot cannot stand.
