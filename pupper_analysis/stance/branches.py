@@ -71,11 +71,11 @@ iterations end. In a stand search PlaCo's IK removes the remaining error. Chosen
 
 @dataclass(frozen=True, eq=False)
 class IndependentLimb:
-    """Limb: joints that move one or more feet relative to the base, and move no other feet.
+    """Limb: joints on the chains of links from the base to one or more feet, and to no other feet.
 
     Attributes:
-        feet: Contact points that the joints move. Feet that share a joint, such as a waist, belong
-            to the same limb.
+        feet: Contact points at the ends of the chains. Feet that share a joint, such as a waist,
+            belong to the same limb.
         joints: Indices of the joints in actuator order, shape (n,).
     """
 
@@ -98,7 +98,7 @@ class Branch:
 
 
 def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
-    """Find the limbs of a robot: groups of contact points with the joints that move the points.
+    """Find the limbs of a robot: contact points, with the joints between the base and the points.
 
     Contact points that share a joint belong to one limb.
     """
