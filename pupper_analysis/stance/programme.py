@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -360,8 +360,9 @@ class StanceProgram:
 
     def _compute_targets(self, values: Array, like: StandTargets) -> StandTargets:
         """Convert values of relaxable requirements [m, rad] to targets; reuse parts of ``like``."""
-        task = self._numbers.make_task(values, checked=False)
-        return compute_targets(self._robot, task, self._targets.depths, like, checked=False)
+        task, stated = self._numbers.make_task(values, checked=False), self._targets
+        targets = compute_targets(self._robot, task, stated.depths, like, checked=False)
+        return replace(targets, loop_opening=stated.loop_opening)
 
     def _point(self, x: Array) -> _Point:
         """Return targets, configuration and constraint residuals at the variables ``x`` (v,)."""
