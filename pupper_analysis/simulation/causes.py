@@ -84,8 +84,8 @@ def find_instability(
 def proves_unrest(nudge: Nudge) -> bool:
     """Return True if the response to a nudge (a small velocity) alone proves a stand unstable.
 
-    Proofs are a displaced joint (`MAX_JOINT_DISPLACEMENT`), and motion that does not decay. A slow
-    motion proves nothing, since a foot with almost no load may bounce.
+    Proofs are a displaced joint (`MAX_JOINT_DISPLACEMENT`), and motion that does not decay. Slow
+    motion without decay is no proof, since a foot with almost no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True

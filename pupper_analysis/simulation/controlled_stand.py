@@ -49,17 +49,19 @@ accepts [s]. Chosen: legged robots are controlled within 0.1 s."""
 
 MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
 """Upper bound of the growth rate of a mode [1/s] that counts as stable. At this rate a deviation
-doubles in ``HOLD_DURATION``, the time for which a stand must hold. Slower modes are creep of
-MuJoCo's friction."""
+doubles in ``HOLD_DURATION``, the time for which a stand must hold. Slower modes are, for example,
+creep of MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
 """Upper bound of the number of time steps into which a control period is divided, so that the delay
-is a whole number of steps. Chosen, not tuned.
+is a whole number of steps. Exception: the time step of the model may require more steps. Chosen,
+not tuned.
 """
 
 _DELAY_TOLERANCE = 1e-6
-"""Tolerance [1] up to which a difference counts as rounding: relative for delays and control
-periods, absolute for the imaginary part of an eigenvalue of the closed loop. Chosen, not tuned.
+"""Tolerance [1] up to which a difference counts as rounding: of a number of time steps (relative if
+above 1, for the delay) from a whole number, and of the imaginary part of an eigenvalue of the
+closed loop from 0. Chosen, not tuned.
 """
 
 _TRANSIENT_RATIO = 0.1
@@ -234,9 +236,10 @@ class ControlledStand:
         return powers[-1], powers[self.steps - late] @ sums[late], sums[self.steps - late]
 
     def compute_joint_inertias(self) -> Array:
-        """Compute the inertia that each motor accelerates in the stand: torque / acceleration.
+        """Compute the inertia that each motor accelerates in the stand: torque / mean acceleration.
 
-        The other motors keep their torques, and the feet are on MuJoCo's soft ground.
+        The acceleration is averaged over a control period. The other motors keep their torques, and
+        the feet are on MuJoCo's soft ground.
 
         Returns:
             Inertia [kg m^2, kg], shape (nu,); NaN for joints without motor, and if the torque does

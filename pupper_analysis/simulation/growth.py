@@ -76,15 +76,17 @@ grown or decayed. Chosen, not tuned.
 """
 
 _DECAYED_RATIO = 1e-2
-"""Ratio [1] of the deviation D to its initial value, below which the motion of a growth test has
-decayed. D is half the difference of the two simulations. Chosen, not tuned.
+"""Ratio [1] of the deviation D to the bound of the initial deviation, or to the maximum of D in the
+first time window if smaller, below which the motion of a growth test has decayed. D is half the
+difference of the two simulations. Chosen, not tuned.
 """
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s] and growth factor [1] of an early end of a growth test. After this time, the
 test ends if the deviation D (half the difference of the two simulations) is below `_HALF_GROWTH`
-times its smallest value. The time begins at the start, or at the end of the last transient.
-Exponential growth with a doubling time of ``HOLD_DURATION`` has a factor of 2.8."""
+times its smallest value. The time begins at the start, or at the end of the last transient. An
+oscillation counts as sustained only after this time. Exponential growth with a doubling time of
+``HOLD_DURATION`` has a factor of 2.8."""
 
 _ENDED_GROWTH = 1.25
 """Lower bound [1] of the ratio of maxima of the deviation D in a growth test, now and two doubling
@@ -105,8 +107,9 @@ tuned.
 
 _MIN_OSCILLATION_RATIO = 0.5
 """Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation in a
-growth test. With a smaller ratio, growth counts as buckling. Chosen between 1, for an oscillation
-about the undisturbed motion, and 0.25, for exponential growth that doubles in one period.
+growth test. With a smaller ratio, growth slower than a doubling in ``HOLD_DURATION`` counts as
+buckling. Chosen between 1, for an oscillation about the undisturbed motion, and 0.25, for
+exponential growth that doubles in one period.
 """
 
 _MAX_WINDOW = 1.0
@@ -141,9 +144,9 @@ def confirm_growth(
 ) -> Stability:
     """Test by simulation if modes that grow within ``HOLD_DURATION`` in the linear model do grow.
 
-    A mode is an eigenvector of MuJoCo's linearised simulation step. `Mode.grows_within` selects the
-    modes: an oscillation may grow at any rate. Each test simulates deviations along modes
-    (`simulate_growth`).
+    A mode is an eigenvector of MuJoCo's linearised simulation step.
+    `Stability.modes_growing_within` selects the modes: an oscillation may grow at any rate. Each
+    test simulates deviations along modes (`simulate_growth`).
 
     Args:
         stability: Modes of the linearised step at the state.
@@ -159,7 +162,7 @@ def confirm_growth(
           time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
           is None for a sustained oscillation.
         - ``refuted_modes`` contains the tested modes that the simulation does not confirm.
-        - Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
+        - Selected modes that were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -343,7 +346,9 @@ def _make_displacement(
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
     Each mode is scaled before the summation, so that a fast mode, with large velocities, does not
-    hide a slow mode. The sum is within ``angle`` [m, rad] and ``speed`` [m/s, rad/s].
+    hide a slow mode. Modes that the second finite-difference step does not repeat are left out;
+    without other modes, the displacement is a random velocity. The sum is within ``angle`` [m, rad]
+    and ``speed`` [m/s, rad/s].
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]

@@ -18,7 +18,8 @@ from pupper_analysis.robot.stability import step_derivative
 _MAX_SAMPLE_TIME = 0.05
 """Upper bound of the time between the evaluated displacements of a prediction [s], unless the time
 step of the model is longer. Derived: an oscillation at 2 Hz is sampled ten times per period. Its
-displacement between two samples exceeds the samples by at most 5 %: 1 / cos(pi / 10) = 1.05."""
+displacement between two samples exceeds the samples by at most about 5 %: 1 / cos(pi / 10) =
+1.051."""
 
 _INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
 """Relative [1] and absolute [m, rad] tolerance of a predicted displacement. `LinearStep.reproduces`
@@ -49,8 +50,8 @@ class LinearStep:
         """Predict with the linear model how far the robot moves from a state, at later times.
 
         The model extrapolates the change in the last time step, from ``before`` to ``state``. The
-        displacement is predicted at n times: multiples of an interval of about `_MAX_SAMPLE_TIME`
-        or less, up to ``duration``.
+        displacement is predicted at n times, with an interval of at most `_MAX_SAMPLE_TIME` or one
+        time step. The last time is ``duration`` or slightly later.
 
         Args:
             before: State one time step before ``state`` (mjSTATE_FULLPHYSICS), shape (size,).

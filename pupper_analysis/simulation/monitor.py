@@ -88,7 +88,8 @@ class StandReference:
         robot: Robot.
         rotation: Expected orientation of the base, base to world, shape (3, 3).
         com_position: Expected position of the reference point in the world, shape (3,) [m].
-        com_offset: Position of the reference point in the base frame, shape (3,) [m].
+        com_offset: Position of the reference point in the base frame, shape (3,) [m]; zero for a
+            fixed base.
         com_height: Expected height of the reference point above the lowest point of all feet [m]
             (above z = 0 without feet); for a robot with welds or grips, distance between base and
             CoM plus the stand height; 1 for a fixed base.
@@ -407,8 +408,8 @@ example, of bodies that are reported as touching. Chosen, not tuned.
 """
 
 MEASURING_TIME = 1.0
-"""Duration [s] of the interval before the nudge in which settled torques, forces, heights and
-positions are averaged. Chosen, not tuned.
+"""Duration [s] of the interval in which torques, forces, heights and positions are averaged:
+usually the interval before the nudge. Chosen, not tuned.
 """
 
 

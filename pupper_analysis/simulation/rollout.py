@@ -190,7 +190,8 @@ def settled_activations(
     """Compute the activations (model.na,) of actuators with filter dynamics at a constant command.
 
     The activation is the command in ``ctrl``, shape (model.nu,), clipped to ``ctrlrange`` if this
-    range is a limit. The activation is zero for time constants above ``max_time_constant`` [s].
+    range is a limit. The activation is zero for time constants above ``max_time_constant`` [s], and
+    for other dynamics.
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -267,7 +268,7 @@ def simulate_commands(
         start: Initial state (mjSTATE_FULLPHYSICS).
         ctrl: Actuator commands in each step, shape (n, model.nu).
         data: MuJoCo data for the simulation. The data are changed, and do not change the result.
-            Default: new data. To allocate the data of a quadruped takes as long as 25 steps.
+            Default: new data. To allocate the data of a quadruped takes as long as tens of steps.
 
     Returns:
         States after each step, shape (n, size).

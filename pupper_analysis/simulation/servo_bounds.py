@@ -223,8 +223,8 @@ def bound_servo_gains(
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
     """Find by simulation a stiffness factor with which the robot stands without feed-forward.
 
-    ``least`` is the factor that `minimum_stiffness` predicts. None if the robot stands with no
-    tried factor.
+    ``least`` is the factor that `minimum_stiffness` predicts. The damping is scaled by the same
+    factor, if above 1. None if the robot stands with no tried factor.
     """
     for ratio in _TRIED_RATIOS:
         factor = ratio * least

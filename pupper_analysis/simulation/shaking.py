@@ -18,8 +18,8 @@ speed. Chosen, not tuned: longer than the flight of a foot that bounces."""
 
 SHAKING_SECONDS = 3
 """Number of successive windows of simulated time in which a robot must shake without becoming
-slower, so that it shakes without decay. By default, each window is one second long. Chosen, not
-tuned."""
+clearly slower, so that it shakes without decay. By default, each window is one second long. Chosen,
+not tuned."""
 
 MIN_SHAKING_SPEED = 1e-2
 """Upper bound of the speed [m/s, rad/s] of a robot that does not shake. Speeds are taken without
@@ -93,11 +93,11 @@ class ShakingRecord:
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the robot shakes, and has not become slower in `SHAKING_SECONDS` seconds."""
+        """Whether the robot shakes, and has hardly become slower in `SHAKING_SECONDS` seconds."""
         return self.is_sustained_over(1)
 
     def is_sustained_over(self, seconds: int) -> bool:
-        """Return True if the robot shakes, and has not become slower over successive windows.
+        """Return True if the robot shakes, and has hardly become slower over successive windows.
 
         The last `SHAKING_SECONDS` windows, each of ``seconds`` [s], are compared
         (`_MIN_SHAKING_RATIO`). The result is False if the record is too short.

@@ -153,9 +153,9 @@ def find_final_spectrum(
 ) -> tuple[Stability, mujoco.MjData]:
     """Compute the modes of MuJoCo's linearised step at the end of a simulation.
 
-    The final state is evaluated if the robot is at rest. Otherwise the state is that of a new
-    simulation of `SETTLING_TIME` (`judge_settled`). If the simulation has failed, the initial state
-    is evaluated: the modes that upset the robot grow there.
+    The final state is evaluated if the robot is at rest. Otherwise the state is normally that of a
+    new simulation of `SETTLING_TIME` (`judge_settled`). If the simulation has failed, the initial
+    state is evaluated: the modes that upset the robot grow there.
 
     Args:
         drive: MuJoCo model with servos.
@@ -232,7 +232,7 @@ def judge_stability(
 def _find_modes(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Simulate a state for ``settle`` [s]; return its modes, also without light contacts.
+    """Simulate a state for ``settle`` [s]; return the modes, also modes without light contacts.
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
     Measured for Pupper v3 with 2 kg and one foot on a slope of 10 deg: the foot with 2e-4 of the
@@ -431,7 +431,8 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     """Continue a nudged simulation; return True if the remaining motion stays small.
 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. This
-    is no failure if speeds and joint displacements stay small for `BOUNCING_TIME`.
+    is no failure if joint displacements stay small for `BOUNCING_TIME`, and speeds are small at the
+    end.
 
     Args:
         model: MuJoCo model.

@@ -113,7 +113,8 @@ samples (`_SAMPLE_TIME`). Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
 """Upper bound of the motion of a coordinate [m, rad] in the remaining time, with which a nudged
-simulation may end early. Chosen as a hundredth of `MAX_JOINT_DEVIATION`.
+simulation may end early. For motion that is predicted by the linearised step, the bound applies to
+the part beyond the range of the motion so far. Chosen as a hundredth of `MAX_JOINT_DEVIATION`.
 """
 
 _SPEED_FACTOR = 1.5
@@ -123,7 +124,7 @@ Chosen, not tuned.
 """
 
 _PREDICTION_FACTOR = 1.25
-"""Safety factor on the displacements that the linearised MuJoCo step predicts for the remaining
+"""Safety factor [1] on the displacements that the linearised MuJoCo step predicts for the remaining
 time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
@@ -405,7 +406,7 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint positions, shape (nu,) [rad, m], beyond which a stand fails.
 
     A limit is infinite if the joint rests on it in the stand: a nudge presses such a joint by
-    microradians into MuJoCo's soft limit.
+    microradians into MuJoCo's soft limit. Both limits of a joint without a range are infinite.
     """
     angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
@@ -774,8 +775,9 @@ class _NudgedEvaluation:
 def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
     """Return the failure "shaking" if a robot shakes without decay at the end of a simulation.
 
-    The speeds are compared over about three quarters of the simulated time ``elapsed`` [s]. None
-    without such shaking.
+    The speeds are compared in three windows at the end of the simulated time ``elapsed`` [s]. A
+    window is a quarter of this time, rounded down to whole seconds, at least 1 s. None without such
+    shaking.
     """
     window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
     if not shaking.is_sustained_over(window):

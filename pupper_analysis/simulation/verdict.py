@@ -280,7 +280,7 @@ def judge_stance(
 
 
 def _min_doubling_time(stability: Stability | None) -> float:
-    """Return the smallest doubling time [s] of the modes that grow within ``HOLD_DURATION``.
+    """Return the smallest doubling time [s] of the modes of `Stability.modes_growing_within`.
 
     The result is infinite if no time is known, for example because the state is not at rest.
     """
@@ -326,7 +326,7 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 
 
 def classify_ending(run: Outcome) -> Ending:
-    """Classify how a simulation ended: the robot holds, stands differently, rises or fails."""
+    """Classify how a simulation ended: the robot holds, stands differently, collapses, ..."""
     if run.passed:
         return Ending.HOLDS
     if run.stays:

@@ -440,9 +440,10 @@ def _stands_despite_idle_feet(
     result: StandVerification,
     failures: Sequence[Diagnostic],
 ) -> bool:
-    """Return True if all failures are unloaded feet that are errors of the prediction.
+    """Return True if all failures are unloaded feet, and the prediction may be the cause.
 
-    For example, the torques of the URDF of another robot unload a foot of the MJCF.
+    This requires feed-forward. Either the feet carry load again in the last second before the
+    nudge, or the balance equations show that URDF and MJCF describe different robots.
     """
     if not result.feedforward or result.collapses:
         return False
@@ -490,8 +491,9 @@ measured. Chosen, not tuned."""
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
     """Measure the creep of a stand: the slow mean motion of base, feet and joints in a simulation.
 
-    A mean speed is a displacement over the last `CREEP_TIME`, divided by the duration. ``states``
-    are the states after each step (mjSTATE_FULLPHYSICS), shape (n, size).
+    A mean speed is a displacement over the last `CREEP_TIME` (or the whole simulation, if shorter),
+    divided by the duration. ``states`` are the states after each step (mjSTATE_FULLPHYSICS), shape
+    (n, size).
     """
     steps = min(round(CREEP_TIME / float(model.opt.timestep)), len(states) - 1)
     first, last = states[-1 - steps], states[-1]
@@ -686,10 +688,11 @@ def _compare_forces(
     normals: Mapping[str, Array],
     force_scale: float,
 ) -> tuple[dict[str, Array], float | None]:
-    """Return the predicted forces, shape (3,) [N], and the largest relative error [1] of a force.
+    """Return {foot, weld or grip: predicted force (3,) [N]}, and the largest relative error [1].
 
-    Errors of feet are along the lift-off direction ``normals``, and divided by at least
-    ``force_scale`` [N]. The error is None without feet and grips.
+    Errors of feet are along the lift-off direction ``normals``, errors of grips are norms. Both are
+    divided by the predicted force, at least ``force_scale`` [N]. The error is None without feet and
+    grips.
     """
     predicted = robot.per_foot(prediction.contact_forces)
     errors = [
@@ -727,7 +730,8 @@ def _describe_height_loss(
     """Create the message that a simulated robot settles too far below its stand; empty if not.
 
     The limit is `MAX_SINKING_RATIO` times ``com_height`` [m]. Without feed-forward sag is expected,
-    so that a collapse is reported instead.
+    so that a collapse is reported instead. After a collapse with other ``failures``, nothing is
+    reported.
     """
     share = result.height_loss / com_height
     is_lost = share > MAX_SINKING_RATIO if result.feedforward else result.collapses
@@ -770,8 +774,8 @@ def _find_standing_failures(
 def torque_scale(robot: Robot, torques: Array) -> float:
     """Return the reference torque [N m, N] for relative errors of joint torques.
 
-    The result is the largest magnitude of ``torques``, shape (nu,), or the weight (on Earth,
-    without gravity) times `TORQUE_SCALE_LEVER`, if larger.
+    The result is the largest magnitude of ``torques``, shape (nu,), or the weight times
+    `TORQUE_SCALE_LEVER`, if larger. Without gravity, the weight is that on Earth.
     """
     return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
@@ -861,7 +865,7 @@ below it by at most this fraction of the limit. Chosen, not tuned."""
 def describe_drive_limits(
     robot: Robot, run: StandVerification, predicted: Array, positions: Array
 ) -> list[Diagnostic]:
-    """Create messages about saturated motors, and about commands beyond the servos' command ranges.
+    """Create messages about saturated motors, and feed-forward commands beyond the command ranges.
 
     Such limits may be the cause of a deviation from the prediction.
 
