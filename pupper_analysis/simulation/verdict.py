@@ -326,7 +326,7 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 
 
 def classify_ending(run: Outcome) -> Ending:
-    """Classify how a simulation ended: the robot holds, stands differently, collapses, ..."""
+    """Classify how a simulation ended, for example: the robot holds, collapses, is lifted."""
     if run.passed:
         return Ending.HOLDS
     if run.stays:

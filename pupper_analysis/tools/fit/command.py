@@ -187,7 +187,7 @@ def command(
     """Fit a robot's numbers to measurements: masses, centres of mass, zeros of encoders, kp.
 
     A soft servo is a torque sensor: tau = kp (command - position). A stand is a pose in which the
-    robot is at rest on its feet. A file of stands has a row per stand, with the columns
+    robot is at rest on its feet. A file of stands has a row per reading, with the columns
     command.<joint> and position.<joint> (rad, or [deg] in the header) and swing (feet in the air).
     A log is recorded on a robot that hangs or is bolted down, with the columns time,
     position.<joint> and command.<joint>; friction, damping and armature are fitted, too.
@@ -305,7 +305,7 @@ most parameters keep their prior standard deviation."""
 def _read_measurements(
     stands: Path | None, logs: tuple[Path, ...], hold_out: tuple[str, ...]
 ) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
-    """Return stands or logs, and the held-out part: a share of each log [1], logs, or None."""
+    """Return stands or logs, and the held-out part: a share of each run [1], logs, or None."""
     from pupper_analysis.tools.fit.measurements.log import read_log
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 

@@ -24,12 +24,14 @@ _MAX_STEPS = 60
 _MIN_PREDICTED_DECREASE = 1e-4
 """Default tolerance of the cost (chi2 plus prior): predicted decrease below which the iteration has
 converged. A decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of
-a standard deviation. Chosen, not tuned.
+a standard deviation. The value is also the tolerance with which `_find_decrease` accepts a step.
+Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.01
 """Default upper bound of the ratio of predicted decrease to cost with which a stalled minimisation
-ends without error. Chosen, not tuned.
+ends without error. Any decrease below `_MAX_UNREALISED_DECREASE` is accepted, too. Chosen, not
+tuned.
 """
 
 _MAX_STALL_RATIO = 0.25
@@ -51,8 +53,8 @@ in CoM displacements. Chosen, not tuned.
 
 _MAX_UNREALISED_DECREASE = 1.0
 """Upper bound of the predicted decrease of the cost (chi2 plus prior) with which a stalled
-minimisation ends without error. A decrease of 1 corresponds to a standard deviation. Chosen, not
-tuned.
+minimisation ends without error. `_STALL_RTOL` times the cost replaces a smaller bound. A decrease
+of 1 corresponds to a standard deviation. Chosen, not tuned.
 """
 
 _MIN_DAMPING = 1e-3

@@ -51,9 +51,8 @@ _EXTRA_DIGITS = 2
 rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
-"""Kinds of fitted parameters for which `study` has a variable that is a factor on the model's
-value. Of the other kinds, `study` has a variable for ``com`` only. Parameters without a variable
-are not written for `study`.
+"""Kinds of fitted parameters that are written for `study` as factors on the model's value. CoM
+positions are written as displacements. Parameters of other kinds are not written for `study`.
 """
 
 
@@ -143,7 +142,7 @@ def _set_com_component(
 
 
 def _format_factor_name(parameter: Parameter, value: float) -> str:
-    """Return the name of the variable of `study` for a fitted parameter; empty if there is none."""
+    """Return the name of a fitted parameter's variable in `study`; empty if it is not written."""
     if parameter.kind == "com":
         return f"com_{parameter.component}:{escape(parameter.subject)}"
     kind = "frictionloss" if parameter.kind == "friction" else parameter.kind

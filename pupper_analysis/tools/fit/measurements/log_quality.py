@@ -27,7 +27,8 @@ that samples are missing. Chosen, not tuned.
 
 _MIN_JOINT_RANGE = 2e-3
 """Largest range of positions [rad, m] with which a joint counts as at rest, unless the encoder is
-coarse. Chosen, not tuned.
+coarse. Also the largest standard deviation of positions with which units are not compared. Chosen,
+not tuned.
 """
 
 _MAX_REACH_RATIO = 2.0

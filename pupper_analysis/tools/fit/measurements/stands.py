@@ -1,7 +1,8 @@
 """Measurements of stands at rest: commands, positions, feet in the air and known masses.
 
-`read_stands` reads a CSV file with a row per stand, and `format_stands` writes the same format. The
-methods of `MeasuredStands` check the stands for a robot and average repeated readings.
+`read_stands` reads a CSV file with a row per reading of a stand, and `format_stands` writes the
+same format. The methods of `MeasuredStands` check the stands for a robot and average repeated
+readings.
 """
 
 from __future__ import annotations
@@ -257,7 +258,7 @@ def _average_finite(values: Array) -> Array:
 
 
 def read_stands(path: str | Path) -> MeasuredStands:
-    """Read stands at rest from a CSV file, a stand per row.
+    """Read stands at rest from a CSV file, a reading of a stand per row.
 
     Required columns, for at least a single joint: ``command.<joint>`` and ``position.<joint>``.
     Optional columns:

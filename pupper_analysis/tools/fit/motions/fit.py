@@ -304,7 +304,7 @@ def _report_misfit(
 def _report_notes(
     runs: Sequence[LogSegment], rms_error: float, stated_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield warnings if the fit predicts worse than the stated parameters, or if motions repeat.
+    """Yield warnings about worse predictions than before the fit, and about repeated motions.
 
     Both RMS position errors [rad and m mixed] belong to the same samples.
     """
@@ -408,8 +408,8 @@ def _estimate_encoder_noise(series: Sequence[Array]) -> float:
     """Estimate the standard deviation [rad, m] of a joint's encoder noise from third differences.
 
     For white noise of variance s^2, the variance of third differences is 20 s^2. Motions of some Hz
-    contribute little. The median is used, since joints jump for a moment after a new command. NaN
-    without differences.
+    contribute little. The median is used, since joints jump for a moment after a new command. The
+    result is at least the rounding noise of the encoder step. NaN without differences.
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -518,8 +518,8 @@ class MotionResiduals:
         The measurements determine the ratios of parameters to kp, and the prior alone their common
         factor. The squared deviations z_i^2 from the stated values, in prior widths, favour small
         factors. For v3, these squares shifted the factor by -7 %, at a standard deviation of 3 %.
-        The term -2 sum_i z_i^2 ln(kp) removes the squares of parameters that the measurements
-        determine.
+        The term -2 sum_i z_i^2 ln(kp / stated kp) removes the squares of parameters that the
+        measurements determine.
         """
         kp = np.maximum(moments, _MIN_KP_FRACTION * self.table.stated)[self._kp_columns]
         weights = self._square_deviations[self._scaled_columns]

@@ -54,8 +54,8 @@ _COMMAND_INTERVAL = 0.02
 tuned."""
 
 _MAX_POSITION_AGE = 0.3
-"""Largest accepted age of a measured position [s]. Older positions mean lost messages or a stopped
-controller. Chosen, not tuned.
+"""Largest accepted age of a measured position, and longest wait for such a position [s]. Older
+positions mean lost messages or a stopped controller. Chosen, not tuned.
 """
 
 _MAX_TRACKING_ERROR = 0.5
@@ -490,7 +490,7 @@ def _list_instructions(
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
-    """Check all stands of a plan with the model's masses, and yield the CoM margins [m]."""
+    """Check all stands of a plan with the masses of model and loads; yield the CoM margins [m]."""
     # An empty command is beyond any finite limit.
     planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
     for row, name in enumerate(planned.names):
@@ -547,8 +547,8 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Absolute tolerance [rad, m] of the difference between recorded and planned commands. Files
-contain six decimals. Chosen, not tuned.
+"""Absolute tolerance [rad, m] of the difference between recorded and planned commands, in addition
+to a relative tolerance of 1e-5. Files contain six decimals. Chosen, not tuned.
 """
 
 

@@ -239,8 +239,8 @@ def _compute_surprise(
         expected_ratio: Expected standard deviation of a change / prior standard deviation.
 
     Returns:
-        chi2, its degrees of freedom, and the changes without the shrinkage by the prior, shape
-        (k,).
+        chi2, its degrees of freedom, and the changes of the combinations without the shrinkage by
+        the prior, shape (k,).
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
@@ -313,7 +313,7 @@ of the legs, and the load that the scale did not show."""
 
 _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
 """Kinds of parameters that are never zero, and the fraction of the stated value below which an
-estimate counts as zero. Chosen, not tuned.
+estimate counts as zero. The fraction and its square also bound divisors. Chosen, not tuned.
 """
 
 _RESIDUALS_PROBABILITY = 1e-3

@@ -1,7 +1,8 @@
 """Plan of stands: choose the stands whose measurements determine the parameters best.
 
 Candidates are random stands that are reachable, balanced and held by the servos (`RandomStands`).
-`choose_stands` selects a D-optimal subset: the determinant of the information is largest.
+`choose_stands` selects a subset that is approximately D-optimal: the determinant of the information
+is large.
 """
 
 from __future__ import annotations
@@ -114,10 +115,10 @@ def plan_stands(
 ) -> StandPlan:
     """Choose the stands whose measurement determines the parameters of a robot best.
 
-    The design is D-optimal: ``choose_stands`` maximises the determinant of the information. The
-    candidates are random stands that are balanced, and that the servos hold within 60 % of the
-    known torque limits (`RandomStands`). Candidates may have a foot in the air, carry the known
-    mass, or have a heading of 180 deg.
+    The design is approximately D-optimal: ``choose_stands`` searches for a large determinant of the
+    information. The candidates are random stands that are balanced, and that the servos hold within
+    60 % of the known torque limits (`RandomStands`). Candidates may have a foot in the air, carry
+    the known mass, or have a heading of 180 deg.
 
     Args:
         robot: Robot with a free base and feet.
@@ -465,8 +466,8 @@ _MIN_LIFT_RATIO = 0.15
 Chosen, not tuned."""
 
 _LIFTED_PROBABILITY = 0.4
-"""Probability of a candidate with a foot in the air, for robots with at least four feet. Chosen,
-not tuned."""
+"""Probability that a random stand task has a foot in the air, for robots with at least four feet.
+Chosen, not tuned."""
 
 _MIN_CLEARANCE = 0.005
 """Upper bound of the clearance [m] between links that planned stands require. Chosen, not tuned: an
