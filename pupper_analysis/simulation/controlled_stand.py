@@ -258,7 +258,7 @@ class ControlledStand:
 
         The state of the closed loop consists of the state of the robot (qpos, qvel, act) and of
         previous commands. A mode without dynamics, such as a translation on frictionless ground,
-        has a growth rate of zero.
+        has a growth rate of about zero.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].

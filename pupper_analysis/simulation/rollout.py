@@ -129,11 +129,11 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Compute the state (mjSTATE_FULLPHYSICS) of a stand, lowered until contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered along the ground normal,
-    with constant joint positions, until the forces along this direction balance. The simulation
-    then starts near equilibrium, not with a fall of some millimetres. A stand that is held
-    otherwise, for example by a fixed base, is not lowered. Velocities are zero. ``torques`` of the
-    motors, shape (nu,) [N m, N], balance the stand.
+    Feet that just touch soft ground usually carry nothing. The base is lowered along the ground
+    normal, with constant joint positions, until the forces along this direction balance. The
+    simulation then starts near equilibrium, not with a fall of some millimetres. A stand that is
+    held otherwise, for example by a fixed base, is not lowered. Velocities are zero. ``torques`` of
+    the motors, shape (nu,) [N m, N], balance the stand.
     """
     model = drive.model
     data = mujoco.MjData(model)

@@ -66,8 +66,8 @@ _RESTING_RATIO = 0.25
 
 _LOST_RATIO = 2.0
 """Upper bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
-`MAX_STAND_ROTATION` in a simulation of a robot that may come to rest. Chosen: a base that starts at
-rest overshoots to at most twice the final tilt.
+`MAX_STAND_ROTATION` in a simulation of a robot that may come to rest. Chosen: an undamped
+oscillation of a base that starts at rest overshoots to twice the final tilt.
 """
 
 _CHECK_INTERVAL = RECORD_INTERVAL

@@ -205,7 +205,8 @@ def simulate_nudges(
     directions (`_HORIZONTAL_FACTOR`); a rotation about the base's z axis in both senses.
 
     The model is simulated with the dry friction of joints and contacts. A stand that only dry
-    friction holds is not detected here; ``growth.confirm_growth`` does this, with a larger nudge.
+    friction holds may not be detected here; ``growth.confirm_growth`` tests this with a larger
+    nudge.
 
     A simulation ends early at a failure, or if no failure is expected in the remaining time.
     A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is

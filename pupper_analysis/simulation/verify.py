@@ -101,9 +101,9 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
 
 STABLE_DEVIATION = 5e-3
-"""Bound of the standard deviation of the base's height [m] in the last second before the nudge (a
-small velocity of all coordinates). If the bound is reached, `verify_stand` reports that the robot
-does not stand still. Chosen, not tuned."""
+"""Bound of the standard deviation of the base's height [m] of a robot that stands still, in a
+second such as the last before the nudge (a small velocity of all coordinates). If the bound is
+reached, `verify_stand` reports that the robot does not stand still. Chosen, not tuned."""
 
 JOINT_TOLERANCE = 1e-3
 """Bound of the difference between simulated and predicted joint positions [rad, m] in a verified
@@ -442,8 +442,8 @@ def _stands_despite_idle_feet(
 ) -> bool:
     """Return True if all failures are unloaded feet, and the prediction may be the cause.
 
-    This requires feed-forward. Either the feet carry load again in the last second before the
-    nudge, or the balance equations show that URDF and MJCF describe different robots.
+    This requires feed-forward. Either the feet carry load from the last second before the nudge on,
+    or the balance equations show that URDF and MJCF describe different robots.
     """
     if not result.feedforward or result.collapses:
         return False

@@ -43,7 +43,7 @@ interval of the prior. Chosen, not tuned.
 
 _MIN_PRIOR_RATIO = 0.9
 """Lower bound (inclusive) of posterior variance / prior variance of an estimate that the prior
-determines. The interval of such an estimate has at least sqrt(0.9), 95 %, of the width of the
+determines. The interval of such an estimate has at least sqrt(0.9), about 95 %, of the width of the
 prior's interval. Chosen, not tuned.
 """
 

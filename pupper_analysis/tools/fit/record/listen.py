@@ -134,7 +134,7 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
 
     An action belongs to the observation that is nearest in time. A row contains the last message of
     each signal up to this observation. Actions without such a row are left out, for example before
-    all signals have been received.
+    all signals have been received. Of several actions at an observation, the nearest is kept.
 
     Args:
         series: Messages.

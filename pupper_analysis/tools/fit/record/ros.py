@@ -143,8 +143,8 @@ def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
         Bridge; operator.
 
     Raises:
-        ConfigurationError: If ROS 2 is not installed, an argument is unknown, the order contains
-            other joints than the robot, joint states are missing, or nothing subscribes to
+        ConfigurationError: If ROS 2 is not installed, an argument is unknown, the order does not
+            contain each joint of the robot once, joint states are missing, or nothing subscribes to
             commands.
     """
     try:

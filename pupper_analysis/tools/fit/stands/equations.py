@@ -438,9 +438,10 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> Array:
-        """Compute rotation rates [1] of p contact points in six base motions, shape (p, 3, 6).
+        """Compute relative rotation rates [1] of p contact points in base motions, shape (p, 3, 6).
 
-        Friction on a foot at rest acts against the last motion before rest, a combination of these.
+        The rates of each of the six motions are divided by the largest. Friction on a foot at rest
+        acts against the last motion before rest, a combination of the six motions.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -476,10 +477,10 @@ class StandRows:
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
     ) -> None:
-        """Scale the balance equations in place, without a preference for small kp and mass.
+        """Scale the balance equations in place, so that small kp and mass have no advantage.
 
-        Without the factors (noise kp) / kp and (noise mass) / mass, small estimates would decrease
-        the residuals, but not the noise.
+        The factors are (noise kp) / kp for joints, and (noise mass) / mass for the base. Without
+        the factors, small estimates would decrease the residuals, but not the noise.
         """
         values = self._values
         driven = self._commanded & (values.kp > 0)

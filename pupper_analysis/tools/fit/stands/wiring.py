@@ -90,7 +90,7 @@ class Wiring:
 
 
 def _shorten_message(found: Diagnostic) -> Diagnostic:
-    """Return the message about an error of the wiring, without the claim about all stands."""
+    """Return the message about a wiring error, without the claim that it explains all stands."""
     return replace(found, values={**found.values, "alone": None})
 
 
