@@ -469,15 +469,15 @@ _LIFTED_PROBABILITY = 0.4
 """Probability that a random stand task has a foot in the air, for robots with at least four feet.
 Chosen, not tuned."""
 
-_MIN_CLEARANCE = 0.005
+_MAX_REQUIRED_CLEARANCE = 0.005
 """Upper bound of the clearance [m] between links that planned stands require. Chosen, not tuned: an
 encoder offset of 3 deg displaces the knees of v3 by about this distance.
 """
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body.
-Chosen, not tuned.
+nominal stand, if the product is less than `_MAX_REQUIRED_CLEARANCE`: thighs may be close to the
+body. Chosen, not tuned.
 """
 
 _COM_MARGIN_RATIO = 0.05
@@ -635,7 +635,9 @@ def _compute_clearance(robot: Robot) -> float | None:
     except PupperAnalysisError:  # overlapping shapes
         return None
     return (
-        None if clearance is None else min(_MIN_CLEARANCE, _CLEARANCE_FRACTION * clearance.distance)
+        None
+        if clearance is None
+        else min(_MAX_REQUIRED_CLEARANCE, _CLEARANCE_FRACTION * clearance.distance)
     )
 
 
