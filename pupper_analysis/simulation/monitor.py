@@ -276,7 +276,8 @@ class ContactSampler:
     def find_surface(self, body: str) -> Diagnostic | None:
         """Create the part of a message that names the step, plane or bar which a body touches.
 
-        The contacts are those of the state that was evaluated last. None without such a surface.
+        The contacts are those of the state that was evaluated last. None, for example, for the
+        floor.
         """
         return find_touched_surface(self._model, self.data, body)
 

@@ -84,8 +84,8 @@ of 1 mm/s leaves the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
 """Lower bound [1] of the ratio (simulated time after a nudge) / (doubling time of a growing mode)
-with which a decaying nudge refutes the mode. In this time the mode would grow by a factor of 1000.
-Chosen, not tuned."""
+with which a decaying nudge refutes the mode. In this time the mode would grow by a factor of about
+1000. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
