@@ -305,8 +305,8 @@ def verify_stand(
         settled: Predicted equilibrium without feed-forward. Used only if ``feedforward`` is False,
             the equilibrium has no failures, and the robot has a fixed base and no stance feet.
         until_failure: Whether the simulations that test growing modes are omitted if the response
-            to the nudge proves that the robot does not stay. This does not change ``passed`` and
-            ``stays``; ``stability`` and ``failures`` then contain modes that are not tested.
+            to the nudge proves that the robot does not stay. This hardly ever changes ``passed``
+            and ``stays``; ``stability`` and ``failures`` then contain modes that are not tested.
 
     Returns:
         Comparison; ``failures`` contains the reasons if the stand is not verified.
