@@ -37,8 +37,9 @@ by the robot's weight. Beyond the bound, contacts chatter. Chosen, not tuned.
 """
 
 MAX_CREEP_SPEED = 1e-3
-"""Upper bound of the creep speed of a foot [m/s] that is no failure, 5 mm in 5 s. Creep is the slow
-slip of a loaded contact. Chosen, not tuned.
+"""Largest creep speed of a foot [m/s] that is not reported with the failures of a stand, 5 mm in 5
+s. In nudged simulations (``trial``), only creep up to this speed is no slip. Creep is the slow slip
+of a loaded contact. Chosen, not tuned.
 """
 
 

@@ -303,8 +303,7 @@ def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
 def _halve_difference(positions: Array, valid: int) -> Array:
     """Return half the difference of the joint positions of two simulations, (n, joints) [rad, m].
 
-    From step ``valid`` on, the difference is infinite: after a divergence, MuJoCo resets both to
-    the same state.
+    From step ``valid`` on, the difference is infinite: after a divergence, MuJoCo resets the state.
     """
     half: Array = (positions[0] - positions[1]) / 2
     half[valid:] = np.inf

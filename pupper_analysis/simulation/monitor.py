@@ -335,7 +335,7 @@ def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
 def has_diverged(states: Array, timestep: float) -> bool:
     """Return True if a rollout diverged: a value is not finite, or the time did not advance.
 
-    MuJoCo resets the state, with the time, if the simulation diverges.
+    MuJoCo usually resets the state, with the time, if the simulation diverges.
 
     Args:
         states: Successive states (mjSTATE_FULLPHYSICS), shape (..., n, size).
@@ -398,9 +398,9 @@ changes a contact force by 3 mN."""
 
 LIGHT_FOOT_LOAD = 5e-3
 """Upper bound [1] of the ratio (load of a foot) / (load of all feet) with which the foot counts as
-light (almost unloaded). A light foot may leave the ground for a moment without a failure. Measured
-on unequal slopes: with minimum tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the
-weight, and a nudge lifts these feet.
+light (almost unloaded). A light foot may leave the ground without a failure. Measured on unequal
+slopes: with minimum tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the weight, and a
+nudge lifts these feet.
 """
 
 MIN_PUSH_RATIO = 1e-3

@@ -664,8 +664,8 @@ are represented by their effect within this time. Chosen, not tuned.
 """
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Chosen, not
-tuned.
+"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Commands that
+deviate from the mean by at most this value count as constant. Chosen, not tuned.
 """
 
 _SAMPLES_PER_LAG = 20

@@ -45,8 +45,8 @@ from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 
 MAX_JOINT_SPEED = 0.5
-"""Upper bound of the commanded joint speed [rad/s, m/s] between stands. With this speed, a robot
-moves from one stand of a plan to the next in about two seconds. Chosen, not tuned.
+"""Upper bound of the commanded joint speed [rad/s, m/s] in ramps. With this speed, a robot moves
+from one stand of a plan to the next in about two seconds. Chosen, not tuned.
 """
 
 _COMMAND_INTERVAL = 0.02

@@ -946,9 +946,9 @@ def get_stated_stiffness(
 
 
 _STOP_MARGIN = 2e-3
-"""Distance [rad, m] from a joint limit below which a mechanical stop may carry load. The difference
-of command and position then does not determine the joint torque, and the command is not used.
-Chosen, not tuned."""
+"""Distance [rad, m] from a joint limit, in addition to `LIMIT_MARGIN_STDS`, below which a
+mechanical stop may carry load. The difference of command and position then does not determine the
+joint torque, and the command is not used. Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
 """Distance of a joint from a position limit at which no mechanical stop is expected to carry load,
