@@ -235,8 +235,8 @@ For bodies that are fixed to each other, these parameters are added.
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    Named bodies, except the world, and named sites become frames of type BODY. Springs, tendons and
-    other forces of MuJoCo are not copied.
+    Named bodies, except the world, and named sites become frames of type BODY; a site with the name
+    of a frame is left out. Springs, tendons and other forces of MuJoCo are not copied.
 
     Args:
         model: Model with free, hinge and slide joints.

@@ -402,7 +402,7 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 
 
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
-    """Yield the names of arrays, geoms and options in which two compiled models differ.
+    """Yield the names of compared arrays, geoms and options in which two compiled models differ.
 
     ``model`` is the original. ``made`` is compiled from the reconstructed spec.
     """

@@ -179,7 +179,7 @@ class EffortLimit(Result):
     def code(self) -> EffortCode:
         """Meaning of this torque limit: stated, zero, negative, or unknown.
 
-        A limit that permits less than `MIN_EFFORT` in both directions is zero, or negative if the
+        A limit that permits less than `MIN_EFFORT` in each direction is zero, or negative if the
         lower end of the range in the file is above the upper end.
         """
         if self.origin is None:
@@ -270,9 +270,10 @@ def resolve_effort_limit(
 def _list_statements(
     model: mujoco.MjModel, joint: int, drives: Sequence[int]
 ) -> list[EffortStatement]:
-    """Return the torque limits at a joint [N m, N] that an MJCF states, on joint or actuators.
+    """Return the torque limits at a joint [N m, N] that an MJCF states: on joint and actuators.
 
-    Ranges of several actuators are added.
+    Ranges of several actuators are added if each actuator has one. ``drives`` are the ids of the
+    actuators. Without actuators, an actuator at a fixed tendon counts.
     """
     statements = read_joint_effort(model, joint)
     if not drives:
@@ -317,10 +318,10 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Find the joints of an MJCF whose force range permits no force: equal or inverted ends.
+    """Find the joints of an MJCF whose force or control range permits no force.
 
-    MuJoCo ignores an empty range without a message, so the compiled model has no limit for the
-    joint.
+    The ends of such a range are equal or inverted. MuJoCo ignores an empty range without a message,
+    so the compiled model has no limit for the joint.
 
     Returns:
         {joint: statement with the empty range}.

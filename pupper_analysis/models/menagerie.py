@@ -91,10 +91,10 @@ def find_menagerie_file(word: str) -> Path:
 
 
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
-    """Return the file of a Menagerie robot's default model in ``folder``; None if there is none.
+    """Return the path of a Menagerie robot's default model in ``folder``, by the entry ``robot``.
 
-    ``robot`` is the robot's entry in the Menagerie package. Without an entry, the file is selected
-    by the end of ``name``: ``go2.xml`` for ``unitree_go2``.
+    The entry is that of the Menagerie package; the file need not exist. Without an entry (None),
+    the file is selected by the end of ``name``: ``go2.xml`` for ``unitree_go2``; None if none fits.
     """
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)
@@ -103,7 +103,7 @@ def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
 
 
 def import_source(module: str, package: str) -> ModuleType | None:
-    """Import a module of a package that lists robots; None if the package is not installed.
+    """Import a module of an optional package; None if the package is not installed.
 
     A folder of that name in the current folder, such as a clone, is no package.
 

@@ -67,9 +67,10 @@ geom."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
-    """Add a plane at z = 0 of a body, with MuJoCo's contact defaults except ``conaffinity``.
+    """Add a plane to a body, with MuJoCo's contact defaults except ``conaffinity``.
 
-    The defaults of the MJCF are not used, because they are intended for the robot.
+    The contact defaults of the MJCF are not used, because they are intended for the robot. The
+    plane is at z = 0 of the body, unless the MJCF has another default of ``pos`` or ``quat``.
 
     Args:
         body: World, or a body that is fixed to the world.
@@ -97,9 +98,10 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 TIMESTEP_RANGE = 1e-5, 0.1
-"""Lower and upper bound of the time step in an MJCF that is simulated [s]; other time steps are
-refused. Chosen, not tuned. At the lower bound, a simulation of 12 s takes 1.2 million steps. At the
-upper bound, a base falls 10 cm in its first step, although contacts oscillate within 10 ms.
+"""Lower and upper bound of the time step that an MJCF states [s]; an MJCF with another time step is
+not simulated. Requested time steps have other bounds. Chosen, not tuned. At the lower bound, a
+simulation of 12 s takes 1.2 million steps. At the upper bound, a base falls 10 cm in its first
+step, although contacts oscillate within 10 ms.
 """
 
 

@@ -101,7 +101,7 @@ def leave_out_missing(
 def _find_missing_files(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return {mesh: file} and {texture: one of its files} for the missing files of a spec."""
+    """Return {mesh: file} and {texture: one of its files} of meshes and textures without file."""
     folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
@@ -177,7 +177,7 @@ _FLAT_MESH_ERROR: Final = re.compile(
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Return the mesh that MuJoCo rejects for lack of volume; None for other errors."""
+    """Return the name of the mesh that MuJoCo rejects for lack of volume; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
 
@@ -236,8 +236,8 @@ MAX_INCLUDES: Final = 1000
 the reading time. Chosen, not tuned."""
 
 MAX_INCLUDE_DEPTH: Final = 30
-"""Largest number of nested includes, and of nested attached models, in an MJCF; deeper nesting is
-refused. Bounds the reading time. Chosen, not tuned.
+"""Largest number of nested includes in an MJCF, and of nested models, of which each attaches the
+next; deeper nesting is refused. Bounds the reading time. Chosen, not tuned.
 """
 
 MAX_COPIES: Final = 10_000
@@ -306,8 +306,8 @@ class IncludeTree:
         includes: Counter of the includes, shared by attached files; a new counter by default.
 
     Attributes:
-        files: The file, and all files that this file includes or attaches.
-        attached: Root elements of directly and indirectly attached models.
+        files: The file, the included files, and the attached files that are read.
+        attached: Root elements of the attached models that are read, directly and indirectly.
         folders: Folders of the file and of the attached models.
         root: Root element.
         copies: Estimated number of elements after expansion of replicates and attached models. Each
@@ -388,7 +388,7 @@ class IncludeTree:
     ) -> tuple[Path, etree._Element]:
         """Return path and root element of the file of an ``<include>`` in the file ``path``.
 
-        ``within`` are the resolved paths of the including files, for detecting loops.
+        ``within`` are the resolved paths of the including files, for detecting loops and depth.
         """
         included = self._find_included(element, path)
         resolved = included.resolve()
@@ -483,9 +483,10 @@ _MAX_PRODUCT = 10**18
 
 
 def _multiply_numbers(text: str) -> int:
-    """Return the product of the magnitudes of the numbers in a text, at most `_MAX_PRODUCT`.
+    """Return the product of the magnitudes of the numbers in a text, rounded down.
 
-    Magnitudes below 1 count as 1, and words that are no numbers are ignored.
+    The result is at most `_MAX_PRODUCT`. Magnitudes below 1 count as 1, and words that are no
+    numbers are ignored.
     """
     # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
@@ -500,7 +501,7 @@ def _multiply_numbers(text: str) -> int:
 
 
 def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
-    """Yield an element and all descendants, in the order of the file."""
+    """Yield an element and all descendants, in document order."""
     pending = [root]
     while pending:
         node = pending.pop()
@@ -526,8 +527,8 @@ def name_unnamed_joint(body: str, number: int) -> str:
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return an index of the elements of an MJCF: {(tag or section, name): element}.
 
-    - Elements of the sections `_SECTION_TAGS` also have a key (section, name), such as ("actuator",
-    name).
+    - Elements of the sections `_SECTION_TAGS` have a key (section, name), such as ("actuator",
+    name); those of the sections `_INDIRECT_SECTION_TAGS` have no key (tag, name).
     - Elements without a name may have a substitute, for example a mesh the name of its file, an
     actuator the name of its joint, and a joint the substitute of `name_unnamed_joint`.
     - Of several elements with the same name, the first in the file is listed.
@@ -625,14 +626,14 @@ class MjcfFile:
     Attributes:
         path: The file.
         spec: Parsed spec, not compiled, without elements whose files are missing.
-        files: The file, and all files that this file includes or attaches; empty for a generated
-            text.
+        files: The file, the included files, and the attached files that were read; empty for a
+            generated text.
         notes: Diagnostics of removed or replaced elements.
         refusal: Message and location if MuJoCo does not compile the file, or if a number of the
             compiled model is not valid; None otherwise. A copy of ``spec`` may compile although the
             file does not, because ``MjSpec.copy()`` drops elements that refer to missing elements.
-        as_it_is: Message and location of MuJoCo's error for the unmodified file, if the reader
-            repaired the file (flat meshes); None otherwise.
+        as_it_is: Message and location of MuJoCo's error about a flat mesh that the reader turned
+            into a shell; None without such a mesh.
         unknown: {kind of a joint parameter, such as ``effort``: joints with an unknown value}. Set
             if the MJCF was converted from a format in which a missing parameter is unknown, and not
             zero.
@@ -730,12 +731,12 @@ class MjcfFile:
 
     @property
     def missing_files(self) -> tuple[str, ...]:
-        """Names of the missing files of meshes and textures."""
+        """Names of the missing mesh files, and of a file of each texture with a missing file."""
         return self._list_missing_values("files")
 
     @property
     def bodies_with_missing_meshes(self) -> tuple[str, ...]:
-        """Names of the bodies whose geoms were removed, because mesh files are missing."""
+        """Names of the bodies from which geoms were removed, because mesh files are missing."""
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """URDF of a Pinocchio model, for users who have only a ``pin.Model``.
 
-The URDF has the joints, inertias, limits and frames of the model, and the shapes of its geometry
-model. Meshes are written as STL files. A URDF cannot state armature and gravity: the caller reads
-these values from the model.
+The URDF has the joints, inertias, limits and body frames of the model, and the shapes of its
+geometry model. Meshes are written as STL files. A URDF cannot state armature and gravity: the
+caller reads these values from the model.
 """
 
 from __future__ import annotations
@@ -152,7 +152,8 @@ class _UrdfWriter:
     def _add_joint(self, index: int) -> None:
         """Add a Pinocchio joint to the URDF; raise ModelError for a slide without two limits.
 
-        A missing limit of a hinge is written as `UNSTATED`, since a URDF has no infinite numbers.
+        If a hinge has a single limit, the missing limit is written as `UNSTATED`, since a URDF has
+        no infinite numbers.
         """
         model = self._model
         is_flyer = self._floating and index == 1

@@ -50,7 +50,7 @@ class Place:
 
     @property
     def path(self) -> str:
-        """Full path with line or element, as CI services recognise it."""
+        """Path of the file with line or element, as CI services recognise it."""
         return f"{self.file}{self.location_in_file}"
 
     @property

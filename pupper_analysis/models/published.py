@@ -134,10 +134,11 @@ def is_uri(word: str) -> bool:
 
 
 def is_published_name(word: str) -> bool:
-    """Return True if a word has the form of a published robot's name, and is no existing path.
+    """Return True if a word has the form of a published robot's name.
 
     The name is that of a description of ``robot_descriptions`` (not looked up), or of a robot of
-    MuJoCo Menagerie (`is_menagerie_name`).
+    MuJoCo Menagerie (`is_menagerie_name`). An existing path is no such name, unless it begins with
+    `DESCRIPTION_PREFIX`.
     """
     return _is_description(word) or is_menagerie_name(word)
 
@@ -152,8 +153,8 @@ _NUM_SIMILAR_NAMES: Final = 3
 """Largest number of names that `list_similar_published_names` returns. Chosen, not tuned."""
 
 _MIN_NAME_SIMILARITY: Final = 0.75
-"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
-Chosen, not tuned.
+"""Smallest similarity (`difflib`, 0 to 1) of a published name that `list_similar_published_names`
+returns although the name does not contain the given word. Chosen, not tuned.
 """
 
 _GENERIC_WORD: Final = re.compile(r"arm|hand|model|robot|v?\d+")
@@ -336,7 +337,8 @@ def make_xacro_request(
         arguments: {argument of a xacro file: value}; None or empty for the default values.
 
     Raises:
-        ConfigurationError: If a value is no text, or arguments are given without a xacro file.
+        ConfigurationError: If a value is no text, or arguments are given without a xacro file or
+            without ``xacro``.
         ModelError: If the file of a model is not found (`find_file`).
     """
     given = dict(arguments or {})

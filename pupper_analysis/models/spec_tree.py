@@ -90,7 +90,7 @@ def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, val
 class SpecTree:
     """Bodies and joints of an MJCF, with queries, edits, and additions for simulation.
 
-    The queries and edits have the names of the methods of `UrdfTree`, so that a change of both
+    Most queries and edits have the names of the methods of `UrdfTree`, so that a change of both
     files is written once. Edits of mass and inertia change an existing ``<inertial>``, which MuJoCo
     ignores if the attribute ``inertiafromgeom`` of the compiler is true.
 
@@ -266,13 +266,13 @@ class SpecTree:
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
 
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
-        """Add a horizontal plane with MuJoCo's default contact parameters as floor.
+        """Add a plane with MuJoCo's default contact parameters as floor (`add_plane`).
 
         The contact bits permit collisions with each geom whose ``contype`` is not 0.
 
         Args:
-            beneath: Height z [m] of the plane, which is then added to a new body; existing bodies
-                keep their ids. If None, the plane is added to the world body at z = 0.
+            beneath: Height z [m] of a new body to which the plane is added; existing bodies keep
+                their ids. If None, the plane is added to the world body.
         """
         bits, name = 1, make_unique_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:

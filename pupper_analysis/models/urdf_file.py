@@ -2,8 +2,8 @@
 
 Input is a path or an XML tree. Output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
 and velocities of limits are completed. Unused xacro declarations and repeated ``<origin>`` elements
-are removed. A mimic of an unknown joint is noted. Other errors raise a `ModelError` with file and,
-if known, line.
+are removed. A mimic of an unknown joint is noted. Other detected errors raise a `ModelError` with
+file and, if known, line.
 """
 
 from __future__ import annotations
@@ -555,7 +555,7 @@ def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
 
 
 def _describe_origin(origin: etree._Element) -> str:
-    """Return the attributes of an ``<origin>`` as written."""
+    """Return the attributes of an ``<origin>`` as text for a message; long values are cut."""
     words = [f"{name}={quote_short(origin.get(name))}" for name in origin.attrib]
     return " ".join(words) or "without attributes"
 

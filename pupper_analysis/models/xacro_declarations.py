@@ -83,7 +83,7 @@ def _remove(element: etree._Element) -> None:
 
 
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
-    """Return True if a xacro element is known to change neither links nor joints.
+    """Return True if a xacro element is assumed to change neither links nor joints.
 
     ``resolve`` finds included files. ``depth`` is the number of nested includes up to this element.
     """

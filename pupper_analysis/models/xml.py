@@ -99,8 +99,8 @@ def _refuse_expressions(path: Path, root: etree._Element) -> None:
 def parse_file_text(path: Path, text: str) -> etree._Element:
     """Parse the text of an XML file, and return the root element without comments.
 
-    The default namespace is removed from the tags. A faulty XML declaration, for example behind
-    white space, is accepted. Xacro elements of a ``<robot>`` stay in the tree.
+    The default namespace is removed from the tags. A faulty XML declaration is accepted in the
+    cases of `blank_faulty_declaration`. Xacro elements of a ``<robot>`` stay in the tree.
 
     Raises:
         ModelError: For example if the text is not well-formed, or exceeds a limit.
@@ -210,8 +210,9 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Absolute value, relative to the largest of the written numbers, up to which `join_numbers` writes
-0: rounding errors of products of rotation matrices. Chosen, not tuned.
+"""Absolute value up to which `join_numbers` writes 0, relative to the largest of ``scale`` and of
+the magnitudes of the written numbers: rounding errors of products of rotation matrices. Chosen, not
+tuned.
 """
 
 NUM_DIGITS: Final = 12

@@ -37,7 +37,7 @@ class XmlElement:
         attributes: Attributes in the file, without ``changes``.
         file: File.
         start: Byte position of the start tag; -1 for a new element.
-        line: Line of the start tag, from 1.
+        line: Line of the start tag, from 1; for a new element, the line of its parent.
         parent: Parent element; of included content possibly in the including file.
         children: Child elements. A caller may replace an include by the included content.
         changes: {attribute: new value}. The key of a renamed attribute is its new name.

@@ -20,10 +20,10 @@ from pupper_analysis.models.transmission import actuator_gear
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
-    The gear has no losses. The supply voltage is the smaller absolute end of the control range, if
-    the control is a voltage. The current limit is the smaller absolute end of the force range,
-    divided by the torque constant: the motor exerts such a torque in both directions. Numbers that
-    the actuator does not state are unknown (None), for example an armature of zero.
+    The gear has no losses. The supply voltage is the largest voltage that the control range
+    contains with both signs, if the control is a voltage. The current limit is the largest torque
+    that the force range contains with both signs, divided by the torque constant. Numbers that the
+    actuator does not state are unknown (None), for example an armature of zero.
 
     Raises:
         ModelError: If the actuator is no ``dcmotor``, or its numbers contradict each other.

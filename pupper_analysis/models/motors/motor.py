@@ -391,7 +391,10 @@ class Motor:
 
 
 def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
-    """Return the fields of `Motor` that an error reports as unknown; empty for other errors."""
+    """Return the names of motor numbers that an error reports as unknown; empty for other errors.
+
+    The names are usually fields of `Motor`.
+    """
     numbers = error.cause.values.get("numbers", ())
     return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
 

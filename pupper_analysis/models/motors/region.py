@@ -34,7 +34,7 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         the motor has no torque at the speed.
 
     Raises:
-        ModelError: If a number of the motor is unknown.
+        ModelError: If a required number of the motor is unknown.
     """
     values, rates = np.asarray(torques, dtype=float), np.asarray(speeds, dtype=float)
     sizes = np.abs(values)
@@ -60,7 +60,7 @@ def compute_motor_utilisation(
         `compute_region_utilisation`.
 
     Raises:
-        ModelError: If a number of a motor is unknown.
+        ModelError: If a required number of a motor is unknown.
     """
     shares = np.full(torques.shape, np.nan)
     for index, joint in enumerate(joints):

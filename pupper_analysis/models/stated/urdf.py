@@ -276,8 +276,8 @@ def mesh_hull(path: Path) -> Mesh | None:
 
 
 MAX_READ_MESH_BYTES = 200_000_000
-"""Size [bytes] above which the audit does not read a mesh file. Chosen, not tuned: several times
-the size of large published meshes, for example 29 MB (trunk of Go1)."""
+"""Size [bytes] above which the audit does not check the content of a mesh file. Chosen, not tuned:
+several times the size of large published meshes, for example 29 MB (trunk of Go1)."""
 
 
 @lru_cache(maxsize=256)
