@@ -402,7 +402,7 @@ def _make_elements_test(
     def has_valid_elements(value: Any) -> bool:
         """Return True if a value is an iterable whose elements pass the test ``element``.
 
-        Elements of iterators are not tested: the test would consume the iterator.
+        Only elements of sequences and arrays are tested: a test would consume an iterator.
         """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim

@@ -41,9 +41,10 @@ class _MuJoCoFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the import specification of ``mujoco``, for `_MuJoCoLoader`; None without.
+        """Return the import specification of ``mujoco``, usually with the loader `_MuJoCoLoader`.
 
-        None for other modules. The signature is that of ``importlib.abc.MetaPathFinder.find_spec``.
+        None for other modules, and if MuJoCo is not found. The signature is that of
+        ``importlib.abc.MetaPathFinder.find_spec``.
         """
         if fullname != "mujoco":
             return None

@@ -74,7 +74,7 @@ def remove_stale_files(folder: Path) -> None:
     """Remove old temporary files of this package from a folder; only on POSIX systems.
 
     On other systems, ``os.kill(pid, 0)``, the test whether a process has ended, may end the
-    process.
+    process. In each process, only the first call for a folder has an effect.
     """
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return

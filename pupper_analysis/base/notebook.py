@@ -25,8 +25,9 @@ joints of a quadruped with three joints per leg.
 """
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of lines of a table cell, and of rows of a result whose nested tables are
-unfolded. Chosen: number of joints of a quadruped with three joints per leg.
+"""Largest number of entries of a mapping or sequence that a table cell shows, one per line; also
+the largest number of fields of a result whose nested tables are unfolded. Chosen: number of joints
+of a quadruped with three joints per leg.
 """
 
 MAX_TEXT_LENGTH = 200
@@ -40,8 +41,7 @@ NUMBER_FORMAT = ".4g"
 ROUNDING_RTOL = 1e-12
 """Absolute value up to which a float of an array or sequence is shown as 0 in a table cell,
 relative to the largest number of the array or sequence, or to 1 if 1 is larger. Smaller numbers are
-rounding errors of double precision. Also the relative span of a column of values that counts as
-rounding (`study`). Chosen, not tuned.
+rounding errors of double precision. Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"

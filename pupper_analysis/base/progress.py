@@ -50,7 +50,7 @@ class ProgressClock:
 
     @property
     def remaining(self) -> float | None:
-        """Estimated remaining time of the stage [s]; None if unknown."""
+        """Estimated remaining time of the stage [s]; None if no part or each part is completed."""
         if not 0 < self.done < self.total:
             return None
         part_duration = (self._updated - self._stage_start) / self.done

@@ -235,7 +235,7 @@ def _list_common_options(
 ) -> Iterator[str]:
     """Yield the typed options, with values, that the suggested next command ``target`` also has.
 
-    Options for outputs, ``--force`` and the options ``excluded`` are left out.
+    Options for output files, `_OUTPUT_PARAMETERS` and the options ``excluded`` are left out.
     """
     known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
     for option in dict.fromkeys(order):

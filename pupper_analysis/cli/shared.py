@@ -142,8 +142,8 @@ FORMAT_SUFFIXES: Final = frozenset(
         *(".pdf", ".png", ".svg", ".toml", ".urdf", ".xlsx", ".xml", ".yaml", ".yml"),
     )
 )
-"""File name suffixes by which programs select a format. A file in another format must not have such
-a suffix."""
+"""File name suffixes by which programs select a format. An output of a kind with suffixes must not
+have another of these suffixes (`OutputPath.check_suffix`)."""
 
 
 TYPED_WORDS: Final = "pupper_analysis.typed_words"

@@ -111,7 +111,11 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
 
 
 def format_as_options(task: StandTask, attributes: Sequence[str]) -> dict[str, list[str]]:
-    """Format requirements of a stand task as options of a command, the inverse of `make_task`.
+    """Format requirements of a stand task as options of a command.
+
+    Args:
+        task: Stand task.
+        attributes: Names of attributes of the task, such as ``swing``.
 
     Returns:
         {option: its values}, for example ``{"--swing": ["FL=20mm"]}``, without values that are
