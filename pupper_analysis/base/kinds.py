@@ -21,7 +21,7 @@ animations; pages contain ``pupper_analysis``."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
 """Number of bytes that are read from the start of a file (and from the end of an animation) to
-recognise the kind of output. Chosen: longer than the header of a table with a hundred joints."""
+recognise some kinds of output. Chosen: longer than the header of a table with a hundred joints."""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
 """Maximum number of bytes that are read to recognise a plan of stands (CSV, see `PLAN_KIND`): 16

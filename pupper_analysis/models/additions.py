@@ -18,7 +18,7 @@ STIFF_FRICTION_OPTIONS: Final[Mapping[str, AttributeValue]] = {
     "cone": "elliptic",
     "impratio": 100.0,
 }
-"""MuJoCo options for contacts without creep: elliptic cone, friction 100 times as stiff as the
+"""MuJoCo options for contacts with little creep: elliptic cone, friction 100 times as stiff as the
 normal direction, as in MuJoCo Menagerie. Feet creep with MuJoCo's defaults (pyramidal cone,
 impratio 1): measured on Go2 on a slope of 17 degrees, 58 mm/s by default and 0.35 mm/s with these
 options. With a pyramidal cone and impratio 10, Go2 oscillates."""
@@ -51,7 +51,7 @@ class Addition:
 
 @dataclass(frozen=True)
 class Floor(Addition):
-    """Floor: plane at z = 0 with MuJoCo's default contact parameters, except ``conaffinity``.
+    """Floor: plane (`add_plane`) with MuJoCo's default contact parameters except ``conaffinity``.
 
     The plane collides with each geom whose ``contype`` is not 0 (`SpecTree.add_floor`).
     """

@@ -477,7 +477,7 @@ def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
 
 
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return the convex hull of a mesh: MuJoCo's own hull if the model contains it.
+    """Return the convex hull of a mesh: MuJoCo's own if the model contains it, else `Mesh.hull`.
 
     MuJoCo's compiler defines the layout of ``mesh_graph``: numbers of vertices and faces, address
     of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.

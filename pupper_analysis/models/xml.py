@@ -216,14 +216,14 @@ tuned.
 """
 
 NUM_DIGITS: Final = 12
-"""Number of significant digits in new files. The relative rounding error is at most 5e-12, 200
-times below the tolerance of `crosscheck --strict`. Chosen: coarse enough to hide rounding errors of
-rotations."""
+"""Number of significant digits of most numbers in new files. The relative rounding error is at most
+5e-12, 200 times below the tolerance of `crosscheck --strict`. Chosen: coarse enough to hide
+rounding errors of rotations."""
 
 
 NUM_ANGLE_DIGITS = 15
-"""Number of significant digits of angles in new files. An angle of pi/2 then has an error of 3e-15
-rad, and the products of its rotation matrix stay zero within `_ROUNDING_RTOL`."""
+"""Number of significant digits of ``rpy`` angles in new URDFs. An angle of pi/2 then has an error
+of 3e-15 rad, and the products of its rotation matrix stay zero within `_ROUNDING_RTOL`."""
 
 
 def join_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM_DIGITS) -> str:

@@ -20,8 +20,8 @@ from pupper_analysis.models.motors.units import UNIT_KINDS, check_motor_number
 
 MAX_STALL_RATIO = 1.1
 """Largest accepted ratio between a stated stall torque and torque per current x stall current, and
-between a stated stall current and voltage / resistance. Losses in a gear only reduce the torque; 10
-% permit rounded numbers. Chosen, not tuned.
+between a stated stall current and voltage / resistance (whose smallest accepted ratio is the
+inverse). Losses in a gear only reduce the torque; 10 % permit rounded numbers. Chosen, not tuned.
 """
 
 MIN_STALL_RATIO = 0.3

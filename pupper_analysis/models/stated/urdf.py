@@ -194,7 +194,10 @@ def _make_shape(
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
-    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read."""
+    """Return the convex hull [m] of a ``<mesh>``, with its scale; None if it cannot be read.
+
+    A mesh without hull, for example a flat mesh, is returned itself.
+    """
     path = file.resolve_mesh(tag.get("filename", ""))
     hull = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")
@@ -226,8 +229,8 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
-"""Suffixes of the mesh files that are read, in lower case. Other formats, such as glTF, are not
-supported.
+"""Suffixes, in lower case, of the mesh files that this module reads. The hulls of other files, such
+as glTF, are unknown here.
 """
 
 _TURNS = {
@@ -267,7 +270,8 @@ def _read_up_axis(path: Path, _changed: int) -> str:
 def mesh_hull(path: Path) -> Mesh | None:
     """Return the convex hull [m] of an STL, OBJ or COLLADA file; None if it cannot be read.
 
-    The scale of a ``<mesh>`` is not applied.
+    A mesh without hull, for example a flat mesh, is returned itself. The scale of a ``<mesh>`` is
+    not applied.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
@@ -284,7 +288,8 @@ several times the size of large published meshes, for example 29 MB (trunk of Go
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     """Return the convex hull of a mesh file, or a diagnostic if the file is invalid. Cached.
 
-    The unit of length of an STL or OBJ file counts as metre in a URDF.
+    A mesh without hull, for example a flat mesh, is returned itself. The unit of length of an STL
+    or OBJ file counts as metre in a URDF.
 
     Args:
         path: The file.
