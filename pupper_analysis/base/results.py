@@ -176,8 +176,8 @@ class Pictured:
 
         Args:
             robot: Robot of the result; necessary for a result from another process.
-            **options: ``size`` (width, height) [pixel], ``azimuth`` and ``elevation`` of the camera
-                in MuJoCo's convention [deg].
+            **options: Of the picture: ``size`` (width, height) [pixel], ``azimuth`` and
+                ``elevation`` of the camera in MuJoCo's convention [deg].
 
         Raises:
             ConfigurationError: For example if the result has no picture, or an option is unknown.

@@ -333,8 +333,7 @@ def load_selected_robot(
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
-    """Give robots unique names, so that the results of several robots can be distinguished.
-
+    """Return robots with unique names, so that the results of several robots can be distinguished.
     Args:
         meant: Selections of the user.
         robots: Robots that were loaded from the selections, in the same order.

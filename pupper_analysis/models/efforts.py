@@ -428,8 +428,8 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
 """Torque limit of a joint, divided by the mass of its two links [N m/kg], above which a round
-effort counts as a placeholder. Chosen: the best geared motors have 150 N m per kg of motor, and
-none of 1500 joints with the motor in one of the two links is above 117.
+effort counts as a placeholder, except for very light links. Chosen: the best geared motors have 150
+N m per kg of motor, and none of 1500 joints with the motor in one of the two links is above 117.
 """
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0

@@ -101,7 +101,7 @@ def leave_out_missing(
 def _find_missing_files(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return {mesh: file} and {texture: one of its files} of meshes and textures without file."""
+    """Return {mesh: file} and {texture: one of its files} for elements with missing files."""
     folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
@@ -607,7 +607,7 @@ _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
     """Return a default class and its enclosing classes, outermost first.
 
-    For an unknown name, the result contains at most the first top-level class.
+    For None or an unknown name, the result contains at most the first top-level class.
     """
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]

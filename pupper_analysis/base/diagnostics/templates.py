@@ -4,8 +4,8 @@ Syntax of a template:
 
 - ``{mass}``, ``{mass:.3g}``: a value; a float is formatted by ``format_number``. A ``Quantity`` is
   formatted with its unit, and an angle in deg. ``{gap:mm:.1f}`` selects another unit
-  (`_UNIT_FACTORS`). ``{at:read:.3g}`` selects deg for rad, and mm for m. ``{at:stated}`` selects
-  the SI unit. ``{gap::.1f}`` omits the unit; an angle is still in deg;
+  (`_UNIT_FACTORS`). ``{at:read:.3g}`` selects deg for rad, and mm for m. ``{at:stated:.3g}``
+  selects the SI unit. ``{gap::.1f}`` omits the unit; an angle is still in deg;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: a tuple, separated by commas. At most eight items are shown, and ``{names:3}`` shows
   at most three. An item that alone would be omitted is also shown. Two or more omitted items are

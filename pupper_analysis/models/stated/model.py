@@ -280,7 +280,7 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Find the link with whose motion a link moves: itself, or the nearest moving ancestor.
+        """Return the moving link to which a link is fixed: itself, or the nearest moving ancestor.
 
         The root is returned if no ancestor moves.
         """
