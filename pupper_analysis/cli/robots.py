@@ -334,6 +334,7 @@ def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
     """Return robots with unique names, so that the results of several robots can be distinguished.
+
     Args:
         meant: Selections of the user.
         robots: Robots that were loaded from the selections, in the same order.
