@@ -42,8 +42,8 @@ of the first chunk, which is JSON.
 def check_gltf(data: bytes) -> Diagnostic | None:
     """Check if a glTF binary describes too many vertices to be read.
 
-    A shared accessor is counted once per primitive. A broken file raises another exception, for
-    example `struct.error` or `KeyError`.
+    A shared accessor is counted once per primitive. A broken file raises an exception, for example
+    `struct.error` or `KeyError`.
 
     Returns:
         Reason to refuse the file; None if the file is accepted.

@@ -369,7 +369,7 @@ class SpecTree:
         kd: float,
         limits: tuple[AttributeValue, AttributeValue] | None = None,
     ) -> None:
-        """Convert the last actuator of a joint to a position servo, or add a servo.
+        """Convert the actuator at a joint (`motor_at`) to a position servo, or add a servo.
 
         Limits of the control and of the activation, and the delay, are removed.
 

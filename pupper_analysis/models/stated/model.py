@@ -280,9 +280,9 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Return the moving link to which a link is fixed: itself, or the nearest moving ancestor.
+        """Return the name of the moving link to which a link is fixed: itself, or an ancestor.
 
-        The root is returned if no ancestor moves.
+        The ancestor is the nearest that moves, or the root if no ancestor moves.
         """
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:
