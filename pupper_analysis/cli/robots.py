@@ -321,7 +321,8 @@ def load_selected_robot(
         ConfigurationError: If an option is invalid.
         VariantError: If the scales of a variant give no valid model.
         ModelError: If no robot can be made of the files.
-        UnknownNameError: If a foot, joint, keyframe or body does not exist.
+        UnknownNameError: If a foot, joint, keyframe or body does not exist, for example.
+        MissingPackageError: If a package that the reader of the format needs is not installed.
     """
     if isinstance(meant, RobotFiles):
         return load_files(meant, fixed_base=fixed_base, **more)

@@ -314,7 +314,7 @@ class RobotAndTask:
             ConfigurationError: If a typed gain has another form.
             UnknownNameError: If a pattern matches no joint, and the last gain is not for all
                 joints.
-            ModelError: If a gain of the model is needed, and the model has no position servos.
+            ModelError: If a gain of the model is needed, and a joint has no position servo.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
@@ -607,7 +607,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
     Raises:
         ConfigurationError: If a text has another form.
         UnknownNameError: If a pattern matches no joint, and the last text is not for all joints.
-        ModelError: If a gain of the model is needed, and the model has no position servos.
+        ModelError: If a gain of the model is needed, and a joint has no position servo.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

@@ -145,7 +145,7 @@ def read_model(
             expressions in the file. None: nothing is evaluated.
 
     Raises:
-        ConfigurationError: If ``path`` is of another type.
+        ConfigurationError: If ``path`` is of another type, for example.
         ModelError: If the file cannot be loaded, for example because xacro must be expanded.
         UnknownNameError: If a robot of MuJoCo Menagerie or an argument of a xacro file is unknown.
         OutputError: If this run of the command line also writes the file, or for example a mesh.
@@ -185,11 +185,11 @@ def read_as_urdf(
         xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
-        ConfigurationError: If ``model`` is of another type.
+        ConfigurationError: If ``model`` is of another type, for example.
         ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If a robot of MuJoCo Menagerie or an argument of a xacro file is unknown.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If this run of the command line also writes the file.
+        OutputError: If this run of the command line also writes the file, or for example a mesh.
     """
     reader = reader_of(model)
     if reader is not None:
@@ -216,11 +216,11 @@ def read_as_mjcf(
         packages: {ROS package: its folder}, for ``package://`` in ``model``.
 
     Raises:
-        ConfigurationError: If ``model`` is of another type.
+        ConfigurationError: If ``model`` is of another type, for example.
         ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If this run of the command line also writes the file.
+        OutputError: If this run of the command line also writes the file, or for example a mesh.
     """
     reader = reader_of(model)
     if reader is not None:

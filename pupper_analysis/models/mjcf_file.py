@@ -65,7 +65,7 @@ def leave_out_missing(
 
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
-        OutputError: If a missing mesh or texture is an output of this run of the command line.
+        OutputError: If this run of the command line also writes a mesh or a texture.
     """
     meshes, textures = _find_missing_files(spec, tree, index)
     if not (meshes or textures):

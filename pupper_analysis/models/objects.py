@@ -111,7 +111,7 @@ class ObjectFiles:
             Modified copy; ``mjcf`` itself if no object is a Pinocchio model.
 
         Raises:
-            ModelError: If MuJoCo does not compile the result.
+            ModelError: If MuJoCo does not compile the result, for example.
         """
         if self.source is None:
             return mjcf

@@ -26,7 +26,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     actuator does not state are unknown (None), for example an armature of zero.
 
     Raises:
-        ModelError: If the actuator is no ``dcmotor``, or its numbers contradict each other.
+        ModelError: If the actuator is no ``dcmotor``, or `Motor` rejects its numbers.
     """
     name = model.actuator(actuator).name
     if model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_DCMOTOR.value:
@@ -69,7 +69,7 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
         {joint: motor}; the last motor in the file if a joint has several.
 
     Raises:
-        ModelError: If the numbers of a motor contradict each other.
+        ModelError: If `Motor` rejects the numbers of an actuator.
     """
     found = {}
     for actuator in range(model.nactuator):
