@@ -16,7 +16,8 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.motors.motor import Motor
 
 _MIN_TORQUE = 1e-9
-"""Torque [N m] up to which a motor counts as unloaded (rounding). Chosen, not tuned."""
+"""Magnitude of the torque [N m] up to which a motor counts as unloaded (rounding). Chosen, not
+tuned."""
 
 
 def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLike) -> Array:
@@ -30,8 +31,8 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Utilisation, shape (n,): 0 for a torque up to `_MIN_TORQUE`, infinite for a larger torque if
-        the motor has no torque at the speed.
+        Utilisation, shape (n,): 0 for |torque| up to `_MIN_TORQUE`, infinite for a larger |torque|
+        if the motor has no torque at the speed.
 
     Raises:
         ModelError: If a required number of the motor is unknown.
