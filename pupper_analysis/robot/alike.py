@@ -111,8 +111,8 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     Corresponding joints have the same index, counted from the base.
 
     Returns:
-        {joint: corresponding joints of all similar limbs}. Joints without corresponding joints are
-        omitted.
+        {joint: corresponding joints of all similar limbs}. Joints without corresponding joints, and
+        joints shared by similar limbs, are omitted.
     """
     model, limbs = robot.mj_model, list_limbs(robot)
     joints = [
@@ -136,7 +136,8 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     """Report each limb without a foot, if at least half of the similar limbs have a foot.
 
-    The result is empty if this package did not detect the feet (no note ``feet-found``).
+    The similar limbs include the limb itself. The result is empty if this package did not detect
+    the feet (no note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()

@@ -116,8 +116,8 @@ class JointOff:
     def commanded_away(self) -> bool:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
-        The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``). The command lies in
-        its direction, and more than half as far from the initial position.
+        The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``). The commanded
+        displacement has its direction, and is more than half as large.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False

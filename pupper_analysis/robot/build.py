@@ -288,11 +288,7 @@ def _copy_armature(
     joint_names: Sequence[str],
     null: Mapping[str, EffortStatement],
 ) -> list[Diagnostic]:
-    """Copy MuJoCo's armature of joints and actuators to Pinocchio's model, in place.
-
-    Returns notes about armature and effort limits. ``null`` is {joint: force range in the MJCF that
-    permits no force}, for example ``forcerange="0 0"``; MuJoCo ignores such a range.
-    """
+    """Copy MuJoCo's armature to Pinocchio's model, in place; return notes, also about efforts."""
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)
     armature = np.zeros(pin_model.nv)
@@ -337,10 +333,7 @@ def _hash_properties(
 def _compile_mujoco_model(
     description: Description, fixed_base: bool
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
-    """Compile the MJCF; return model, qpos of the start pose, and notes on changes.
-
-    qpos may contain a free base that the model has fixed.
-    """
+    """Compile the MJCF; return model, qpos (may include a removed free base), and notes."""
     spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0), notes
@@ -369,10 +362,7 @@ def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
 
 
 def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """List the joints of a MuJoCo model in actuator order; joints without actuators come last.
-
-    A model with a ball joint, or without joints, raises a ModelError.
-    """
+    """List the joints of a MuJoCo model in actuator order; joints without actuators come last."""
     all_joints: list[str] = []
     for joint in range(model.njnt):
         kind = JointKind(int(model.jnt_type[joint]))
@@ -402,10 +392,7 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Return ``base``, or its ancestor whose name contains the name of the URDF's root link.
-
-    The name of the ancestor may have a prefix or suffix (``right_``, ``robot/``).
-    """
+    """Return ``base``, or its ancestor with the name of the URDF's root link, perhaps extended."""
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
     while body != 0:
@@ -441,12 +428,7 @@ def _build_pinocchio_model(
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Build Pinocchio's model of the URDF, with gravity and fixed base pose of the MJCF.
-
-    Raises:
-        ModelError: If Pinocchio cannot read the URDF, or its joints differ from the joints of the
-            MJCF, for example.
-    """
+    """Build Pinocchio's model of the URDF, with gravity and fixed base pose of the MJCF."""
     source = description.urdf_source
     model = pinocchio_from_urdf(description.urdf, source, floating=floating)
     for joint in list(model.joints)[2 if floating else 1 :]:

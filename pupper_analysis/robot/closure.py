@@ -41,8 +41,9 @@ is rejected. Under load, a static deflection is accepted in addition. Chosen, no
 
 _RANK_RTOL = 1e-7
 """Lower bound of a singular value of the constraint Jacobian, relative to the largest singular
-value, above which an equation or a joint counts as independent [1]. The redundant equation of a
-planar loop has a ratio of up to 1e-9 in files with rounded numbers."""
+value, above which an equation or a joint counts as independent [1]; absolute bound for elements and
+determinants that count as nonzero. The redundant equation of a planar loop has a ratio of up to
+1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -278,10 +279,7 @@ class Closure:
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops by Newton's method as in `close_loops`, but accept any assembly mode.
-
-        Returns the configuration, shape (nq,), or None if the loops are not closed.
-        """
+        """Close the loops as in `close_loops`, but accept any assembly mode; None if it fails."""
         result = qpos.copy()
         joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):
@@ -367,10 +365,7 @@ class Closure:
         return diagnose("joints-follow", following=following, leading=leading)
 
     def _evaluate_constraints(self, qpos: Array) -> mujoco.MjData:
-        """Return MuJoCo data with the constraint rows at a configuration, shape (nq,).
-
-        The data belong to the current thread, and are valid until the next call.
-        """
+        """Return the thread's MuJoCo data with constraint rows at qpos, until the next call."""
         thread_data, model = self._thread_data, self._model
         if not hasattr(thread_data, "data"):
             thread_data.data, thread_data.at = mujoco.MjData(model), np.full(len(qpos), np.nan)
@@ -447,10 +442,7 @@ class Closure:
         return rows[:, self._first_dof :]
 
     def _independent_combinations(self, rows: Array) -> Array:
-        """Return a matrix (r, m) of independent combinations of constraint rows (m, nu).
-
-        r is the rank of the rows, but at most the rank of `_generic_jacobian`.
-        """
+        """Return a matrix (r, m) of r independent combinations of the rows, shape (m, nu)."""
         left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
         count = int(
             np.count_nonzero(singular_values > _RANK_RTOL * singular_values.max(initial=0.0))
@@ -459,11 +451,7 @@ class Closure:
         return combinations
 
     def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
-        """Group the dependent joints that share constraint equations: one group per connected loop.
-
-        A group contains indices of elements of ``dependent_joints``. ``rows`` is the Jacobian (m,
-        nu) of the constraints.
-        """
+        """Group the dependent joints (by index) that share equations in ``rows``, shape (m, nu)."""
         is_coupled = np.abs(rows[:, self.dependent_joints]) > _RANK_RTOL
         loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)
         for joint in range(is_coupled.shape[1]):
@@ -475,11 +463,7 @@ class Closure:
         return tuple(np.array(sorted(joints), dtype=np.int64) for joints, _ in loops)
 
     def _select_dependent_joints(self, rows: Array, used: IntArray) -> IntArray:
-        """Return the indices of joints without actuator whose positions the constraints determine.
-
-        ``rows`` is the Jacobian (m, nu) of the constraints, ``used`` the indices of joints in
-        constraints.
-        """
+        """Return the indices of joints without actuator that the constraints determine."""
         undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
         coupled_joints = [

@@ -47,8 +47,7 @@ class Configuration(Pictured):
     """Robot at a state (qpos, qvel): kinematics and dynamics. Construction runs the kinematics.
 
     The coordinates are MuJoCo's, with the joints in actuator order
-    (``pupper_analysis.robot.coordinates``). A configuration is immutable. The base quaternion (w,
-    x, y, z) is normalised.
+    (``pupper_analysis.robot.coordinates``). The base quaternion (w, x, y, z) is normalised.
 
     Attributes:
         robot: The robot.

@@ -181,10 +181,7 @@ def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[n
 
 
 def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -> int:
-    """Return the id of a body of a touched flex: of the touched vertex, if possible.
-
-    ``side`` is the side of the contact that is a flex, 0 or 1.
-    """
+    """Return a body id of the flex on a side (0 or 1) of a contact: of the vertex, if possible."""
     flex, vertex, element = (int(ids[side]) for ids in (touch.flex, touch.vert, touch.elem))
     if vertex < 0:  # the first vertex of the touched element
         size = int(model.flex_dim[flex]) + 1

@@ -302,10 +302,7 @@ class EngineModels:
 
 
 def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
-    """Return a matrix (n, count); ConfigurationError if it is not valid.
-
-    A vector (count,) becomes one row.
-    """
+    """Return a matrix (n, count), also from a vector (count,); ConfigurationError if not valid."""
     matrix = np.atleast_2d(real_array(name, values))
     if matrix.ndim != 2 or matrix.shape[1] != count:
         problem = diagnose("array-of-another-shape", size=count, shape=str(matrix.shape))

@@ -65,9 +65,9 @@ moved away. Chosen, not tuned: on planted feet, a robot would fall earlier. (Sid
 a robot by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
-"""Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]. The nudge
-must upset unstable equilibria: some survive changes of 1e-9 and fall after changes of 1e-7. Stable
-stands return even after 1e-2."""
+"""Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]; also the
+tolerance of velocities in `_are_equal_states`. The nudge must upset unstable equilibria: some
+survive changes of 1e-9 and fall after changes of 1e-7. Stable stands return even after 1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
@@ -180,8 +180,8 @@ def simulate_keyframe(
 
     The first run starts with a nudge (`nudge_velocity`), the second with the opposite nudge,
     because a robot may fall to one side only. The third run has no nudge. The result is the first
-    run in which the robot collapses, otherwise the first run. A run that equals the first run
-    halfway is not completed.
+    run in which the robot collapses, otherwise the first run. In a model without activations, a run
+    that equals the first run halfway is not completed.
 
     Args:
         model: MuJoCo model.
@@ -226,10 +226,7 @@ def simulate_keyframe(
 def _are_equal_states(
     model: mujoco.MjModel, first: tuple[Array, Array], second: tuple[Array, Array]
 ) -> bool:
-    """Return True if two states (qpos, qvel) are nearly equal; False if values are not finite.
-
-    The bounds are `_MAX_RUN_DISTANCE` for positions, and `NUDGE_SPEED` for velocities.
-    """
+    """Return True if two states (qpos, qvel) are nearly equal; False if values are not finite."""
     distance = np.empty(model.nv)
     mujoco.mj_differentiatePos(model, distance, 1.0, first[0], second[0])
     return bool(
@@ -453,10 +450,7 @@ def find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]
 
 
 def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
-    """Return True if the robot lies on its trunk (base or hips), or no limb end touches the world.
-
-    A robot that touches nothing does not lie. ``base`` is the id of the base body.
-    """
+    """Return True if a robot lies on its base or hips, or touches the world without limb ends."""
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
     carrying = {int(above[body]) for body in moving}

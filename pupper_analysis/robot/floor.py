@@ -132,11 +132,7 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
 
 
 def _is_level(plane: mujoco.MjsGeom) -> bool:
-    """Return True if a plane of the world body is horizontal, at any height.
-
-    A plane in a ``<frame>``, or with another form of orientation than a quaternion, counts as not
-    level.
-    """
+    """Return True if a plane of the world body, outside of ``<frame>``, is horizontal."""
     return bool(
         plane.parent.name == "world"
         and plane.frame is None
@@ -211,10 +207,7 @@ def _disable_geoms(spec: mujoco.MjSpec, geoms: list[mujoco.MjsGeom]) -> list[Dia
 
 
 def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
-    """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place.
-
-    Returns notes on the replaced pairs, and on parameters of pairs that a geom cannot have.
-    """
+    """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place."""
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     used_bits = floor.contype | floor.conaffinity
     for geom in spec.geoms:

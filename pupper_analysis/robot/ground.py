@@ -126,7 +126,7 @@ class Ground:
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None for a foot on the floor.
+            "wall of left_palm". None for a foot without an entry in ``heights`` and ``planes``.
         """
         if foot in self._planes:
             plane = self._planes[foot]

@@ -186,9 +186,6 @@ def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
 
 
 def _compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
-    """Return (1 - d) / d^2, to which the compliance of a soft constraint at rest is proportional.
-
-    d is the impedance at a violation [m, rad] with the parameters ``solimp`` (``clip_solimp``).
-    """
+    """Return the factor (1 - d) / d^2 of compliance; d is the impedance at a violation [m, rad]."""
     d, _ = solimp_impedance(solimp, violation)
     return (1 - d) / d**2

@@ -118,11 +118,7 @@ and couplings. Users enter positions with up to six decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of loops and couplings whose positions a posture determines.
-
-    The result is empty if the posture does not close all loops. ``placed`` is {joint: position [rad
-    or m]}.
-    """
+    """Return the coupled joints that move no foot, if ``placed`` positions and closes all loops."""
     closure = robot.closure
     assert closure is not None
     indices = sorted({*closure.dependent_joints.tolist(), *closure.driving_joints.tolist()})
@@ -261,7 +257,8 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
     """Return the default posture of a robot with a fixed base, and the name of its keyframe.
 
     The posture is the keyframe ``keyframe``; else the keyframe ``home`` or the first keyframe, if
-    it is within the joint ranges; else the middle of the joint ranges. Loops are not closed.
+    it is within the joint ranges; else the middle of each joint range. If a limit is infinite, the
+    position nearest to zero replaces the middle. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.

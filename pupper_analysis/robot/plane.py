@@ -405,7 +405,10 @@ class Weld:
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:
-        """Return this weld in the syntax of the command line: ``weld,offset=0.0m/0.0m/0.1m``."""
+        """Return this weld in the syntax of the command line.
+
+        For example ``weld,offset=0.0m/0.0m/0.1m``.
+        """
         return format(self)
 
     def __format__(self, spec: str) -> str:
@@ -418,10 +421,10 @@ class Weld:
 
 
 def _make_formatter(spec: str) -> Callable[..., str]:
-    """Return a function that formats numbers with their unit.
+    """Return a function that formats SI numbers with their unit.
 
-    With a number format ``spec`` such as ``.4g``, lengths are in mm, and angles in deg. If it is
-    empty, lengths are in m, and all digits are written.
+    With a number format ``spec`` such as ``.4g``, lengths are in mm, and angles in deg. If ``spec``
+    is empty, all digits are written.
     """
 
     def write(values: Sequence[float], unit: str, by: str = "/") -> str:
@@ -446,10 +449,7 @@ def _format_exact_angle(angle: float) -> str:
 
 
 def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Iterator[str]:
-    """Yield the command-line words for place and offset of a contact or weld, if specified.
-
-    ``write`` formats numbers with a unit, as from `_make_formatter`.
-    """
+    """Yield the command-line words for a specified place and a nonzero offset of a contact."""
     if contact.place is not None:
         yield "place=" + write(contact.place, "m")
     if any(contact.offset):

@@ -686,10 +686,7 @@ class Robot(EngineModels):
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Select the joints' position limits (nu,) [rad, m] from a vector like Pinocchio's q.
-
-        ``unbounded`` is the value for continuous joints, for which Pinocchio's model has no limit.
-        """
+        """Select joint limits (nu,) [rad, m]; ``unbounded`` is the value of continuous joints."""
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
         return known_positions(limits)

@@ -56,7 +56,7 @@ the input of the force law equals the command, or converges to the command."""
 class Servos:
     """MuJoCo model with position servos: tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit).
 
-    Dependent joints of closed loops have no servo.
+    Dependent joints of closed loops count as joints without servo.
 
     Attributes:
         model: MuJoCo model with the servos, a copy of the robot's model.
@@ -325,13 +325,8 @@ def _narrow_force_ranges(
 ) -> None:
     """Narrow the force ranges of actuators to the effort limits of their joints, in place.
 
-    Reason: MuJoCo does not bound a servo by the effort of a URDF.
-
-    Args:
-        model: The model that is changed.
-        actuators: Indices of the actuators, shape (n,).
-        gear: Gear of each actuator, joint force / actuator force, shape (n,).
-        ranges: Lower and upper bound of each joint force or torque [N or N m], shape (n, 2).
+    Reason: MuJoCo does not bound a servo by the effort of a URDF. ``gear`` is joint force /
+    actuator force, shape (n,); ``ranges`` are at the joints, shape (n, 2) [N m, N].
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.sort(ranges / gear[:, None], axis=1)
@@ -349,12 +344,14 @@ def _narrow_force_ranges(
 
 
 MAX_GAIN = 1e9
-"""Largest accepted kp [N m/rad, N/m] and kd [N m s/rad, N s/m]; larger gains are refused. Chosen:
-far above the gains of real machines, but small enough that simulations do not overflow."""
+"""Largest kp [N m/rad, N/m] and kd [N m s/rad, N s/m] that a user may request; larger gains are
+refused. Chosen: far above the gains of real machines, but small enough that simulations do not
+overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""Smallest accepted kp [N m/rad, N/m] of a motor; smaller values are refused. Commands contain the
-quotient torque / kp, which would overflow for much smaller values. Chosen, not tuned."""
+"""Smallest kp [N m/rad, N/m] of a motor that a user may request; smaller values are refused.
+Commands contain the quotient torque / kp, which would overflow for much smaller values. Chosen, not
+tuned."""
 
 
 def resolve_servo_gains(
@@ -445,6 +442,8 @@ def find_servos_used(
 ) -> ServosUsed:
     """Summarise the servos of a robot for a report: source, smallest and largest gains.
 
+    If this package added servos, the gains are those of the added servos, unless gains are passed.
+
     Args:
         robot: Robot.
         kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
@@ -513,10 +512,7 @@ def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
-    """Convert the name of an option's value, such as ``elliptic``, to MuJoCo's number.
-
-    An unknown name raises a ConfigurationError.
-    """
+    """Convert the name of an option's value to MuJoCo's number; ConfigurationError if unknown."""
     if name not in known:
         problem = diagnose("option-unknown", option=option, name=name, known=tuple(known))
         raise ConfigurationError(option, problem)

@@ -109,10 +109,7 @@ def shapes_of(
 
 
 def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
-    """Return True if a geom that is fixed in the world is part of the robot's fixed base.
-
-    Planes and height fields of the world body are parts of the surroundings.
-    """
+    """Return True if a static geom is part of the fixed base, not terrain of the world body."""
     body = int(model.geom_bodyid[geom])
     while body not in (base, 0):
         body = int(model.body_parentid[body])
@@ -155,15 +152,10 @@ class _LinkFinder:
                 self._first_link_by_joint.setdefault(joint, name)
 
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
-        """Return the link of the URDF that corresponds to a body of the MJCF, and its world pose.
+        """Return the URDF link of a body, and its world pose at zero joint positions.
 
-        The link moves with the same joint as the body, and has the name of the body if possible.
-        The pose is evaluated with all joint positions zero.
-
-        Args:
-            body: Name of the body.
-            moving: Id of the moving body (or base) to which the body is fixed; may be the body
-                itself.
+        The link moves with ``moving``, the id of the moving body to which the body is fixed, and
+        has the name of the body if possible.
         """
         first_link = self._first_link_by_joint[self.joints[moving]]
         joint = self._frames[self._links[first_link]].parentJoint

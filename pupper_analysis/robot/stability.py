@@ -110,12 +110,7 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Linearise a MuJoCo step by central differences of complete steps; overwrite ``matrix``.
-
-    ``matrix`` becomes the derivative of the next state with respect to ``data``, in the tangent
-    space of (qpos, qvel, act), shape (2 nv + na, 2 nv + na). Reason: ``mjd_transitionFD`` does not
-    support the integrator RK4.
-    """
+    """Linearise a MuJoCo step by central differences of complete steps, for RK4, in ``matrix``."""
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
@@ -149,9 +144,10 @@ _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance from a joint limit [rad, m] at which the spectrum of a joint near its limit is
-evaluated, on either side of the limit. Reason: centred differences across a limit mix two regimes.
-ANYmal at a knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
+"""Distance from a joint limit [rad, m], up to which a joint counts as near the limit, and at which
+its spectrum is then evaluated on either side of the limit. Reason: centred differences across a
+limit mix two regimes. ANYmal at a knee limit seemed to oscillate at 9 Hz, but came to rest in
+simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
@@ -314,7 +310,7 @@ class Stability(Result):
     def damping_ratio(self) -> float:
         """Smallest damping ratio of the oscillations; 1 without oscillations.
 
-        Negative if an oscillation grows.
+        Negative if a growing mode oscillates (`Mode.shakes`).
         """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
@@ -343,7 +339,7 @@ def step_stability(
     A time step maps a deviation x of (qpos, qvel, act) to A x. A includes contacts, friction, the
     integrator, and the servos with their commands (``data.ctrl``). A mode grows if its eigenvalue
     is outside of the unit circle. With a complex eigenvalue, the robot oscillates (shakes); with a
-    real eigenvalue, it buckles monotonically. With the time step h, the growth rate is
+    positive real eigenvalue, it buckles monotonically. With the time step h, the growth rate is
     ln|eigenvalue| / h [1/s].
 
     While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction,
@@ -411,11 +407,7 @@ def judge_settled(
 
 
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Evaluate the stability of a state with and without the dry friction of joints and tendons.
-
-    The result of the evaluation with dry friction is extended by modes that grow without it. The
-    dry friction of ``model`` is set to zero temporarily.
-    """
+    """Evaluate the stability of a state, and add modes that grow without dry friction."""
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
     rubs = any(values.any() for values in rubbing)
@@ -446,10 +438,7 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 
 
 def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mode]:
-    """Return the modes of a spectrum that another spectrum of the same state does not contain.
-
-    Modes are equal if their growths per step are equal within `_EQUAL_GROWTH_RTOL`.
-    """
+    """Return the modes that ``known`` does not contain, compared by growth per time step."""
     further = list(modes)
     for mode in known:
         equal = [
@@ -464,10 +453,7 @@ def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mo
 
 
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
-    """Check growing modes with ``SECOND_STEP``, and set their ``repeated_at_second_step``.
-
-    A mode that the second spectrum does not contain may be a numerical error.
-    """
+    """Check growing modes with ``SECOND_STEP``, and set their ``repeated_at_second_step``."""
     if not found.modes_growing_within():
         return found
     second = _evaluate_at_limits(model, copy_data(model, data), SECOND_STEP).unstable
@@ -485,11 +471,10 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
 def _evaluate_at_limits(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Stability:
-    """Evaluate the eigenvalues of a MuJoCo step at a state in which joints may be at limits.
+    """Evaluate the stability of a state in which joints may be at limits.
 
-    Finite differences across a joint limit are invalid. Limits near the present position are
-    therefore moved to either side temporarily. Returns the evaluation with the larger spectral
-    radius.
+    Finite differences across a limit are invalid. Limits near the present position are therefore
+    moved to either side; the evaluation with the larger spectral radius is returned.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
@@ -555,10 +540,7 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio -Re(s) / abs(s), s = ln(eigenvalue), of an eigenvalue's mode.
-
-        ``mode`` is the index of the eigenvalue.
-        """
+        """Return the damping ratio -Re(s) / abs(s), s = ln(eigenvalue), of a mode index."""
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
 
@@ -578,10 +560,7 @@ class _Modes:
         )
 
     def _mode_direction(self, mode: int) -> Array:
-        """Return the real part of an eigenvector, shape (2 nv + na,), for the direction of a mode.
-
-        The eigenvector is divided by its largest position component (one of the first nv).
-        """
+        """Return the real part of eigenvector / largest position entry, shape (2 nv + na,)."""
         vector = self._vectors[:, mode]
         largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0
         return np.asarray(np.real(vector / largest)) if largest else np.real(vector)

@@ -251,10 +251,7 @@ def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.M
 
 
 def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Iterator[int]:
-    """Yield joint indices in depth-first order, as Pinocchio requires; siblings as preferred.
-
-    ``preferred_order`` contains joint indices.
-    """
+    """Yield joint indices in depth-first order; siblings in the order of ``preferred_order``."""
     rank = {joint: index for index, joint in enumerate(preferred_order)}
     children: dict[int, list[int]] = {}
     for joint in sorted(range(1, model.njoints), key=lambda joint: -rank.get(joint, -1)):
@@ -324,10 +321,7 @@ class Kinematics:
         self.feet = {foot: place.tolist() for foot, place in self._feet.items()}
 
     def _update_views(self) -> None:
-        """Store views of the positions in Pinocchio's memory: of CoM, feet and links.
-
-        Reading a view is faster than Pinocchio's accessors.
-        """
+        """Store views of CoM, feet and links in Pinocchio's memory; reading them is fast."""
         places, structure = self._data.oMf, self._structure
         self._com = self._data.com[0]
         self._feet = {

@@ -62,10 +62,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add inactive MuJoCo welds for welded parts, and ``connect`` constraints for grips, in place.
-
-    Contacts of the part with the world, and with bodies fixed to the world, are excluded.
-    """
+    """Add inactive welds, ``connect`` for grips; exclude contacts of the parts with the world."""
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.fixed_parts.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
@@ -156,8 +153,8 @@ def find_touched_surface(
         body: Name of the body.
 
     Returns:
-        Kind of the surface, with its foot or hand, such as "wall of left_palm". None for another
-        surface, such as the floor.
+        Kind of the surface, with its foot or hand, such as "wall of left_palm". None without such a
+        surface, or if the body touches the floor.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -173,10 +170,7 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Name the kind of a surface of a task: step, bar, wall, table or ceiling; "" for another kind.
-
-    ``geom`` is the id of the geom of the surface.
-    """
+    """Name the kind of a surface geom: step, bar, wall, table or ceiling; empty for another."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER.value:
         return "bar"
     normals = np.zeros((2, 3))
@@ -239,11 +233,7 @@ def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violati
 def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
-
-    ``places`` is {contact point: centre (3,) [m] of its sphere on rigid ground, in the world
-    frame}. Too few unused bits of ``contype`` raise a ModelError.
-    """
+    """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place."""
     floor = find_floor(spec) or SpecTree(spec).add_floor()
     merge_planes(spec, floor)
     rotate_floor(floor, quaternion_from_rotation(ground.rotation()))
@@ -309,20 +299,10 @@ def _separate_from_floor(
     feet: Container[str],
     alone: Sequence[str],
 ) -> dict[str, int]:
-    """Disable contacts between the floor and given feet, by new contact bits, in place.
+    """Disable contacts between the floor and ``feet``, by new contact bits, in place.
 
-    Args:
-        robot: Robot.
-        spec: Spec to modify.
-        floor: Floor of the spec.
-        feet: Feet that must not collide with the floor.
-        alone: Feet that get a separate contact bit, for a geom that no other foot touches.
-
-    Returns:
-        {foot in ``alone``: bit of ``contype`` that only geoms of this foot have}.
-
-    Raises:
-        ModelError: If the MJCF has not enough unused bits.
+    Returns {foot in ``alone``: bit of ``contype`` that only geoms of this foot have}. A ModelError
+    is raised if the MJCF has not enough unused bits.
     """
     compile_spec(spec, Path(spec.modelname))  # sets the ids of the geoms
     geoms = [geom for geom in spec.geoms if geom.id != floor.id]

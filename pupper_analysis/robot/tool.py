@@ -144,12 +144,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 
 
 def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
-    """Return the `Tool` at the origin of a named frame, and the rotation of the frame.
-
-    The frame is a link of the URDF, or a site, body or geom of the MJCF (for a mesh geom, the frame
-    that MuJoCo's compiler computes). The rotation (3, 3) is from the axes of the frame to the axes
-    of the tool's link. An unknown name raises an UnknownNameError.
-    """
+    """Return the `Tool` at a named frame, and the rotation (3, 3) from frame axes to link axes."""
     if name in robot.structure.links:
         return Tool(name, name, np.zeros(3), _find_chain(robot, name)), np.eye(3)
     model, data = _compute_kinematics_with_visuals(robot)
@@ -286,16 +281,10 @@ def check_point(point: ArrayLike) -> Array:
 def _express_in_link(
     robot: Robot, body: int, position: Array, rotation: Array
 ) -> tuple[str, Array, Array]:
-    """Express the neutral pose of a frame in the frame of the link that moves with a body.
+    """Return the link that moves with a body; origin (3,) [m] and rotation (3, 3) of a frame in it.
 
-    Args:
-        robot: The robot.
-        body: Body id of the MuJoCo model.
-        position: Origin of the frame in the world frame, shape (3,) [m].
-        rotation: Rotation from the axes of the frame to world axes, shape (3, 3).
-
-    Returns:
-        Name of the link; origin (3,) [m] and rotation (3, 3) of the frame in the link frame.
+    ``position`` and ``rotation`` are the pose of the frame in the world, in the neutral
+    configuration.
     """
     link, config = _find_carrying_link(robot, body), Configuration(robot, robot.neutral())
     to_link = config.frame_rotation(link).T
@@ -338,10 +327,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Find the default tool link: the end of the longest joint chain, or a hand with fingers.
-
-    Two or more short branches on a link of the chain count as fingers (`_MAX_FINGER_JOINTS`).
-    """
+    """Find the default tool link: the end of the longest joint chain, or a hand with fingers."""
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
     last = int(np.argmax(lengths))  # the first of equals
@@ -457,14 +443,9 @@ def _build_loaded_robot(
 ) -> Robot:
     """Build a robot with a payload, if possible without compiling the model again.
 
-    Reason: searches try many masses at a place. The model of the first mass is copied with another
-    mass, if such a copy of the second mass was equal to the compiled model.
-
-    Args:
-        robot: Robot without payload.
-        place: Link, bytes of the offset, and name of the payload's body.
-        mass: Mass of the payload [kg].
-        changes: New values of fields of ``Description``: the files with the payload.
+    Searches try many masses at a place: if a copy with a changed mass was equal to the compiled
+    model, further masses are written into copies. ``place``: link, bytes of the offset, name of the
+    payload's body.
     """
     cache = robot.compute_once(_make_cache)
     if cache.place != place:

@@ -98,10 +98,7 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
-    """Convert a contact or weld of a task to the contact settings of the robot part.
-
-    ``foot`` is True for a foot, False for a hand or the base.
-    """
+    """Convert a contact or weld of a task to the contact settings of a foot or other part."""
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
         return Touching(offset=None if foot else contact.offset, is_fixed=True)
@@ -125,13 +122,7 @@ def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
 
 @lru_cache(maxsize=_CACHE_SIZE)
 def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
-    """Build a robot with the hands, welds and grips of a task (cached).
-
-    Raises:
-        UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: If contacts conflict, for example if a hand moves with a foot.
-        ModelError: If the model with the contacts cannot be built.
-    """
+    """Build a robot with the hands, welds and grips of a task (cached)."""
     tools = {
         name: _find_frame(robot, name)
         for name, touching in properties.items()
@@ -165,10 +156,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 
 
 def _find_frame(robot: Robot, name: str) -> Tool:
-    """Find a frame of the robot by name; ``base`` is the base if no frame has this name.
-
-    An unknown name raises an UnknownNameError.
-    """
+    """Find a frame of the robot by name; ``base`` is the base if no frame has this name."""
     try:
         return find_tool(robot, name)
     except UnknownNameError as error:
@@ -181,15 +169,7 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 
 
 def _make_base_free(robot: Robot) -> Robot:
-    """Replace the fixed base of a robot by a free base, which a weld can hold; return a copy.
-
-    If the robot has no feet, ``home`` is the default posture of the fixed robot
-    (`default_positions`), with loops closed if possible.
-
-    Raises:
-        ConfigurationError: If the base cannot be made free, for example because it has no mass.
-        ModelError: If the model with a free base cannot be built.
-    """
+    """Replace the fixed base of a robot by a free base, which a weld can hold; return a copy."""
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
     data = mujoco.MjData(model)
@@ -231,13 +211,7 @@ def _make_base_free(robot: Robot) -> Robot:
 
 
 def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
-    """Add a contact point for each hand to URDF and MJCF of a robot; return a copy.
-
-    Raises:
-        UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: If a hand moves with a foot, or with the base, for example.
-        ModelError: If the model with the contact points cannot be built.
-    """
+    """Add a contact point for each hand to URDF and MJCF of a robot; return a copy."""
     (urdf, mjcf), description = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()
     used_names = {site.name for site in mjcf.spec.sites} | {geom.name for geom in mjcf.spec.geoms}
@@ -296,8 +270,8 @@ hand. Chosen, not tuned."""
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
     """Return the radius [m] of the largest sphere around a point that fits into a collision shape.
 
-    Shapes of the links that move with the point are examined. If the point ``tool`` is not inside
-    such a shape, the result is ``_DEFAULT_BALL_RADIUS``.
+    Shapes of the links that move with the point are examined. If the point is not deeper than
+    `_PROBE_RADIUS` inside such a shape, the result is `_DEFAULT_BALL_RADIUS`.
     """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.update(robot.neutral())

@@ -52,8 +52,8 @@ relative to the scale of the quantity [1]. Two engines in double precision agree
 accelerations see `_compute_residual`."""
 
 _NUM_STATES = 10
-"""Number of random states at which the effect of each difference between two files is evaluated.
-Chosen, not tuned."""
+"""Maximum number of random states at which the effect of each difference between two files is
+evaluated. Chosen, not tuned."""
 
 
 def explain_differences(
@@ -186,10 +186,7 @@ def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
 
 
 def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
-    """Create the difference for a mimic joint of the URDF that the MJCF lacks as an equality.
-
-    ``mimic`` contains the leading joint, the multiplier and the offset [rad, m].
-    """
+    """Create the difference for a mimic (leader, multiplier, offset) that the MJCF lacks."""
     leader, multiplier, offset = mimic
     message = diagnose(
         "mimic-without-equality",
@@ -258,11 +255,7 @@ _COPIED_UNITS = {"armature": "armature", "damping": "damping", "friction": "effo
 def _report_copied_values(
     copied: Mapping[str, Collection[str]], values: MultibodyTree
 ) -> Iterator[Diagnostic]:
-    """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
-
-    ``copied`` is {parameter: joints}. Hinges and slides have separate diagnostics, because their
-    units differ.
-    """
+    """Yield notes on the copied parameters, {parameter: joints}, of hinges and of slides."""
     for kind, slides in product(_COPIED_CODES, (False, True)):
         joints = [values.joints[name] for name in copied.get(kind, ())]
         values_of_joints = [

@@ -130,10 +130,7 @@ def offsets_in_world(
 
 
 def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
-    """Return a mask (nbody,) that separates the robot's bodies from other objects of the MJCF.
-
-    If the base is fixed, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.
-    """
+    """Return a mask (nbody,) that separates the robot's bodies from other objects of the MJCF."""
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
     return [

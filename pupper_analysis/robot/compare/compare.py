@@ -74,9 +74,9 @@ from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
 
 CONTACT_HEIGHT_ATOL = 2e-4
-"""Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m].
-Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
-Chosen, not tuned."""
+"""Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m];
+also the tolerance of the distance of equally near geoms. Meshes are accurate to a tenth of a
+millimetre, and files contain radii such as 0.02 for 19.95 mm. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
@@ -228,10 +228,7 @@ def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
 def _find_foot_joints(
     limbs: Mapping[str, MovingShapes], matched: Match, data: mujoco.MjData
 ) -> list[str]:
-    """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``).
-
-    The keys of ``limbs`` are joints; ``data`` contains the initial pose.
-    """
+    """Return the joints of ``limbs`` whose limb is low enough to end in a foot."""
     model = data.model
     ends = {
         name: min(float(-placed.world.support(_DOWN_DIRECTION)[0]) for placed in (*urdf, *mjcf))  # type: ignore[index]
@@ -249,10 +246,7 @@ def _find_foot_joints(
 
 
 def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape) -> Place:
-    """Return the location in the MJCF at which the contacts of a foot are disabled, or its body.
-
-    ``body`` is the body of the foot, ``urdf_shape`` the shape of the foot in the URDF.
-    """
+    """Return the location in the MJCF at which contacts of a foot are disabled, or of its body."""
     model = mjcf.model
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         places = (place for words, place in mjcf.elements("flag") if "contact" in words)
@@ -325,10 +319,7 @@ def _compare_feet(
 def _find_lowest_shape(
     shapes: Sequence[_PlacedShape],
 ) -> tuple[float, Diagnostic | Term, _PlacedShape | None]:
-    """Find the lowest shape: its lowest height [m] in the world, a description, and the shape.
-
-    Without shapes, the result is NaN, the term "none", and None.
-    """
+    """Return lowest height [m], description and shape; NaN, "none" and None without shapes."""
     if not shapes:
         return math.nan, Term("none"), None
     heights = [float(-shape.world.support(_DOWN_DIRECTION)[0]) for shape in shapes]  # type: ignore[index]
@@ -366,10 +357,7 @@ def report_base_tilt(
 
 
 def _rotation_in_root(urdf: etree._Element, link: str) -> Array:
-    """Return the rotation (3, 3) from the axes of a link to the axes of the root link of a URDF.
-
-    All joints between the root link and the link must be fixed.
-    """
+    """Return the rotation (3, 3) from link to root axes of a URDF, along fixed joints."""
     axes = np.eye(3)
     for joint in UrdfTree(urdf).chain(link):
         axes = joint.origin.rotation @ axes
@@ -393,7 +381,7 @@ class FilesCompared(Tabular):
             removed for the comparison.
         notes: Diagnostics of assumptions and omissions.
         differences: Differences, the most urgent first; see `Difference.rank`.
-        causes: Mistakes that explain several differences each.
+        causes: Mistakes that explain differences; see `PatternCause`.
         deviations: {quantity: relative deviation between the models}.
         residual: {quantity: relative deviation after all differences are removed}.
         explained: Fraction of the largest deviation that the differences explain.
@@ -587,7 +575,7 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Find mistakes in a file, such as wrong units, that each explain several differences.
+    """Find mistakes in a file, such as wrong units, that explain differences.
 
     A tool with a module ``causes`` finds the mistakes; ``of`` contains its arguments: robot, tree
     of the MJCF, differences, tolerances, and bodies of the MJCF whose mass is computed from geoms.
@@ -622,10 +610,7 @@ def _compare_ground_contact(
     mjcf_model: MjcfModel,
     found: Iterable[Difference],
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compare the collision shapes of feet, unless a file was converted from another format.
-
-    Feet that the differences ``found`` displace are not compared. Returns differences and notes.
-    """
+    """Compare the heights of feet that no difference displaces, unless a file was converted."""
     if urdf.stands_for or mjcf.stands_for:
         return [], []
     moved = {difference.element for difference in found if difference.kind in _DISPLACING_KINDS}
@@ -638,10 +623,7 @@ bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
-    """Return True if a difference affects the robot itself, and not only its coordinates.
-
-    Differences of a kind in `CONVENTION_KINDS` affect only the coordinates.
-    """
+    """Return True if a difference affects the robot itself, and not only its coordinates."""
     return any(difference.kind not in CONVENTION_KINDS for difference in differences)
 
 
@@ -651,10 +633,7 @@ def _add_places(
     urdf: UrdfFile,
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
-    """Yield the differences with file and line of both elements.
-
-    Messages name the original format of a converted file instead of "the URDF" or "the MJCF".
-    """
+    """Yield the differences with their locations, and original formats of files in messages."""
     format_names = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
@@ -671,10 +650,7 @@ def _add_places(
 
 
 def _explained_fraction(explanation: Explanation) -> float:
-    """Return the fraction 1 - residual / deviation that the differences explain, from 0 to 1.
-
-    Residual and deviation are the largest of all dynamic quantities.
-    """
+    """Return the fraction (0 to 1) of the largest deviation that the differences explain."""
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)
     )
@@ -718,10 +694,7 @@ def _compare_servo_gains(
 
 
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
-    """Yield reasons, other than differences, for which URDF and MJCF do not agree.
-
-    Examples are an unexplained deviation, and a large deviation from several small differences.
-    """
+    """Yield reasons, other than differences, for which URDF and MJCF do not agree."""
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:
         name = max(residual, key=lambda quantity: residual[quantity])

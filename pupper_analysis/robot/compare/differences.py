@@ -216,7 +216,7 @@ class Difference(Stated, Result):
 
     @property
     def relative_effects(self) -> tuple[float, float]:
-        """Largest effects of the difference on the dynamics, as fractions of each quantity [1].
+        """Largest effects of the difference on dynamic quantities, relative to their scales [1].
 
         The first number is the largest effect on mass matrix, gravity, and positions of joints and
         feet. The second number is the largest effect on any compared quantity.
@@ -745,10 +745,7 @@ def body_changes(
 
 
 def _clear_rounding(value: float, scale: float) -> float:
-    """Replace a tensor entry by 0 if it is only the rounding error of a rotated tensor.
-
-    ``scale`` is the largest entry of the compared tensors, to which `_ROUNDING_RTOL` is relative.
-    """
+    """Replace a tensor entry by 0 if at most `_ROUNDING_RTOL` times the largest entry ``scale``."""
     return value if abs(value) > _ROUNDING_RTOL * scale else 0.0
 
 

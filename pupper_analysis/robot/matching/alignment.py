@@ -48,7 +48,7 @@ def align_frames(
     fixed: Collection[str] = (),
     only: Iterable[str] | None = None,
 ) -> Alignment:
-    """Express the tree ``second`` in link frames as near as possible to those of ``first``.
+    """Express the tree ``second`` in link frames near the link frames of ``first``.
 
     A link frame may have any position along a hinge axis, and any orientation, without changing the
     robot. The alignment uses a hundredth of the tolerances: with the full tolerances, it could
@@ -85,16 +85,10 @@ def _align_by_cost(
     *,
     as_the_first: bool,
 ) -> Alignment:
-    """Transform link frames to the frames of another tree, minimising the deviation of each joint.
+    """Transform the frames of the joints ``names`` to frames near ``first``, joint by joint.
 
-    Args:
-        second: Tree whose frames are transformed.
-        first: Tree with the target frames.
-        tolerances: Tolerances of the comparison.
-        fixed: Slides whose origin must not be moved.
-        names: Joints whose frames are transformed.
-        as_the_first: If True, frames are rotated to their orientation in ``first`` at zero angles,
-            even if this increases the deviation.
+    The origins of slides in ``fixed`` are not moved. With ``as_the_first``, frames get their
+    orientation in ``first`` at zero angles, even if this increases the deviation.
     """
     result, moved = second, {}
     for name in names:
@@ -245,10 +239,7 @@ def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str)
 def _matching_points(
     first: MultibodyTree, second: MultibodyTree, name: str
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield the corresponding points of a body in two trees: CoM, child joints, frames.
-
-    Points have shape (3,) [m], each expressed in the body frame of its tree.
-    """
+    """Yield points (3,) [m] of a body in both trees, in its body frames: CoM, joints, frames."""
     yield first.bodies[name].com, second.bodies[name].com
     for child in first.children(name):
         if second.joints[child].parent == name:

@@ -38,9 +38,9 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Lower bound of the decrease of the total deviation [bits, see `measure_deviation_bits`] with
-which a displacement of the base frame that explains the whole deviation is accepted. The size of
-the displacement counts as deviation. Chosen, not tuned."""
+"""Decrease of the total deviation [bits, see `measure_deviation_bits`] that is sufficient to accept
+a displacement of the base frame that explains the whole deviation. The size of the displacement
+counts as deviation. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the
@@ -130,8 +130,8 @@ def _find_zero_offset(
 ) -> float:
     """Return the offset of a joint's zero: q in ``first`` minus q in ``second`` [rad, m].
 
-    The result is 0 if the offset is within the tolerance, or not confirmed by the joint's axis,
-    frame and limits.
+    The result is 0 if the offset is within the tolerance, or if the joint's axis, frame or limits
+    contradict it.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     axis_angle = angle_between(first_joint.axis, second_joint.axis)
@@ -241,10 +241,9 @@ def _find_pose_of_joints(
 ) -> pin.SE3 | None:
     """Fit the pose between the base frames of two trees with which all joints on the base agree.
 
-    Only positions and axes of the joints are compared, because masses and inertias of the bodies
-    may differ with any base frame. The pose is fitted by least squares to the joint positions and
-    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922). None if no such pose is found, or
-    the base frames are equal.
+    Masses and inertias are not compared, because they may differ with any base frame. The pose is
+    fitted by least squares to the joint positions and to points on the axes (Kabsch, Acta Cryst.
+    A32 (1976) 922). None if no such pose is found, or the base frames are equal.
     """
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
@@ -321,11 +320,7 @@ def _is_axis_permutation(rotation: Array) -> bool:
 
 
 def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
-    """Yield candidate poses of the first tree's base frame in the second tree's base frame.
-
-    Candidates give a joint on the base the same placement in both trees, or are rotated by quarter
-    turns.
-    """
+    """Yield candidate poses of the first base frame in the second, from joints or quarter turns."""
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:
         first_joint, second_joint = first.joints[name], second.joints[name]

@@ -162,10 +162,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link as a removable part; None if the other file has joints of it.
-
-    ``extra`` contains the joints that the other file lacks.
-    """
+    """Return the subtree of a link as a removable part; None if a joint is not in ``extra``."""
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
     if any(joint not in extra for joint in joints):
@@ -416,10 +413,7 @@ class _PreparedTrees(NamedTuple):
     def list_unmatched_joints(
         self, pairs: Mapping[str, str]
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the joints that only the URDF contains, and joints that only the MJCF contains.
-
-        ``pairs`` is {joint in the URDF: joint in the MJCF}.
-        """
+        """Return the joints that only the URDF contains, and those of the MJCF, by ``pairs``."""
         partners = set(pairs.values())
         return (
             (*self.fixed_urdf_joints, *(name for name in self.urdf_joints if name not in pairs)),
@@ -428,10 +422,7 @@ class _PreparedTrees(NamedTuple):
 
 
 def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _PreparedTrees:
-    """Copy both files, reduced to the robot with its hinges and slides.
-
-    ``with_shapes`` keeps the shapes of the URDF.
-    """
+    """Copy both files, reduced to the robot with its hinges and slides."""
     root = copy.deepcopy(urdf.root) if with_shapes else without_shapes(urdf.root)
     urdf_joint_names, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
     naming_notes = name_elements(spec, urdf_joint_names)
@@ -527,17 +518,7 @@ def _check_mapping(
     urdf: tuple[Sequence[str], etree._Element, Path],
     mjcf: tuple[Sequence[str], mujoco.MjSpec, Path],
 ) -> None:
-    """Raise an error if a requested mapping has unknown names, or maps two names to the same name.
-
-    Args:
-        wanted: {name in the URDF: name in the MJCF}.
-        urdf: Joints, root element and file of the URDF.
-        mjcf: Joints, spec and file of the MJCF.
-
-    Raises:
-        UnknownNameError: If the URDF or the MJCF has no joint or frame with a name.
-        ModelError: If two names are mapped to the same name.
-    """
+    """Raise an error if ``wanted`` {URDF name: MJCF name} has unknown or repeated names."""
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
     links = UrdfTree(root).links
     frame_names = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
@@ -855,10 +836,7 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise a ModelError if fixed joints may block closed loops or couplings of an MJCF.
-
-    For example, a fixed rod would block the ankle that the rod drives.
-    """
+    """Raise a ModelError if fixed joints may block closed loops or couplings of an MJCF."""
     for equality in spec.equalities if fixed_joints else ():
         names = {equality.name1, equality.name2} - {""}
         is_coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT and not names.isdisjoint(fixed_joints)

@@ -142,10 +142,7 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Return {words without common prefix and suffix: name}, for names with unique words.
-
-    ``every`` contains all names of the file, which determine prefix and suffix.
-    """
+    """Return {words without prefix and suffix common in ``every``: name}, for unique words."""
     words = {name: _split_words(name) for name in every}
     affixes = [
         _find_common_prefix(list(words.values())),

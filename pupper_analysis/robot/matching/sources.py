@@ -43,7 +43,7 @@ _MJCF_SECTIONS: Final = {
     "motor": "actuator",
     "equality": "equality",
 }
-"""{kind of difference: section of an MJCF}, for elements without a place in a URDF."""
+"""{kind of difference: section of an MJCF}. For these kinds, `UrdfSources` returns no line."""
 
 _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "fluid": ("density", "viscosity"),

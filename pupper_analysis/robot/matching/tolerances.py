@@ -80,7 +80,7 @@ class Tolerances:
 
         Raises:
             ConfigurationError: If a kind is unknown (the message lists the valid kinds), or a value
-                is not positive.
+                is no positive number.
         """
         valid = [kind.name for kind in fields(self)]
         for kind in changes:

@@ -97,7 +97,7 @@ def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
 
 
 def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
-    """Return the joint positions and axes of a tree at zero joint positions, in the base frame.
+    """Return the joint positions and axes at zero joint positions, in the frame of the tree.
 
     Returns:
         {joint: (position (3,) [m], unit axis (3,))}.
