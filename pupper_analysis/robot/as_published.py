@@ -189,7 +189,7 @@ class OwnRun(BodyMotion):
         commands: Commands of the actuators.
         limp: Whether more than half of the joints have no actuator that can hold a position: for
             example a torque motor, or no actuator. Unless the simulation starts at a given posture,
-            False if the keyframe's ctrl contains joint angles instead of torques.
+            False without a keyframe, or if its ctrl contains joint angles instead of torques.
         worst: Joint with the largest displacement; None if the simulation diverged.
         unheld: Joint with the largest displacement among the joints that a servo should hold, but
             does not; coupled and passive joints are not considered. None if no such displacement

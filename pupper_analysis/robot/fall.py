@@ -24,7 +24,7 @@ from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bod
 
 FALLEN_TILT = 0.5
 """Tilt of the base, relative to its initial or requested orientation [rad], above which a robot has
-fallen over. Chosen, not tuned."""
+fallen over, or a keyframe counts as tilted. Chosen, not tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
 """Largest accepted change of the CoM height, upward or downward, relative to the initial height

@@ -349,9 +349,9 @@ refused. Chosen: far above the gains of real machines, but small enough that sim
 overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""Smallest kp [N m/rad, N/m] of a motor that a user may request; smaller values are refused.
-Commands contain the quotient torque / kp, which would overflow for much smaller values. Chosen, not
-tuned."""
+"""Smallest kp [N m/rad, N/m] of a motor that a user may request, or that a search tries; smaller
+requests are refused. Commands contain the quotient torque / kp, which would overflow for much
+smaller values. Chosen, not tuned."""
 
 
 def resolve_servo_gains(

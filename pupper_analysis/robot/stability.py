@@ -156,7 +156,8 @@ in 1.9 hours. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
-``DIFFERENCE_STEP``."""
+``DIFFERENCE_STEP``. A decaying mode counts as oscillation only if angle and magnitude of its
+eigenvalue exceed this value."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
@@ -264,9 +265,9 @@ class Stability(Result):
         timestep: Time step (s).
         radius: Largest absolute eigenvalue of a step, with dry friction.
         unstable: Modes that grow, fastest first. A mode that grows only without dry friction is
-            included if it oscillates, or grows within 12 s (``HOLD_DURATION``). In a result of
-            ``confirm_growth``, a simulation has confirmed the modes that leave the state within 12
-            s.
+            included if it oscillates, or grows within 12 s (``HOLD_DURATION``). For a state at
+            rest, ``confirm_growth`` replaces the modes that grow within 12 s by modes that a
+            simulation has confirmed.
         least_damped: Oscillation with the smallest damping ratio among the oscillations that do not
             grow, with or without dry friction; None if there is none.
         speed: Largest absolute element of qvel at the evaluated state (m/s or rad/s). If the state

@@ -486,8 +486,8 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 
 MIN_FACTOR = 10.0
-"""Ratio of two numbers (MJCF / URDF) [1], above which a message states a factor ("20 times")
-instead of a percentage. Chosen, not tuned."""
+"""Ratio of two numbers, such as MJCF / URDF, or relative effect [1], above which a message states a
+factor ("20 times") instead of a percentage. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
