@@ -20,8 +20,8 @@ from pupper_analysis.robot.robot import Robot
 _SIMILARITY_TOLERANCE = 0.05
 """Tolerance [1] with which two limbs count as similar (`Limb.is_similar_to`). The tolerance applies
 to three quantities: masses, relative to the larger mass; distances between joints, relative to the
-length of the limb; and |cos| between axes. Left and right limbs of published robots agree within 1
-%. Chosen, not tuned."""
+length of the limb; and |cos| between axes. Left and right limbs of published robots usually agree
+within 1 %. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,9 +37,10 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 
 
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
-    """Make a level floor the only level plane of the world body with contact bits, in place.
+    """Move the contact bits of the other level planes of the world body to a level floor, in place.
 
-    The contact bits of the other level planes, at any height, are added to the bits of the floor.
+    The planes may have any height. Planes in a ``<frame>``, or without a quaternion, are not
+    changed.
 
     Args:
         spec: MJCF to modify.

@@ -318,7 +318,7 @@ class Contact:
                 slope [rad], or the ``parameter`` of another plane [m].
 
         Raises:
-            ConfigurationError: If the numbers are not valid, for example a slope angle above pi.
+            ConfigurationError: If a number is not valid, for example a slope angle above pi.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
