@@ -392,7 +392,7 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 
 
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Return ``base``, or its ancestor with the name of the URDF's root link, perhaps extended."""
+    """Return ``base``, or its ancestor whose name contains the name of the URDF's root link."""
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
     while body != 0:

@@ -365,7 +365,7 @@ class Closure:
         return diagnose("joints-follow", following=following, leading=leading)
 
     def _evaluate_constraints(self, qpos: Array) -> mujoco.MjData:
-        """Return the thread's MuJoCo data with constraint rows at qpos, until the next call."""
+        """Return MuJoCo data (per thread, until the next call) with constraint rows at qpos."""
         thread_data, model = self._thread_data, self._model
         if not hasattr(thread_data, "data"):
             thread_data.data, thread_data.at = mujoco.MjData(model), np.full(len(qpos), np.nan)

@@ -133,7 +133,7 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
 
 
 def _is_level(plane: mujoco.MjsGeom) -> bool:
-    """Return True if a plane of the world body, outside of ``<frame>``, is horizontal."""
+    """Return True if a world plane, with quaternion and without frame, is horizontal."""
     return bool(
         plane.parent.name == "world"
         and plane.frame is None
@@ -143,7 +143,7 @@ def _is_level(plane: mujoco.MjsGeom) -> bool:
 
 
 def _is_level_at_zero(plane: mujoco.MjsGeom) -> bool:
-    """Return True if a plane of the world body, outside of ``<frame>``, is horizontal at z = 0."""
+    """Return True if a plane of the world body is horizontal (`_is_level`) at z = 0."""
     return _is_level(plane) and abs(plane.pos[2]) < _LEVEL_ATOL
 
 

@@ -118,7 +118,7 @@ and couplings. Users enter positions with up to six decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the coupled joints that move no foot, if ``placed`` positions and closes all loops."""
+    """Return the coupled joints that move no foot, if ``placed`` has all and closes the loops."""
     closure = robot.closure
     assert closure is not None
     indices = sorted({*closure.dependent_joints.tolist(), *closure.driving_joints.tolist()})

@@ -110,7 +110,7 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Linearise a MuJoCo step by central differences of complete steps, for RK4, in ``matrix``."""
+    """Linearise a MuJoCo step (RK4) by central differences of complete steps; fill ``matrix``."""
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
@@ -296,7 +296,7 @@ class Stability(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether no mode grows at the evaluated state."""
+        """Whether ``unstable`` is empty: no mode counts as growing at the evaluated state."""
         return not self.unstable
 
     @property
@@ -541,7 +541,7 @@ class _Modes:
         )
 
     def _damping_ratio(self, mode: int) -> float:
-        """Return the damping ratio -Re(s) / abs(s), s = ln(eigenvalue), of a mode index."""
+        """Return the damping ratio -Re(s) / abs(s) of a mode index, with s = ln(eigenvalue)."""
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
 
@@ -580,7 +580,7 @@ class _Modes:
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
     """Select the joints that move most, for a message; the largest motion comes first.
 
-    Joints that move much less than the first are omitted.
+    At most four joints are selected. Joints that move much less than the first are omitted.
 
     Args:
         shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]. Only the ratios

@@ -62,7 +62,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add inactive welds, ``connect`` for grips; exclude contacts of the parts with the world."""
+    """Add inactive welds (``connect`` for grips); exclude contacts of the parts with the world."""
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.fixed_parts.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name

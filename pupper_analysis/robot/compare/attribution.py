@@ -173,7 +173,7 @@ def _compute_residual(
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Express the multibody tree of a robot's MJCF in the link frames of its URDF."""
+    """Align the link frames of the MJCF's multibody tree with the frames of the URDF's tree."""
     urdf, mjcf = kinematic_trees(robot)
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]

@@ -413,7 +413,7 @@ class _PreparedTrees(NamedTuple):
     def list_unmatched_joints(
         self, pairs: Mapping[str, str]
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the joints that only the URDF contains, and those of the MJCF, by ``pairs``."""
+        """Return the joints of URDF and MJCF without partner in ``pairs``, {URDF: MJCF}."""
         partners = set(pairs.values())
         return (
             (*self.fixed_urdf_joints, *(name for name in self.urdf_joints if name not in pairs)),
