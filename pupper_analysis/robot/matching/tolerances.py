@@ -23,7 +23,7 @@ class Tolerances:
     Attributes:
         mass: Mass, relative.
         com: Position of the CoM (m).
-        inertia: Inertia tensor, relative to the largest element.
+        inertia: Inertia tensor, relative to the largest element; also armature, relative.
         position: Position of a joint or frame (m).
         rotation: Angle between the placements of a joint (rad).
         axis: Angle between the axes of a joint (rad).
