@@ -83,7 +83,8 @@ class UrdfSources:
                 name of the joint that moves the body, or of the base.
 
         Returns:
-            The location; without line if unknown.
+            The location of the value; if no value is stated, of the innermost existing element
+            (such as the joint). Without line if unknown.
         """
         child, file = _URDF_CHILD_PATHS.get(kind), self.file
         if kind in _MJCF_SECTIONS or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
@@ -117,6 +118,8 @@ class UrdfSources:
 
     def locate_inertial(self, kind: str, name: str) -> Place:
         """Return the file and line in the URDF at which mass, CoM or inertia of a link is stated.
+
+        If no value is stated, the result is the location of ``<inertial>`` or of the link.
 
         Args:
             kind: ``"mass"``, ``"com"`` or ``"inertia"``.
@@ -156,7 +159,8 @@ class MjcfSources:
                 name of the joint that moves the body, or of the base.
 
         Returns:
-            The location; without line if unknown.
+            The location of the value, or of its element if no value is stated; without line if
+            unknown.
         """
         file, body = self.file, self.bodies.get(element, "")
         if kind in _MJCF_SECTIONS:
@@ -205,7 +209,7 @@ class MjcfSources:
         return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
     def locate_inertial(self, kind: str, name: str) -> Place:
-        """Return the file and line of a body's ``<inertial>`` in the MJCF.
+        """Return the file and line of a body's ``<inertial>`` in the MJCF; without it, of the body.
 
         Args:
             kind: Ignored, because ``<inertial>`` states mass, CoM and inertia.
