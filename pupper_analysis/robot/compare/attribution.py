@@ -149,15 +149,11 @@ def _compute_residual(
 ) -> dict[str, float]:
     """Compute the residual: {quantity: relative deviation that no found difference explains}.
 
-    The rounding error of accelerations grows with the condition number of the mass matrix (1e8 for
-    a link of 1e-6 kg at the end of an arm). Therefore the deviation of the forces M (a1 - a2)
-    replaces a larger deviation of the accelerations, if it is a rounding error (backward error of
-    the linear solver).
-
-    Args:
-        relative_error: Scales of the quantities.
-        patched: Quantities of the URDF with all found values of the MJCF.
-        reduced: Quantities of the MJCF without the elements that a URDF cannot specify.
+    ``patched`` are quantities of the URDF with all found values of the MJCF, ``reduced`` of the
+    MJCF without the elements that a URDF cannot specify. The rounding error of accelerations grows
+    with the condition number of the mass matrix (1e8 for a link of 1e-6 kg at the end of an arm).
+    Therefore the deviation of the forces M (a1 - a2) replaces a larger deviation of the
+    accelerations, if it is a rounding error (backward error of the linear solver).
     """
     residual = {
         name: relative_error.relative_deviation(name, patched[name], reduced[name])

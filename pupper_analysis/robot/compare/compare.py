@@ -165,8 +165,7 @@ def _collect_limb_shapes(
     """Return the collision shapes of URDF and MJCF that move with a joint, in the world frame.
 
     Shapes of the MJCF that cannot touch the world are omitted. None if the shapes cannot be
-    compared, for example because the extent of a mesh is unknown. ``data`` contains MuJoCo's
-    kinematics.
+    compared, for example because the extent of a mesh is unknown.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base

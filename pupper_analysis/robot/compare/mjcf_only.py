@@ -221,14 +221,9 @@ def _make_effect(
 ) -> MjcfOnlyEffect:
     """Create the record of an element that only the MJCF has, with the entries that disable it.
 
-    Args:
-        kind: Kind of the difference, an entry of ``KIND_ORDER``.
-        subject: Element of the message: (type, name).
-        prefix: Prefix of the arrays of ``mjModel``, for example ``jnt``.
-        index: Row or rows of the element in the arrays.
-        numbers: {array without prefix: value} of the entries that are set to zero to disable the
-            element, except ``frictionloss``.
-        beside: {attribute: value} of further values for the message.
+    ``prefix`` and the keys of ``numbers`` name arrays of ``mjModel``. Their rows ``index`` are set
+    to zero to disable the element, except ``frictionloss``. ``beside`` contains further values for
+    the message.
     """
     value = {**numbers, **(beside or {})}
     stated = [

@@ -108,8 +108,8 @@ def _is_base_frame_confirmed(
 ) -> bool:
     """Return True if a displaced base frame cannot be confused with a displaced joint zero.
 
-    If a single joint is on the base, both have the same effect. The masses of the base, or the
-    limits of the joint, may then confirm the base frame.
+    Reason: with a single joint on the base, both have the same effect, unless the masses of the
+    base or the limits of the joint confirm the base frame.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]

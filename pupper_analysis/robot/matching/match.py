@@ -544,8 +544,7 @@ def _unify_joints(
 ) -> Mimics:
     """Fix the joints that one file lacks, and give URDF joints the names of the MJCF, in place.
 
-    The mimic couplings are removed from the URDF. Returns the couplings of matched joints, with the
-    new names. ``pairs`` is {joint in the URDF: joint in the MJCF}.
+    The mimic couplings are removed from the URDF; the couplings of matched joints are returned.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
