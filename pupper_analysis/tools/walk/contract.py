@@ -201,7 +201,7 @@ class PolicyContract:
 
     @property
     def max_history(self) -> int:
-        """Largest number of time steps of which an observation contains the same term."""
+        """Largest number of frames (time steps) of a term in an observation."""
         return max(map(self.count_frames, self.terms))
 
     @property
@@ -472,7 +472,10 @@ def _merge_statements(
 def _require_vector(
     merged: _MergedValues, key: str, default: float | None, size: int | None = None
 ) -> Array:
-    """Return the vector of a contract key (`_MergedValues.vector`); refuse a missing key."""
+    """Return the vector of a contract key (`_MergedValues.vector`).
+
+    A missing key without ``default`` is refused.
+    """
     vector = merged.vector(key, default, size)
     if vector is None:
         raise merged.make_error(key, diagnose("contract-lacks", key=key))
@@ -627,8 +630,8 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
     Args:
         deployment: Gains, joint order, observation and settings that the files of a deployment
             state.
-        inputs: Number of inputs of the network. If the files state no observation, `inputs` selects
-            one of `KNOWN_LAYOUTS`.
+        inputs: Number of inputs of the network. If the files state no observation, `inputs` may
+            select one of `KNOWN_LAYOUTS`.
         outputs: Number of outputs of the network.
 
     Returns:
@@ -756,7 +759,8 @@ def _put_known_layout(
 ) -> None:
     """Infer the observation from the network's number of ``inputs``: a known layout of this size.
 
-    ``put`` is the function that states a key: value, place and origin.
+    Nothing is inferred if the files state no scale of a term. ``put`` is the function that states a
+    key: value, place and origin.
     """
     scales = {
         term: deployment.facts[f"observation {name}", ""]

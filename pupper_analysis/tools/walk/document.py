@@ -179,7 +179,10 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _describe_largest_torque(walk: Walk) -> doc.Words:
-    """Return the text of the motor with the largest rms torque / torque limit."""
+    """Return the text of the motor with the largest rms torque / torque limit.
+
+    The largest rms torque replaces a limit that is infinite or zero.
+    """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
     limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))
@@ -247,7 +250,10 @@ def _max_over_runs(walk: Walk, name: str) -> Array:
 
 
 def _make_motor_table(walk: Walk) -> doc.Table:
-    """Create the table of motors, with a row per joint and the worst value of all runs."""
+    """Create the table of motors: a row per joint, with the largest values of all runs.
+
+    The static torques are those of the first run.
+    """
     units = find_common_units(walk.torque_units)
     rms, peak, share, speed = (
         _max_over_runs(walk, name)
@@ -798,7 +804,7 @@ def _select_step_after_orders(result: Orders) -> doc.NextStep:
 
 
 def _describe_change(candidate: Candidate) -> doc.Words:
-    """Describe how a tested order, sign or scale of the policy differs from the stated contract."""
+    """Describe how a tested interpretation of the policy differs from the stated contract."""
     if candidate.change == "stated":
         return text("walk-change-stated")
     if candidate.change == "sign":

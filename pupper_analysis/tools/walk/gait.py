@@ -52,8 +52,9 @@ second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
 """Relative and absolute [m/s] tolerance of the error of the mean horizontal velocity. A run tracks
-the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`, and half of v if v is
-not 0 (`MIN_FOLLOWED_FRACTION`). Chosen: Pupper's public policy reaches 0.93 of the command.
+the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL` and, if v is not 0, at
+most v / 2 (`MIN_FOLLOWED_FRACTION`). The cost of transport is not computed for a mean speed of up
+to `SPEED_ATOL`. Chosen: Pupper's public policy reaches 0.93 of the command.
 """
 
 TURN_ATOL = 0.1
@@ -62,9 +63,9 @@ Chosen, not tuned.
 """
 
 MIN_FOLLOWED_FRACTION = 0.5
-"""Smallest fraction of a nonzero command (speed or turning rate) that a run must reach to track the
-command. This bound is needed for slow commands: at 0.13 m/s the tolerances (`SPEED_RTOL`,
-`SPEED_ATOL`) are most of the command. Chosen, not tuned.
+"""Fraction of a nonzero command (speed or turning rate) that a run must reach to track the command:
+the error is at most (1 - fraction) x command. This bound is needed for slow commands: at 0.13 m/s
+the tolerances (`SPEED_RTOL`, `SPEED_ATOL`) are most of the command. Chosen, not tuned.
 """
 
 LIMIT_FRACTION = 0.99
@@ -86,7 +87,8 @@ is probably wrong. Chosen, not tuned.
 """
 
 _MOTION_PERIOD = 1 / 25
-"""Time between the recorded configurations of a run [s], for the animation. Chosen, not tuned."""
+"""Approximate time between the recorded configurations of a run [s], for the animation. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +123,7 @@ class Gait(Result):
             run has a single state.
         transport: Cost of transport: power / (weight x speed); None up to 0.05 m/s.
         duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
-        touching: Bodies other than feet that touched the ground in a sample.
+        touching: Bodies that touched the ground in a sample, with a geom of no foot.
         static: Root mean square of the torque with which each motor would hold the sampled poses
             without motion, shape (nu,). None if the seed is not 0, or without samples.
         roll: Standard deviation of the base roll.
@@ -245,7 +247,7 @@ class Walk(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether all runs track the command, and no file or motor contradicts the result.
+        """Whether all runs track the command, with known masses and sufficient motors.
 
         The files must state valid masses of all links, and the assigned motors must be able to
         exert the torques at the joint speeds (``within_region``).
@@ -269,8 +271,8 @@ def check_command(command: ArrayLike) -> Array:
     """Check a velocity command, and return an array of shape (3,) [m/s, m/s, rad/s].
 
     Raises:
-        ConfigurationError: If the command is not three finite numbers with magnitudes of at most
-            100.
+        ConfigurationError: If the command cannot be converted to three finite numbers with
+            magnitudes of at most 100.
     """
     try:
         checked = np.array(command, dtype=np.float64)
@@ -335,8 +337,8 @@ def simulate_walk(
 ) -> Walk:
     """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
-    The simulated model is the MJCF of the robot. If the policy states gains, the servos get the
-    gains of the policy. The torque limits are kept, unless the contract of the policy states
+    The robot's MuJoCo model is simulated. If the policy states gains, the servos get the gains of
+    the policy. The torque limits are kept, unless the contract of the policy states
     limits. The robot starts in the default pose of the policy, with the lowest foot on the ground.
     The command is constant from the start.
 
@@ -447,8 +449,9 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
     """Decide whether a run tracks the velocity command, from the motion after the warm-up [s].
 
     The run tracks if the robot does not fall, and the errors of the mean velocity and of the mean
-    turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`). A run without
-    two finite states after the warm-up counts as a fall.
+    turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`,
+    `MIN_FOLLOWED_FRACTION`). A run with fewer than two states after the warm-up, or with a state
+    that is not finite, counts as a fall.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -626,13 +629,13 @@ class GroundSupport(NamedTuple):
 def sample_ground_support(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
 ) -> tuple[list[GroundSupport], tuple[str, ...]]:
-    """Find the feet on the ground for each state, and other bodies that touch the ground.
+    """Find the feet on the ground for each state, and bodies that touch the ground otherwise.
 
     The states have the shape (n, size). Static torques are zero without ``statics``.
 
     Returns:
-        A sample per state, and the names of bodies other than feet that touch the ground in any
-        state.
+        A sample per state, and the names of bodies that touch the ground in any state with a geom
+        of no foot.
     """
     robot, data = stage.robot, mujoco.MjData(model)
     samples, other_bodies = [], set()
@@ -678,9 +681,10 @@ def _compute_static_torques(
 ) -> Array:
     """Return the motor torques of a static pose, shape (nu,) [N m, N for slides].
 
-    The contact forces are vertical and carry the weight. Their fractions n at the ``points`` p,
-    shape (m, 3) [m], minimise |sum n p - c|^2 with sum n = 1 and n >= 0 (least squares), where c is
-    the horizontal position of the CoM. ``bodies``, shape (m,), are the bodies of the points.
+    Vertical contact forces at the ``points`` p, shape (m, 3) [m], carry the weight; without points
+    there are no contact forces. The fractions n of the weight approximately minimise
+    |sum n p - c|^2 with sum n = 1 and n >= 0 (least squares), where c is the horizontal position of
+    the CoM. ``bodies``, shape (m,), are the bodies of the points.
     """
     from scipy.optimize import nnls  # takes a quarter of a second
 

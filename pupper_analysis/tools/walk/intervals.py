@@ -545,7 +545,8 @@ def read_measured_intervals(
       joints.
     - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
 
-    Other parameters, and intervals that are not finite, are ignored.
+    Other parameters, intervals that are not finite, and factors on a stated value that is not
+    positive are ignored.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

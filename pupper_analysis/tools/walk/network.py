@@ -22,8 +22,8 @@ Operation = Callable[..., Any]
 """Function of arrays that returns an array, or a tuple of arrays."""
 
 MAX_WEIGHTS = 50_000_000
-"""Maximum number of weights of a network; files with larger networks are refused. Chosen: networks
-that walk on the computer of a robot have about 1e6.
+"""Maximum number of weights of a network, and of elements of an observation or state; files with
+larger networks are refused. Chosen: networks that walk on the computer of a robot have about 1e6.
 """
 
 MAX_VALUE_SIZE = 1_000_000

@@ -275,7 +275,7 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
     """Create the ONNX operation Reshape, for arrays whose first axis is the axis of the runs.
 
     A stated shape of three axes (any, c, n), without 0 for c and n, becomes (runs, c, n). Any other
-    shape becomes (runs, 1, elements).
+    shape becomes (runs, 1, elements). An array with fewer than three axes is returned unchanged.
     """
 
     def apply(value: Array, sizes: Array | None = None) -> Array:
@@ -368,8 +368,8 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
 """ONNX operators that are evaluated as identity. For a single observation, these operators change
-neither the numbers nor the order of the numbers, except a Cast to a type that rounds. Only the
-first input is used.
+neither the numbers nor the order of the numbers, except some Casts, for example to integers. Only
+the first input is used.
 """
 
 OPERATION_MAKERS: dict[str, Make] = {

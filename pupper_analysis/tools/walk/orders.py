@@ -164,8 +164,7 @@ def rank_orders(
     - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
     - With a history of several steps: the reversed history, and a history ordered by term instead
-    of by
-      time step, or the reverse, if possible.
+      of by time step, or the reverse, if possible.
 
     Args:
         robot: Robot.

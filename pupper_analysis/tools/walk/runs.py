@@ -151,8 +151,8 @@ class Stage:
 def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     """Prepare the simulation of a policy on a robot: model, servo gains, start pose.
 
-    The model is the robot's MJCF on the ground, with the servo gains of the policy. If the policy
-    states no gains, the gains of the robot's files are used.
+    The model is the robot's MuJoCo model, with the servo gains of the policy. If the policy states
+    no gains, the gains of the robot's files are used.
 
     Raises:
         ConfigurationError: If the base is fixed or the robot has no feet, for example.
@@ -353,7 +353,7 @@ class Lockstep:
 
         Returns:
             Full physics states of MuJoCo, shape (n, substeps, size); applied controls, shape
-            (n, substeps, nu); True for each active run that diverged, shape (n,).
+            (n, substeps, model.nu); True for each active run that diverged, shape (n,).
         """
         stage, active = self._stage, self.active
         observations = self._observer.observe(self.current, active, self.tick)

@@ -43,9 +43,9 @@ MAX_DELAY_SAMPLES = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
-"""Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
-the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about the
-mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
+"""Relative and absolute tolerance of a column of a signal; the absolute tolerance is in the unit of
+the signal. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about
+the mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
 effect of a wrong sign, scale, order or delay.
 """
 
@@ -581,7 +581,7 @@ def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tup
 
 
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
-    """Return the elements with a nonzero mean difference seen - expected, as text (six at most)."""
+    """Return elements whose mean seen - expected exceeds `MATCH_ATOL`, as text (six at most)."""
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
     return ", ".join(f"{names[index]} {offsets[index]:+.4g}" for index in changed[:6])
@@ -636,7 +636,7 @@ def record_trace(
 
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
-            than once per time step.
+            than once per time step, for example.
         ModelError: If the policy does not fit the robot (`prepare_stage`).
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
