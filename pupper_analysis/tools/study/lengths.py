@@ -345,7 +345,7 @@ def _stretch_geom(
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Scale the mesh assets of an MJCF in place; add assets if a mesh has several stretches.
+    """Scale the mesh assets of an MJCF in place; add assets if geoms of a mesh differ in stretch.
 
     ``meshes`` is {mesh name: [(geom, stretch factors along the mesh axes, shape (3,))]}.
     """
@@ -368,7 +368,7 @@ def _stretch_meshes(
 
 
 def _keep_ground_clearance(robot: Robot, spec: mujoco.MjSpec) -> float:
-    """Raise the base of a stretched robot in ``spec``, in all poses, to keep the ground clearance.
+    """Change the base heights of a stretched robot in ``spec``, to keep the ground clearance.
 
     Returns:
         New base height of the nominal stand [m].

@@ -225,8 +225,9 @@ def text_key(metric: str) -> str:
 def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward, else raise an error.
 
-    No deviation may grow within 12 s. If `Design.own_servos` is True, the simulation of the
-    unmodified MJCF from the keyframe must not fail either.
+    No deviation may grow within 12 s. If simulations refuted a growing mode, the verdict must pass.
+    If `Design.own_servos` is True, the simulation of the unmodified MJCF from the keyframe must not
+    fail either.
     """
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:

@@ -449,8 +449,8 @@ def _assign_cells(values: Array) -> Array:
 def find_column_unit(column: str, robot: Robot) -> str:
     """Return the unit of a column of a study's table (metric or variable), for reports.
 
-    The result is empty for ratios and factors. The unit of torques and stiffnesses depends on the
-    type of the joints.
+    The result is empty for ratios, factors and functions of the user. The unit of torques and
+    stiffnesses depends on the type of the joints.
     """
     joint = column.partition(".")[2]
     joints = (joint,) if joint in robot.joint_names else robot.joint_names

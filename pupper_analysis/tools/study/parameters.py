@@ -78,7 +78,8 @@ numbers of the files.
 BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
 SERVO_KINDS = ("kp", "kd")
-"""Kinds of variables ``KIND:PATTERN`` that are factors on servo gains."""
+"""Kinds of variables ``KIND:PATTERN`` that are factors on servo gains. Without a pattern, the
+values are the gains of all servos."""
 
 
 @dataclass(frozen=True)

@@ -556,8 +556,8 @@ class StudyRun:
     ) -> Iterator[tuple[list[str], Array]]:
         """Yield the designs of each block without a stored result: hashes and variable values.
 
-        The designs are sorted, so that neighbours share a robot. Variable values have the shape (n,
-        variables).
+        The designs are sorted, so that neighbours can share a robot. Variable values have the shape
+        (n, variables).
         """
         stored_keys = self.store.designs()
         for names, numbers in blocks:
@@ -648,7 +648,10 @@ class StudyRun:
         self._store_rows(outcome.rows)
 
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
-        """Restart the workers; each unfinished design will be evaluated again, separately."""
+        """Restart the workers, or raise a StudyError for an executor of the caller.
+
+        Each unfinished design will be evaluated again, separately.
+        """
         for chunk, _ in self._in_flight.values():
             self._suspects.extend(_split_singly(chunk))
         self._in_flight.clear()

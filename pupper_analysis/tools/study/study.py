@@ -393,7 +393,8 @@ class Study:
         """Read a study from a TOML file.
 
         Relative paths of robot files, motor files and files of metrics are relative to the folder
-        of the study file. Other names of robots and motors, without a file there, are unchanged.
+        of the study file. Other names of robots and motors, without a file there, are usually
+        unchanged.
 
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.

@@ -341,9 +341,10 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
         return existing_file(source_folder / folder / name)
 
     def register_file(name: str, folder: str) -> str:
-        """Choose the output path of a referenced file, and return the file's present absolute path.
+        """Choose the output path of a referenced file; return the present absolute path.
 
-        The output path later replaces the absolute path in the rendered XML.
+        The output path later replaces the absolute path in the rendered XML. A missing file keeps
+        its name.
         """
         file = find_file(name, folder)
         if file is None:
