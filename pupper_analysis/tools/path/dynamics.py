@@ -291,7 +291,8 @@ def remaining_moment_fraction(
         normal: Shape (3,); unit vector out of the ground.
 
     Returns:
-        Largest factor from 0 to 1 on ``moment`` that satisfies the inequality.
+        Largest factor from 0 to 1 on a nonzero ``moment`` that satisfies the inequality; 0 if
+        ``force`` alone violates it.
     """
     slide, _, spin, roll, _ = robot.contacts[foot].friction
     pressing, spinning = float(force @ normal), float(moment @ normal)

@@ -46,8 +46,8 @@ from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
 """Fraction [1] of the load on the solution with the remaining feet alone, while another foot is
-being unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point
-would be close to the edge of the support polygon. Chosen, not tuned.
+being unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point may
+be close to the edge of the support polygon. Chosen, not tuned.
 """
 
 
