@@ -400,10 +400,10 @@ class PushBench:
         """Return True if the base of a slow robot is expected to move little until the end.
 
         The predicted motion is ``_SPEED_FACTOR`` v min(T, 1 / d), with the speed v, the relative
-        rate d at which v decreases, and the remaining time T. Growing modes are tested, since a
-        robot almost stops near a saddle point before the fall. Measured on v3-long-leg: 0.1 mm/s
-        after 14 s, and on the shanks after 35 s. ``states`` (n, size) are the last states, for at
-        least ``_REST_DURATION``.
+        rate d at which v decreases, and the remaining time T (at least `HOLD_DURATION`). Growing
+        modes are tested, since a robot almost stops near a saddle point before the fall. Measured
+        on v3-long-leg: 0.1 mm/s after 14 s, and on the shanks after 35 s. ``states`` (n, size) are
+        the last states, for at least ``_REST_DURATION``.
         """
         most = _MAX_REMAINING_RATIO * self.upright.com_height / _SPEED_FACTOR
         left = self.longest_duration - float(states[-1, 0])
