@@ -495,7 +495,7 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Return the common factor second / first of pairs of proportional arrays, or None.
+    """Return the common factor second / first of two or more pairs of proportional arrays, or None.
 
     Tolerance 0.1 %. Arrays of zeros are ignored; a factor of about 1 does not count.
     """
@@ -800,7 +800,8 @@ _MAX_SUBSET_LINKS = 12
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
 undone. Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's
-mass. A wrong subset of links leaves about as much as the subset removes.
+mass. A wrong subset of links leaves about as much as the subset removes. Subsets of links are
+tested if the mass fits within 1.5 times this fraction (`_list_subsets`).
 """
 
 
@@ -1110,7 +1111,7 @@ as long as a comparison."""
 
 
 def find_moved_axes(case: PatternCase) -> PatternFindings:
-    """Find joints whose axis has another position or direction in the MJCF.
+    """Find joints whose axis has another position, and maybe another direction, in the MJCF.
 
     Such a mistake also changes CoM, children and frames, since these are expressed in the frame of
     the joint.

@@ -223,7 +223,10 @@ def list_mass_shares(
 
 
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """List deviations above `ENGINE_RTOL` between two engines that evaluate the same model."""
+    """List deviations above `ENGINE_RTOL` between two engines that evaluate the same model.
+
+    Deviations of the MJCF are omitted if the list of differences is incomplete.
+    """
     return tuple(
         diagnose(
             "engines-deviate",
@@ -837,7 +840,7 @@ def _evaluate_all(
 
 
 _ROOT_JOINT = "__root__"
-"""Name of the free joint that is added to an imported URDF, as the MJCF has a free joint."""
+"""Name of the free joint that is added to an imported URDF if the MJCF has a free joint."""
 
 
 def import_urdf_to_mujoco(
