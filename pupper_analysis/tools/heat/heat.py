@@ -37,7 +37,7 @@ _MAX_DURATION = 86400.0
 
 _SETTLED_FRACTION = 0.95
 """Fraction [1] of the final temperature rise that determines the end time of the temperature curve
-of a motor that stays below its limit. Chosen, not tuned.
+of a motor that is not known to reach its limit. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
@@ -93,7 +93,7 @@ class MotorHeat(Result):
 
     @property
     def loss(self) -> float | None:
-        """Copper loss [W] at the final temperature; ``cold_loss`` if ``steady_loss`` is not finite.
+        """Copper loss [W]: ``steady_loss``; ``cold_loss`` if the former is None or infinite.
 
         None if the loss is unknown, or if the motor cannot exert the torque.
         """
@@ -267,7 +267,10 @@ def study_heat(
 def _check_conditions(
     ambient: float | None, limit: float | None, battery_energy: float | None
 ) -> None:
-    """Raise a ConfigurationError if a temperature [degC] or the battery [J] is out of range."""
+    """Raise a ConfigurationError if a temperature [degC] or the battery [J] is out of range.
+
+    The limit must be above the ambient temperature.
+    """
     low, high = TEMPERATURE_RANGE
     for name, value in (("ambient", ambient), ("limit", limit)):
         if value is not None and not low <= value <= high:

@@ -39,7 +39,7 @@ def _measure_continuous_utilisation(design: Any) -> float:
 
 
 def _measure_time_until_hot(design: Any) -> float:
-    """Return the time until a winding reaches the limit [s]; infinite if no winding does."""
+    """Return the time until the first winding reaches the limit [s]; infinite if none does."""
     times = [math.inf]
     for heat in design.compute_once(_compute_design_heat).motors:
         if heat.time_to_limit is None and heat.torque:
