@@ -1072,7 +1072,7 @@ another body is suspected. Chosen, not tuned.
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
-    """Find bodies with the inertial of another body: mass, CoM and inertia all differ."""
+    """Find bodies that may have the inertial of another body: mass, CoM and inertia all differ."""
     kinds = ("mass", "com", "inertia")
     foreign = []
     for name, first in case.first.bodies.items():

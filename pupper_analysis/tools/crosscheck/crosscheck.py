@@ -691,7 +691,7 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yield a note if a large robot is compared in MuJoCo only, and possibly at fewer states.
+    """Yield a note for a large robot, which is compared in MuJoCo only, possibly at fewer states.
 
     ``count`` is the requested number of states.
     """

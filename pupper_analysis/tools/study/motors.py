@@ -145,7 +145,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
 
     Raises:
         ModelError: If mass or largest torque of a motor are unknown, or a model cannot be built.
-        ConfigurationError: If a link would have no positive mass or inertia.
+        ConfigurationError: If a link would have no positive mass, or no valid inertia.
     """
     if not motors:
         return robot

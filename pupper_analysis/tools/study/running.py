@@ -268,8 +268,8 @@ scheduler``).
 """
 
 MAX_CHUNK_DESIGNS = 512
-"""Largest number of designs per chunk. If a worker crashes, all unfinished chunks are evaluated
-again; the bound limits this work. Chosen, not tuned.
+"""Largest number of designs per chunk. If a worker crashes, unfinished chunks are evaluated again;
+the bound limits this work. Chosen, not tuned.
 """
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
