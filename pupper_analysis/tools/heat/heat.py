@@ -355,7 +355,7 @@ def _compute_motor_heat(
 def _compute_cold_loss(
     network: ThermalNetwork | None, current: float | None, ohms: float | None
 ) -> float | None:
-    """Return the copper loss at the ambient temperature [W]; see `MotorHeat.cold_loss`."""
+    """Return the copper loss before the motor warms up [W]; see `MotorHeat.cold_loss`."""
     if network is not None:
         return network.compute_loss(network.ambient)
     return None if current is None or ohms is None else current**2 * ohms

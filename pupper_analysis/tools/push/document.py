@@ -104,7 +104,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield a text that compares motor torques with the torque-speed regions of the motors."""
+    """Yield a text that compares torques with torque-speed regions, if motors are assigned."""
     peaks, times = pushed.region_peaks, pushed.beyond_times
     if peaks is None or times is None:
         return

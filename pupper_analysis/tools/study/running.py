@@ -446,7 +446,7 @@ class WorkerPool:
 
     @contextlib.contextmanager
     def _block_interrupts(self) -> Iterator[None]:
-        """Block Ctrl-C in processes started in a context, until `initialise_worker` has run."""
+        """Block Ctrl-C in processes that start in a context, until `initialise_worker` has run."""
         if self._given_executor is not None or not hasattr(signal, "pthread_sigmask"):
             yield
             return

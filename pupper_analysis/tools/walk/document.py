@@ -92,7 +92,7 @@ def _select_next_step(walk: Walk) -> doc.NextStep:
 
 
 def _describe_missing_steps(walk: Walk) -> Iterable[doc.Words]:
-    """Yield a text if no run tracks the command and no foot leaves the ground in any run."""
+    """Yield a text if no run tracks the command and all feet are on the ground in all samples."""
     gaits = walk.gaits
     if not any(gait.tracks or min(gait.duty.values(), default=0.0) < 1 for gait in gaits):
         yield text("walk-without-steps")

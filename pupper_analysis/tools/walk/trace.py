@@ -581,7 +581,7 @@ def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tup
 
 
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
-    """Return elements whose mean seen - expected exceeds `MATCH_ATOL`, as text (six at most)."""
+    """Return elements with |mean(seen - expected)| above `MATCH_ATOL`, as text (six at most)."""
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
     return ", ".join(f"{names[index]} {offsets[index]:+.4g}" for index in changed[:6])
