@@ -70,10 +70,10 @@ millimetres. Chosen, not tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
 """Upper bound of kd x time step / joint inertia [1], from which `_select_timestep` computes the
-time step (at least `MIN_TIMESTEP`), since an implicit integrator adds kd x time step to the inertia
-of a joint. Chosen as the ratio of the Pupper variant ``original`` at `MAX_TIMESTEP`. Measured if A1
-squats to 80 % of its height in 0.4 s: the torque error is 9 % with a ratio of 0.5, and 3 % with
-0.07.
+time step, since an implicit integrator adds kd x time step to the inertia of a joint.
+`MIN_TIMESTEP` has priority. Chosen as the ratio of the Pupper variant ``original`` at
+`MAX_TIMESTEP`. Measured if A1 squats to 80 % of its height in 0.4 s: the torque error is 9 % with a
+ratio of 0.5, and 3 % with 0.07.
 """
 
 MIN_TIMESTEP = 1e-5

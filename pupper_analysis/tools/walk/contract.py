@@ -759,8 +759,8 @@ def _put_known_layout(
 ) -> None:
     """Infer the observation from the network's number of ``inputs``: a known layout of this size.
 
-    Nothing is inferred if the files state no scale of a term. ``put`` is the function that states a
-    key: value, place and origin.
+    Nothing is inferred if the files state no scale of `_SCALES_OF_TERMS`. ``put`` is the function
+    that states a key: value, place and origin.
     """
     scales = {
         term: deployment.facts[f"observation {name}", ""]
