@@ -96,8 +96,8 @@ def convert_model(
     Args:
         source: Path of the URDF or MJCF, name of a published robot, variant, or a robot in memory,
             as for ``load_robot``. Of a variant, the model in the other format than ``output`` is
-            converted. If the source is an MJCF, only ``output``, ``packages`` and ``force`` may be
-            passed in addition.
+            converted. If the source is an MJCF, ``feet``, ``fixed_base``, ``armature``,
+            ``repair_inertia`` and ``copy_meshes`` must not be passed.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
