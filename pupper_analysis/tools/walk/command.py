@@ -271,7 +271,7 @@ def _simulate_checked_walk(
 def _parse_motor_limits(
     motors: tuple[str, ...], effort: tuple[str, ...], robot: Robot
 ) -> tuple[dict[str, Motor], dict[str, float]]:
-    """Parse ``--motor`` and ``--effort``: {joint: motor} and {joint: torque limit [N m]}.
+    """Parse ``--motor`` and ``--effort``: {joint: motor} and {joint: limit [N m, N]}.
 
     A limit that ``--effort`` states has priority over the largest torque of the motor at rest.
     """

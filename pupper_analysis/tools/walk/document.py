@@ -238,7 +238,7 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Lower bound of a divisor [N m] in the selection of the most loaded motor. The bound prevents a
+"""Lower bound of a divisor [N m, N] in the selection of the most loaded motor. The bound prevents a
 division by zero in a run without torques. Chosen, not tuned.
 """
 
