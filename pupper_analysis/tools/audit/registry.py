@@ -178,7 +178,7 @@ class Finding(Result):
 
     @property
     def message(self) -> str:
-        """Description of the finding in English, with numbers and units."""
+        """Description of the finding in English."""
         return str(self.diagnostic)
 
     @property

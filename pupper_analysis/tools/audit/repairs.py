@@ -258,7 +258,7 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield repairs of the inertia tensor of a URDF link.
 
-    The tensor is mirrored, gets another decimal point, or is computed from the shapes.
+    For example, the tensor is mirrored, gets another decimal point, or is computed from the shapes.
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -305,7 +305,7 @@ moments decides the order of the stated moments. Chosen, not tuned.
 def _reorder_moments(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the nearly diagonal tensor of a link with its moments in the order of the shapes.
 
-    Two nearly equal moments of the box around the shapes may give a further candidate.
+    Nearly equal moments of the box around the shapes may give further candidates.
     """
     link = robot.links[name]
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
@@ -343,7 +343,7 @@ as possible: rounding of printed numbers. Chosen, not tuned."""
 def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the tensor of the solid shapes of a link, with the stated mass and a uniform density.
 
-    A CoM that is missing or far outside of the shapes is replaced, too.
+    A CoM that is missing or far outside of the shapes may be replaced, too.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if (
@@ -398,14 +398,15 @@ is written as zero. Chosen: coordinates of STL files are in single precision.
 """
 
 _MAX_OUTSIDE = 0.1
-"""Largest distance of a CoM from the convex hull of the link's shapes, relative to the extent of
-the shapes. At a larger distance the CoM is replaced together with the tensor. Chosen, not tuned.
+"""Largest distance (`compute_hull_distance`) of a CoM from the convex hull of the link's shapes,
+relative to the extent of the shapes. At a larger distance `_fill_shapes` replaces the CoM together
+with the tensor, or proposes nothing. Chosen, not tuned.
 """
 
 
 _MIRROR_RTOL = 0.02
-"""Relative tolerance between a moment with moved decimal point and the same moment of the mirrored
-tensor of the other side, to confirm the moved decimal point. Chosen, not tuned.
+"""Relative tolerance between a moment with moved decimal point and the same moment of the tensor
+that `_mirror_tensor` proposes, to confirm the moved decimal point. Chosen, not tuned.
 """
 
 
@@ -439,7 +440,7 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the repair of a link's inertia tensor: the mirrored tensor of the other side.
 
-    If the other limbs are copies of the same part, their tensor is copied instead.
+    If the other limbs share a tensor, and all limbs share a CoM, the tensor is copied instead.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
@@ -484,8 +485,8 @@ def _find_common_attributes(
 ) -> dict[str, str] | None:
     """Return the {attribute: text} of an element that the corresponding links of other limbs share.
 
-    None if the attributes differ, for example. On such robots the four calves are copies of the
-    same part, and no mirror images. With ``own``, the link ``name`` must have the attributes, too.
+    None if the attributes differ, for example. Links that share attributes are often copies of a
+    part, not mirror images. With ``own``, the link ``name`` must have the attributes, too.
     ``child`` is the path of the element below a link.
     """
     kind = strip_sides(name)
@@ -626,7 +627,7 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
 
 def _replace_deviating_coordinates(link: Link, image: Array) -> str:
-    """Format the CoM of a link with its deviating coordinates replaced by those of ``image``.
+    """Format the CoM of a link with the most deviating coordinates replaced by those of ``image``.
 
     ``image`` is the mirror image of the partner's CoM in the frame of the link, shape (3,) [m].
     """
@@ -716,8 +717,8 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 def _fits_shapes(robot: RobotModel, link: Link) -> bool:
     """Return True if a link's inertia tensor probably fits the stated mass m.
 
-    The largest principal moment must be positive and at most 2 m R^2. R is the largest distance
-    [m] of the link's shapes, joints and frames from the CoM.
+    The largest principal moment must be positive and at most 2 m R^2. R is the largest distance [m]
+    from the CoM to the shapes (fixed links included), frames and child links.
     """
     assert link.inertial is not None
     points, _ = list_known_points(robot.fixed_group(link.name), link)
@@ -947,11 +948,11 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
 def _turn_ancestors(
     robot: UrdfModel, mirror: MirrorPlane, name: str, partner: str
 ) -> list[ValueRepair]:
-    """Return the new rotation of an ancestor that would make two joints mirror images.
+    """Return repairs of an ancestor's rotation that would mirror the positions of the links below.
 
     Returns:
-        Repairs of a single ancestor; one, or a candidate for each side. Empty if no rotation of an
-        ancestor explains the displacement.
+        A single repair, or a candidate for the ancestor on each side. Empty if no such rotation of
+        an ancestor explains the displacement.
     """
     joints = robot.file.tree.joints
     for below, beside in ((name, partner), (partner, name)):

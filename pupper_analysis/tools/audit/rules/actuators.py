@@ -116,8 +116,8 @@ def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_SERVOS = 5
-"""Smallest number of servos in an MJCF with which a single exception, such as a negative gear, is
-reported as a probable mistake. Chosen, not tuned.
+"""Smallest number of regular actuators in an MJCF with which a single exception, such as a negative
+gear, is reported as a probable mistake. Chosen, not tuned.
 """
 
 

@@ -89,8 +89,8 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
     A finding is a joint axis, at zero joint angles, at more than 60 degrees from the axis x, y or z
-    of the base frame that `infer_axis_from_name` derives. Robots whose x axis may not point
-    forwards are skipped.
+    of the base frame that `infer_axis_from_name` derives. Robots whose y axis may not point
+    sideways are skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -185,8 +185,8 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
 def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only hinge of a serial chain whose axis is opposite to the axes of all others.
 
-    Each axis is expressed in the frame of its joint. Short chains, and robots with branches, are
-    skipped: the sign is then often a choice.
+    Each axis is expressed in the frame of its joint. Short chains, and robots with hinges on
+    several branches, are skipped: the sign is then often a choice.
     """
     hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and j.raw_axis.any()]
     if len(hinges) < MIN_CHAIN_HINGES:
@@ -297,8 +297,8 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
-    Limits of 12 to 400 rad are probably degrees; larger limits are degrees if another limb has the
-    same limits in radians. Smaller limits are accepted, since 10 rad is a common way to specify no
+    Limits of 12 to 400 rad are probably degrees, and larger limits if another limb has the same
+    limits in radians. Smaller limits are accepted, since 10 rad is a common way to specify no
     limit. In a file in degrees, limits that are all below 2 pi degrees are probably radians.
     """
     hinges = [
@@ -332,7 +332,8 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
     """Return True if another limb has the same joint limits, after conversion from degrees.
 
-    The limits of ``joint`` are converted to radians; the relative tolerance is 1 %.
+    The limits of ``joint`` are converted to radians, and may be negated; the relative tolerance is
+    1 %.
     """
     lower, upper = np.deg2rad((joint.lower, joint.upper))
     kind = strip_sides(joint.name)
@@ -437,7 +438,8 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 MAX_JOINT_SPEED = 105.0
 """Largest finite velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Motors of
-robots with their gears reach at most 45 rad/s, drives of wheels about 100. Chosen, not tuned."""
+legs with their gears usually reach up to about 45 rad/s, drives of wheels about 100. Chosen, not
+tuned."""
 
 
 @rule
@@ -464,8 +466,8 @@ def velocity_implausible(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 MIN_MOTOR_ACCELERATION = 10.0
 """Smallest ratio of effort and armature [rad/s^2] that is not reported: the acceleration of the
-rotor alone. Motors of published robots reach 100 or more; below 10, a motor needs seconds to reach
-its speed. Chosen, not tuned."""
+rotor alone. Motors of published robots usually reach 100 or more; below 10, a motor needs seconds
+to reach its speed. Chosen, not tuned."""
 
 
 @rule
@@ -516,8 +518,8 @@ def friction_beyond_effort(robot: RobotModel) -> Iterator[CheckFinding]:
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits of hinges [N m] that are probably placeholders.
 
-    Such limits are too large for the mass of the two bodies that the joint connects, for the
-    armature, or for the mass of the robot.
+    For example, such limits are too large for the mass of the two bodies that the joint connects,
+    for the armature, or for the mass of the robot (`placeholder_efforts`).
     """
     if list_placeholder_masses(robot):
         return
@@ -611,7 +613,7 @@ def _project_across(vector: Array, axis: Array) -> Array:
 
 
 def find_legs(robot: RobotModel) -> Iterator[Leg]:
-    """Yield the hip and knee of each leg of a robot, found by names, joint axes and lengths.
+    """Yield the legs of a robot (hip, knee, lengths), found by names, joint axes and lengths.
 
     Hip and knee axes must be parallel and nearly horizontal, thigh and shank of comparable length.
     """
@@ -639,7 +641,7 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
 def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
     """Return the end of a shank in the base frame, shape (3,) [m]; None if unknown.
 
-    The end is the next joint, or else a distant fixed link, frame or sphere.
+    The end is the next joint, or else the most distant fixed link, frame or sphere.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]

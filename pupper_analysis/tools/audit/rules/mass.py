@@ -43,9 +43,9 @@ frames. A fraction of the extent of the points is added. Chosen, not tuned.
 """
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
-"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`. `DRAWN_FRACTION` applies if a
-shape is visual or a mesh. `SIMPLIFIED_FRACTION` applies if all shapes are simple collision shapes,
-which may be smaller than the link. Chosen, not tuned.
+"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`. `DRAWN_FRACTION` usually applies
+if a shape is visual or a mesh. `SIMPLIFIED_FRACTION` applies to simple collision shapes, which may
+be smaller than the link. Chosen, not tuned.
 """
 
 DEFAULT_DENSITY = 1000.0
@@ -491,7 +491,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
     An inertia is a finding if at least two links have this inertia, and the three moments are the
     same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten
-    (1, 0.1, 0.01 ... kg), and common to at least three links, which are all moving links.
+    (1, 0.1, 0.01 ... kg), and common to all moving links with a stated mass, at least three.
     """
     balls: dict[float, list[str]] = {}
     for body, inertial in _list_moving_inertials(robot):

@@ -2,7 +2,7 @@
 
 `find_mirror_plane` derives the plane between left and right from pairs of names and the positions
 of the links. `find_copied_links` finds limbs that are equal to the partner instead, such as two
-arms of the same type; no mirror image is expected there. Each rule compares a quantity of the first
+arms of the same type; no mirror image is expected there. Most rules compare a quantity of the first
 link or joint of a pair with the second within a tolerance. Vectors, inertias, axes and ranges are
 reflected first. If several pairs of a chain are displaced, `mirror_position` reports only the first
 pair. The comparisons of CoM, inertia, shapes and contacts leave displaced pairs out.
@@ -148,7 +148,8 @@ plane of a robot with a displaced limb is derived. Chosen, not tuned."""
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
-    None if the robot has no hinges, or the hinges are not all parallel to an axis of the base.
+    None if the robot has no hinges, or the hinges are not all parallel to the same axis of the
+    base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -178,7 +179,7 @@ to the largest entry), joint limits [rad or m]. Chosen, not tuned.
 
 
 MIN_COPIED_TERMS = 4
-"""Smallest number of terms of a limb that only a copy explains, from which the limb counts as a
+"""Smallest number of terms of a limb that only a copy explains, from which the limb may count as a
 copy. Chosen, not tuned: a single part that was copied has at most three (offset, CoM, inertia)."""
 
 HYPOTHESIS_RATIO = 0.1
@@ -369,9 +370,9 @@ def get_com_tolerance(com: Array) -> float:
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield (mirror plane, link, partner) of left-right pairs of links at mirrored positions.
+    """Yield (mirror plane, link, partner) of left-right pairs of links that are not displaced.
 
-    Links of negligible mass are left out.
+    Pairs with displaced child links, and links of negligible mass, are left out.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -403,7 +404,7 @@ def _omit_copied_limbs(
 def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
-    """Yield (mirror plane, (link, inertial), (partner, inertial)) of pairs at mirrored positions.
+    """Yield (mirror plane, (link, inertial), (partner, inertial)) of pairs that are not displaced.
 
     Copied limbs and links are left out.
     """
@@ -561,8 +562,8 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
     """Return True if two inertias differ only in the sign of one or three products of inertia.
 
     With two opposite signs the result is False: such a part is not mirrored, but turned by 180
-    degrees. ``image`` is the mirrored inertia. Both have shape (6,) [kg m^2], in the order of
-    `INERTIA_ENTRIES`: ixx, iyy, izz, ixy, ixz, iyz.
+    degrees. The result is also False if a product is near zero. ``image`` is the mirrored inertia.
+    Both have shape (6,) [kg m^2], in the order of `INERTIA_ENTRIES`: ixx, iyy, izz, ixy, ixz, iyz.
     """
     tolerance = SIGN_RTOL * np.abs(image)
     is_equal = np.abs(image - entries) <= tolerance
@@ -678,8 +679,8 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 def _compare_senses(first: Joint, second: Joint, mirror: MirrorPlane | None) -> float:
     """Return 1 if the axes of two joints have the same sense, -1 if opposite, 0 if not parallel.
 
-    ``mirror`` is None if all axes are parallel. With a plane, the axis of a joint on the other side
-    is mirrored.
+    ``mirror`` is None for a robot whose left and right axes are usually parallel. With a plane, the
+    axis of a joint on the other side is mirrored.
     """
     cosine = float(first.axis @ second.axis)
     if mirror is not None:
@@ -757,7 +758,7 @@ def _speeds_agree(first: Joint, second: Joint) -> bool:
 def mirror_type(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find a fixed joint of a URDF whose left or right partner is a hinge or a slide.
 
-    Links of both joints must be pairs, too.
+    The child links of both joints must be a left-right pair, too.
     """
     for fixed, moving in _list_unlike_joints(robot):
         message = diagnose("mirror-type", other=moving.name, kind=Term(moving.kind))

@@ -72,7 +72,8 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
     """Return unit direction, shape (3,), and length [m] of a rod that begins at the joint.
 
     ``anchor`` is the position of the joint [m], in the frame in which the shape is expressed. The
-    length of a capsule excludes the caps. None for shapes other than such capsules and cylinders.
+    length of a capsule excludes the caps. None if the shape is no capsule or cylinder, is short, or
+    does not begin at the joint.
     """
     if shape.kind not in ("capsule", "cylinder"):
         return None
@@ -284,7 +285,8 @@ has 1.2, the lightest foam 10, the lightest published link 8.8.
 MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density of a
 link other than a free base is checked: the shapes of a light link may be markers instead of the
-real geometry. Chosen, not tuned.
+real geometry. `_is_light_part` and `compute_median_density` also use the fraction. Chosen, not
+tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5
@@ -427,9 +429,11 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _is_light_part(robot: UrdfModel, body: Link) -> bool:
-    """Return True for a light rotor, or a light link that connects other links.
+    """Return True for a light rotor, a light link between moving links, or a light carrier.
 
-    Light means below `MIN_MASS_FRACTION` of the robot's mass. An example is the cross of a waist.
+    A rotor is on a hinge without limits. A carrier has a heavier fixed link with collision shapes.
+    Light means below `MIN_MASS_FRACTION` of the robot's mass, with all fixed links except for a
+    carrier.
     """
     group = robot.fixed_group(body.name)
     is_between = any(child.moving for part in group for child in robot.children(part.name))
@@ -479,7 +483,7 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
-    """Return the links of several limbs with about the same gap, whose next links draw the shapes.
+    """Return links of several limbs with about the same gap, if most next links draw the shapes.
 
     ``gaps`` is {link: gap between collision and visual shapes [m]}.
     """
@@ -654,8 +658,8 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
 
 
 IMPOSSIBLE_SIZE_RATIO = 10.0
-"""Smallest ratio by which a density or an extent exceeds a bound with severity ERROR instead of
-WARNING. Chosen, not tuned.
+"""Ratio between a too large density and its bound, or between the extent of a robot and its lower
+or upper bound, from which the severity is ERROR instead of WARNING. Chosen, not tuned.
 """
 
 

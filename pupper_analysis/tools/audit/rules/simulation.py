@@ -50,7 +50,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models in which the armature of all driven joints and all actuators is zero."""
+    """Find models in which the armature of all driven joints and of their actuators is zero."""
     if robot.mj_model is None:
         return
     model = robot.mj_model
