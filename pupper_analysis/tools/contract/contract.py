@@ -76,7 +76,7 @@ class Contract(Result):
 
     Attributes:
         model: Path of the model file that defines the joint order, or the name of its variant.
-        joints: Moving joints of this model, in its order.
+        joints: Moving joints of this model, depth first.
         sources: Sources that were compared.
         facts: All numbers, with file and line.
         findings: Disagreements, the most severe first.

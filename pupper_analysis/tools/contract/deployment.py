@@ -211,8 +211,8 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
 def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
     """Raise a ModelError if two deployments list joint names in different orders.
 
-    A policy file with joint names decides the order. Drivers and trainers may have orders of their
-    own.
+    A deployment with motor indices is compared only with others that have motor indices. A policy
+    file with joint names decides the order. Drivers and trainers may have orders of their own.
     """
     named = [one for one in placed if one.how == "named"]
     if any(one.source.role is Role.POLICY for one in named):

@@ -85,7 +85,9 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
 
 
 def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
-    """Return True if a finding compares the URDF with the MJCF; ``others`` are further sources."""
+    """Return True if a finding compares a URDF with another model.
+
+    ``others`` are the paths of the sources that are no models."""
     files = {place.rpartition(":")[0] for place in finding.places}
     urdfs = {file for file in files if file.lower().endswith(".urdf")}
     return bool(urdfs) and urdfs < files and files.isdisjoint(others)
@@ -137,7 +139,7 @@ def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
 
 
 def _make_disagreement_block(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
-    """Create the block of a disagreement, with the quoted lines of both sources.
+    """Create the block of a disagreement, with the quoted lines of the sources.
 
     ``detail`` marks the block as a detail, which the short view in the terminal omits.
     """
@@ -328,8 +330,8 @@ def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:
 def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
     """Create a table cell with the number of a source, the text of an expression, or nothing.
 
-    ``stated`` are the numbers of all sources, from which the printed number must be
-    distinguishable.
+    ``stated`` are the numbers of all sources. The number is printed with enough digits to differ
+    from another of these numbers.
     """
     if fact is None:
         return doc.Name("")

@@ -36,8 +36,8 @@ as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
 """Largest number of values that are read from a source, or of steps in the evaluation of a Python
-file, to bound time and memory. Measured: the largest configurations have 4,000 values; a module of
-a training library needs about 10,000 evaluated expressions.
+file and its imports, to bound time and memory. Measured: the largest configurations have 4,000
+values; a module of a training library needs about 10,000 evaluated expressions.
 """
 
 
@@ -291,7 +291,7 @@ class JointSource:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Content of the source without file locations, to find sources with equal content."""
+        """Numbers, joint order and observations without places, to find sources of equal content."""
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]
         return tuple(statements), self.order, self.motors, tuple(observations)

@@ -205,7 +205,7 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
 
 
 LENGTH_CODES = ("contract-list-length", "contract-motors-length")
-"""Codes of lists that have another length than the joint order of their own file."""
+"""Codes of messages about lists that have another length than the joint order of the source."""
 
 
 def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> list[Diagnostic]:
@@ -263,7 +263,8 @@ def _find_missing_sides(
     """Yield messages for quantities that a source states on one side of the robot only.
 
     The missing number must be in ``stated``, the (quantity, joint) of all other sources. Nothing is
-    reported for many one-sided pairs, because the source may belong to a single arm.
+    reported for many one-sided pairs, because the source may belong to a single arm, or for a
+    quantity with other values that were not read.
     """
     pairs = find_mirror_pairs(model.order)
     for quantity in dict.fromkeys(what for what, joint in source.facts if joint):
@@ -302,7 +303,8 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 
     The tolerances of effort, velocity, damping, friction and position limits are the `Tolerances`
     of a comparison of URDF and MJCF. Other quantities have a relative tolerance of 2e-6. Two
-    numbers are equal after rounding if one is the other number, rounded to fewer decimals.
+    numbers are equal after rounding if one has at least `_MIN_COMPUTED_DECIMALS` decimals, or was
+    computed, and the other is its rounded value within `_MAX_ROUNDING_FRACTION`.
 
     Args:
         first: Number of one source, with its quantity.
@@ -370,7 +372,8 @@ def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagree
 
 
 FactPair = tuple[Fact, Fact]
-"""Numbers (`Fact`) of two sources for the same quantity; the first is the reference."""
+"""Numbers (`Fact`) of two sources, or of two joints, for the same quantity. Of two sources, the
+first is the reference."""
 
 
 def _compare_joint_quantity(

@@ -78,7 +78,7 @@ class KeyRule:
         return node.is_present and self.shape in ("", shape)
 
     def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
-        """Yield numbers of this rule's quantity in a value: number, list, or {joint: number}."""
+        """Yield the statements of this rule's quantity in a number, a list, or {joint: number}."""
         inner = node.items[0] if len(node.items) == 1 else node
         node = inner if isinstance(inner.value, list) else node
         statements = list(node.make_statements(self.quantity, self.joints))

@@ -46,7 +46,7 @@ class PlacedSource:
             not.
         names: {name in the source: joint}.
         unknown: Names that match no joint of the robot.
-        notes: Assumptions.
+        notes: Assumptions, and the reasons in ``unread``.
         unread: {quantity: reason} of values that are no numbers, and of lists that are not
             assigned to joints.
         unplaced: {quantity: keys that match no joint}.

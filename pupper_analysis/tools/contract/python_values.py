@@ -228,7 +228,7 @@ _CHANGING_METHODS: Final[Mapping[type, Sequence[str]]] = {
 }
 """{type: names of the methods that change an object of this type}."""
 _ITEM_FUNCTIONS: Final = ("zip", "enumerate", "list", "tuple", "reversed", "sorted")
-"""Functions that return the items of the arguments in a new list."""
+"""Functions whose result contains the items of the arguments."""
 
 _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 """{name: value} of constants that numeric modules define, such as ``np.pi``."""
@@ -659,7 +659,7 @@ class Evaluator:
     def _find_values(
         self, expression: ast.expr, scope: Scope, origins: dict[str, list[LocatedValue]]
     ) -> list[LocatedValue]:
-        """Return the known values to which an expression may refer; it is not evaluated."""
+        """Return the known values to which an expression may refer; no function is called."""
         match expression:
             case ast.Name():
                 known = [scope[expression.id]] if expression.id in scope else []
@@ -726,7 +726,7 @@ class Evaluator:
     ) -> list[LocatedValue]:
         """Return the items with a key or index in the lists and tables of an expression.
 
-        All items if ``key`` is None. The expression is not evaluated.
+        All items if ``key`` is None. No function is called.
         """
         result: list[LocatedValue] = []
         for owner in self._find_values(expression, scope, origins):
@@ -738,7 +738,7 @@ class Evaluator:
         return result
 
     def _find_key(self, expression: ast.expr, scope: Scope, changing: Iterable[str]) -> Any:
-        """Return the known key of an expression; None if unknown or if a name in it may change."""
+        """Return the value of a key expression; None if unknown, for example if a name may change."""
         changing = {*changing}
         for node in ast.walk(expression):
             if isinstance(node, ast.Call | ast.Slice) or (
@@ -791,7 +791,7 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """Yield what a call may change, if it calls functions of evaluated files.
+        """Yield the contents that a call may change, if the call runs functions of evaluated files.
 
         Yields:
             Content (list, table or fields), key and unknown value, as `_list_changes`.
@@ -1323,7 +1323,7 @@ class Evaluator:
     ) -> LocatedValue:
         """Make an instance of a class with fresh copies of the default values.
 
-        ``__init__`` and ``__post_init__`` are evaluated, if possible.
+        ``__init__`` or else ``__post_init__`` is evaluated, if possible.
         """
         result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
         start = of.fields.get("__init__")

@@ -204,7 +204,8 @@ def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagno
 
     Raises:
         ModelError: If the source states neither a number for a joint of the robot nor a joint
-            order. Default values and derived numbers do not count.
+            order. Default values and derived numbers do not count. A source without joint names may
+            state settings only, such as the size of a network.
     """
     stated_facts = [
         fact for fact in placed_source.facts.values() if fact.joint and not fact.implied

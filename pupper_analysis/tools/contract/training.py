@@ -152,7 +152,7 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
     """Yield the source of a top-level configuration ``root``, with the role of a trainer.
 
     The source has the numbers of a robot's actuators and default angles, of the policy's actions,
-    and settings. Nothing is yielded for a configuration without these.
+    and settings. Except for legged_gym, nothing is yielded without a robot or actions.
     """
     settings = tuple(read_settings(root))
     if is_trainer_config(root):
@@ -204,7 +204,7 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
 
 
 def _describe_texts(statements: Iterable[Statement]) -> dict[str, Diagnostic]:
-    """Return {quantity: message} of the statements whose value is a text, such as ``15 deg``."""
+    """Return {quantity: message} of the statements whose value is no number, such as ``15 deg``."""
     return {
         statement.quantity: diagnose(
             "contract-value-unread",

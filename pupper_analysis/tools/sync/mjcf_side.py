@@ -49,8 +49,8 @@ of an <inertial>.
 """
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
-"""Orientation attributes of an <inertial> that cannot be rewritten. A body whose <inertial> has
-such an attribute is not changed.
+"""Orientation attributes of an <inertial> that cannot be rewritten. An <inertial> with such an
+attribute is not changed.
 """
 
 

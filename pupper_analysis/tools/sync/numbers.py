@@ -223,7 +223,7 @@ def _edit_urdf(urdf: UrdfFile, robots: MatchedRobots, changes: NumberChanges) ->
 
 
 def _edit_mjcf(mjcf: MjcfFile, robots: MatchedRobots, changes: NumberChanges) -> _EditedFile:
-    """Write all numbers into the documents of an MJCF in memory."""
+    """Write the numbers into the documents of an MJCF in memory, if possible."""
     elements = EditableMjcf(mjcf)
     gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS}
     side = MjcfSide(

@@ -449,7 +449,7 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield findings for bodies without mass, CoM or inertia, which engines derive from shapes.
+    """Yield findings for bodies without mass, CoM or inertia, which engines may derive from shapes.
 
     The severity is WARNING if only the CoM is missing.
     """

@@ -166,7 +166,7 @@ def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a value that is an instance, table or list; create it by a call if necessary.
 
     The arguments of a function are instances of its annotated classes. The result has the value
-    None if the value is of another type or unknown.
+    None, for example, if the call fails.
     """
     value = node.value
     if not isinstance(value, py.FunctionValue | py.ClassValue):

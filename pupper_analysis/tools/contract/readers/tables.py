@@ -82,16 +82,16 @@ class _View:
 
     @property
     def states_joints(self) -> bool:
-        """True if a table states joint names or a number per joint."""
+        """True if a table states joint names or a quantity of joints, such as a gain."""
         return bool(self.find_first("joints").texts) or self.states_numbers
 
     @property
     def states_numbers(self) -> bool:
-        """True if a table states a number per joint."""
+        """True if a table states a quantity of joints, such as a gain."""
         return bool(self._find_joint_values())
 
     def _find_joint_values(self) -> dict[str, LocatedValue]:
-        """Return the values in these tables that are numbers per joint.
+        """Return the values in these tables that state quantities of joints, such as gains.
 
         Returns:
             {quantity and joint pattern, as one text: value}.
@@ -547,7 +547,7 @@ def _describe_unread_terms(view: _View) -> dict[str, Diagnostic]:
 
 
 def _find_unread_operation(name: str, term: LocatedValue) -> str | None:
-    """Return the first operation of a term that `ObservedTerm` cannot contain; None without.
+    """Return an operation of a term that `ObservedTerm` cannot contain; None without.
 
     The offset of joint positions as first operation is a default angle, and can be read.
     """
@@ -572,7 +572,7 @@ def _read_scales(term: LocatedValue) -> tuple[float, ...]:
 
 
 def _read_bounds(term: LocatedValue) -> tuple[float, float] | None:
-    """Return the bounds ``min`` and ``max`` of a term before scaling; None if unknown."""
+    """Return the bounds ``min`` and ``max`` of a term before scaling; None without known bounds."""
     operations, scales = term.get("process_order").texts, set(_read_scales(term))
     lows, highs = ({item.number for item in term.get(key).items} for key in ("min", "max"))
     if "clip" not in operations or len(lows) != 1 or len(highs) != 1:
