@@ -69,7 +69,7 @@ def audit_model(
         Audit with the findings, sorted by severity. At equal severity, causes precede consequences.
 
     Raises:
-        ModelError: If the file cannot be read.
+        ModelError: If the file cannot be read, or is no valid URDF, for example.
         ConfigurationError: If a rule in ``disabled`` does not exist, an argument has a wrong type,
             or there are ``xacro_args`` without ``xacro`` or a xacro file.
         MissingPackageError: If the package that reads the format is not installed, for example
@@ -77,7 +77,7 @@ def audit_model(
         VariantError: If ``path`` is a word without suffix that names no variant, existing path or
             published robot, or the scales of a variant give no valid model.
         UnknownNameError: If MuJoCo Menagerie has no robot with the name in ``path``.
-        OutputError: If the run will also write the file.
+        OutputError: If the file is also an output file of the running command.
     """
     path = find_model(path, "mjcf")
     if isinstance(disabled, str):

@@ -87,7 +87,8 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
 def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
     """Return True if a finding compares a URDF with another model.
 
-    ``others`` are the paths of the sources that are no models."""
+    ``others`` are the paths of the sources that are no models.
+    """
     files = {place.rpartition(":")[0] for place in finding.places}
     urdfs = {file for file in files if file.lower().endswith(".urdf")}
     return bool(urdfs) and urdfs < files and files.isdisjoint(others)

@@ -291,7 +291,7 @@ class JointSource:
 
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
-        """Numbers, joint order and observations without places, to find sources of equal content."""
+        """Numbers, joint order and observations without places, to find equal sources."""
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]
         return tuple(statements), self.order, self.motors, tuple(observations)

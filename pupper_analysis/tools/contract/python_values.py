@@ -738,7 +738,7 @@ class Evaluator:
         return result
 
     def _find_key(self, expression: ast.expr, scope: Scope, changing: Iterable[str]) -> Any:
-        """Return the value of a key expression; None if unknown, for example if a name may change."""
+        """Return the value of a key expression; None if unknown, or if a name may change."""
         changing = {*changing}
         for node in ast.walk(expression):
             if isinstance(node, ast.Call | ast.Slice) or (

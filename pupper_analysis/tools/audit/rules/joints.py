@@ -151,7 +151,7 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find joints of a URDF that mimic a missing joint, a fixed joint, or themselves.
 
     A cycle of several joints counts as a joint that mimics itself. WARNING instead of ERROR if the
-    leading joint is fixed: all engines read such a file, and the following joint is fixed, too, or
+    leading joint is fixed: engines read such a file, and the following joint is fixed, too, or
     free.
     """
     leaders = {
@@ -228,7 +228,10 @@ def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each range of an MJCF with lower > upper and ``limited="auto"``."""
+    """Yield findings for ranges with lower > upper and ``limited="auto"``.
+
+    Ranges of joints, actuators and tendons of an MJCF are checked.
+    """
     spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
     kinds = (
         ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),

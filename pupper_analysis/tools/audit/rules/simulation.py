@@ -66,7 +66,7 @@ def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find feet without sliding friction in the ground contact.
+    """Find feet with no, or almost no, sliding friction in the ground contact.
 
     Contact parameters are combined as in MuJoCo. If the file has no ground, MuJoCo's default ground
     is assumed; a foot without friction is then reported nevertheless, since the ground of another
