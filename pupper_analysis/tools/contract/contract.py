@@ -41,8 +41,9 @@ from pupper_analysis.tools.contract.reading import (
 )
 
 PARSED, SIMULATED, TRACED = "parsed", "simulated", "traced"
-"""Levels of evidence of a contract's verdict. ``parsed``: numbers were only read. ``simulated``:
-the robot was also simulated. ``traced``: the policy was also compared with a recorded trace."""
+"""Levels of evidence of a verdict of `contract` or `walk`. ``parsed``: numbers were only read.
+``simulated``: the robot was also simulated. ``traced``: the policy was also compared with a
+recorded trace."""
 
 
 @dataclass(frozen=True, eq=False)

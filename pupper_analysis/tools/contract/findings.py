@@ -54,7 +54,7 @@ in another source is then no disagreement. Chosen, not tuned.
 
 _MAX_ROUNDING_FRACTION = 0.1
 """Largest relative difference between a computed number and its rounded value in another source,
-with which both count as equal. Example: 0.07 for 0.0745. Chosen, not tuned.
+with which both count as equal. Example: 0.07 for a computed 0.0745. Chosen, not tuned.
 """
 
 _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}

@@ -575,7 +575,7 @@ def matches_name(pattern: str, name: str) -> bool:
 
 @cache
 def is_pattern(text: str) -> bool:
-    """Return True if a text is a regular expression with few repeats and no nested repeats."""
+    """Return True if a text is a regular expression with few quantifiers and no repeated group."""
     num_repeats = len(_REPEAT_PATTERN.findall(text))
     try:
         return (

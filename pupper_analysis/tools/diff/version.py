@@ -178,7 +178,7 @@ def _disable_fusestatic(file: MjcfFile) -> MjcfFile:
 
 
 def _find_tree_root(model: mujoco.MjModel, names: list[str]) -> str:
-    """Return the root body of the first joint's tree; without joints, of the last body's tree."""
+    """Return the root body of the tree of the first joint (``names``), or else of the last body."""
     body = int(model.joint(names[0]).bodyid[0]) if names else model.nbody - 1
     while model.body_parentid[body] != 0:
         body = int(model.body_parentid[body])

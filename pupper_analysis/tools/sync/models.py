@@ -367,7 +367,7 @@ _JOINT_PROPERTIES: Final = (
     "damping polynomial",
     *SERVO_GAIN_KINDS,
 )
-"""Kinds of differences whose element is a joint."""
+"""Kinds of differences whose element is usually a joint."""
 
 
 def format_owner_name(difference: Difference) -> str:

@@ -177,7 +177,7 @@ def _check_file(path: Path) -> None:
 def _check_depth(path: Path, text: bytes) -> None:
     """Check that the brackets of a USD text file are nested at most `MAX_DEPTH` deep.
 
-    Brackets in strings of a single line are ignored.
+    Brackets in strings with double quotes in a single line are ignored.
 
     Raises:
         ModelError: If the brackets are nested deeper.

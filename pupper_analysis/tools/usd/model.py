@@ -547,7 +547,7 @@ def _read_edges(
 ) -> Iterator[Edge]:
     """Yield the enabled joints between different bodies, with the joint frames in both bodies [m].
 
-    ``cache`` is USD's cache of transforms.
+    The world counts as a body. ``cache`` is USD's cache of transforms.
 
     Raises:
         ModelError: If a joint refers to a prim that does not exist, for example.

@@ -40,7 +40,7 @@ def check_prim_count(path: Path) -> Diagnostic | None:
 
 
 class _PrimCounter:
-    """Upper bounds of the number of prims below a path of a layer, each computed once.
+    """Estimates of the number of prims below a path of a layer, each computed once.
 
     All variants of a prim are counted, not only the selected variant.
     """

@@ -209,10 +209,11 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
 
 def read_as_mjcf(path: Path) -> UsdAsMjcf:
-    """Convert a USD file to an MJCF in memory, with the same bodies, joints and inertials.
+    """Convert a USD file to an MJCF in memory, with the same bodies and joints.
 
-    Shapes are left out. Joints that close loops become equality constraints. ``unknown`` of the
-    result lists the joints whose effort, damping or friction the USD does not state.
+    Shapes are left out. Moving and root bodies get the inertials, merged with those of fixed
+    bodies. Joints that close loops become equality constraints. ``unknown`` of the result lists the
+    joints whose effort, damping or friction the USD does not state.
 
     Raises:
         ModelError: If the file has no readable robot, MuJoCo has no equivalent of a joint, or
