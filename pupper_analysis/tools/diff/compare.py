@@ -173,6 +173,7 @@ def diff_models(
         ConfigurationError: If an argument has a wrong type, or there are ``xacro_args`` without
             ``xacro``, for example.
         VariantError: If an argument is probably a misspelled variant name.
+        UnknownNameError: If MuJoCo Menagerie has no robot with the name in an argument.
     """
     tolerances = tolerances or Tolerances.strict()
     request = make_xacro_request([old, new], packages, xacro=xacro, arguments=xacro_args)

@@ -145,6 +145,7 @@ def sync_models(
             example.
         VariantError: If a model is probably a misspelled variant name, or the scales of a variant
             give no valid model.
+        UnknownNameError: If MuJoCo Menagerie has no robot with the name of a model.
         OutputError: If a file cannot be written, or, without ``force``, has uncommitted changes.
     """
     # The files of scaled variants are compared, and never written.

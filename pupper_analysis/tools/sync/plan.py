@@ -169,7 +169,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, 
             taken.
 
     Raises:
-        ModelError: If a file cannot be read, or the files cannot be matched.
+        ModelError: If a file cannot be read, or the files cannot be matched, for example.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)

@@ -156,7 +156,7 @@ def read_edge(
         paths: {path of a joint's prim: joint name}.
 
     Raises:
-        ModelError: If an attribute has the wrong type.
+        ModelError: If an attribute has a wrong type or value.
     """
     kind, axis, lower, upper = _read_freedom(prim)
     is_hinge, has_axis = kind == HINGE_JOINT, kind in (HINGE_JOINT, SLIDE_JOINT)

@@ -116,7 +116,7 @@ def read_model_file(path: Path) -> RobotModel:
     Of an MJCF that MuJoCo does not compile, joints and actuators are read, if possible.
 
     Raises:
-        ModelError: If the file cannot be read.
+        ModelError: If the file cannot be read, or is no valid model, for example.
         OutputError: If the running command also writes the file, or a file that a xacro file
             includes.
         MissingPackageError: If the reader of the format needs a package that is not installed.
