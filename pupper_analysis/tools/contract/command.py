@@ -53,7 +53,7 @@ def command(
     of mjlab, Isaac Lab and legged_gym in Python, YAML of deployments and of ROS 2 controllers,
     policies with metadata (ONNX, RTNeural's JSON). Joint order, signs, default angles, action
     scales and offsets, gains, limits, armature, friction, rates and observations are compared; each
-    difference is shown with its line in both files and its effect.
+    difference is shown with its line in both files and, if known, its effect.
 
     No source is imported or run. FILE:NAME selects one of several configurations in a file.
     A folder is searched for imported modules, and its deployments of this robot are read.

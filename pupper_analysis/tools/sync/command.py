@@ -70,9 +70,10 @@ def command(
 ) -> None:
     """Make a robot's URDF and MJCF agree: write numbers from a file into the other, in place.
 
-    Only attributes whose numbers differ are written; comments, order and line ends are unchanged.
-    Without --take the differences are listed, numbered from 1, with both values, and nothing is
-    changed. --take FILE takes the values of that file; FILE:2,5-7 selects differences by number.
+    Only attributes whose numbers differ, and attributes that the format then requires, are written;
+    comments, order and line ends are unchanged. Without --take the differences are listed, numbered
+    from 1, with both values, and nothing is changed. --take FILE takes the values of that
+    file; FILE:2,5-7 selects differences by number.
     Values that the other format cannot express, and orientations, are listed as not written.
 
     \b

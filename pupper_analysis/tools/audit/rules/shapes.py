@@ -279,7 +279,7 @@ smaller than the link. Chosen, not tuned.
 
 MIN_DENSITY = 2.0
 """Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air
-has 1.2, the lightest foam 10, the lightest published link 8.8.
+has 1.2, light foam about 10, the lightest published link 8.8.
 """
 
 MIN_MASS_FRACTION = 0.01
