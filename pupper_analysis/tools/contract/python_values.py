@@ -415,7 +415,7 @@ class Evaluator:
         )
 
     def _run_for(self, statement: ast.For, scope: Scope) -> None:
-        """Run a loop over the items of a list or the keys of a table, and ``else`` at its end."""
+        """Run a loop over list items or table keys, and ``else`` if no ``break`` ends the loop."""
         try:
             for item in self._list_items(self.evaluate(statement.iter, scope)):
                 self._assign_target(statement.target, item, scope)
@@ -991,7 +991,7 @@ class Evaluator:
         ]
 
     def _make_key(self, expression: ast.expr, scope: Scope) -> Any:
-        """Return a key of a table; for an unknown value, the text of the expression.
+        """Return a key of a table; for an unknown value, the text of this value.
 
         Raises:
             NotConstantError: If the value is no text, number or truth value.
