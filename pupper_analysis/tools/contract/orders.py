@@ -513,8 +513,8 @@ def _find_name_lists(
 
 MAX_UNLIKE_FRACTION = 1 / 3
 """Largest fraction of the left-right pairs of values (such as gains) that may contradict mirror
-symmetry in an assumed joint order. If the fraction is larger, the order is rejected. Chosen, not
-tuned.
+symmetry in an assumed joint order. If the fraction is larger, the order is rejected.
+`_find_motor_lists` applies the bound to lists of motor limits. Chosen, not tuned.
 """
 
 

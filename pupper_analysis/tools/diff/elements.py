@@ -277,8 +277,9 @@ NUMBER_RTOL = 1e-9
 elements count as equal: rounding by programs that rewrite files. Chosen, not tuned."""
 
 SURFACE_ATOL = 1e-6
-"""Largest distance between the surfaces of two shapes [m] with which the shapes count as equal.
-Chosen, not tuned."""
+"""Largest distance between the surfaces of two shapes [m] with which the shapes count as equal. For
+a shape of unknown extent, the tolerance of position [m], rotation matrix [1] and size [m]. Chosen,
+not tuned."""
 
 SHAPE_WORD: Final = "shape"
 """Name for the shape of a geom (type, size and pose together) in place of an attribute's name."""

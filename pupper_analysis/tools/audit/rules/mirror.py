@@ -174,7 +174,8 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
 )
 """Largest differences between left and right that are not reported. In this order: positions [m],
 masses (relative), CoM [m] (plus 1 % of the distance from the origin of the base), inertia (relative
-to the largest entry), joint limits [rad or m]. Chosen, not tuned.
+to the largest entry), joint limits [rad or m]. `find_copied_links` and the repairs also use some of
+these numbers. Chosen, not tuned.
 """
 
 

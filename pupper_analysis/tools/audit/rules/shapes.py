@@ -267,9 +267,9 @@ def _list_collision_spheres(link: Link) -> list[Shape]:
 # Rules about sizes.
 
 MAX_DENSITY = 20_000.0
-"""Mass per volume of the convex hull of a link [kg/m^3] above which the density is reported.
-Tungsten has 19300. The densest of 1500 published links has 15600: a wrist whose mesh omits attached
-parts.
+"""Mass per volume of the convex hull of a link [kg/m^3] above which the density is reported. Also a
+bound in `_find_excess_axis` and in repairs. Tungsten has 19300. The densest of 1500 published links
+has 15600: a wrist whose mesh omits attached parts.
 """
 
 UNREAD_MESH_FACTOR = 5.0
@@ -278,8 +278,8 @@ smaller than the link. Chosen, not tuned.
 """
 
 MIN_DENSITY = 2.0
-"""Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Air
-has 1.2, light foam about 10, the lightest published link 8.8.
+"""Mass per volume of the convex hull of a link [kg/m^3] below which the density is reported. Also a
+bound in repairs. Air has 1.2, light foam about 10, the lightest published link 8.8.
 """
 
 MIN_MASS_FRACTION = 0.01

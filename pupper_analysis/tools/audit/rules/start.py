@@ -243,7 +243,8 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MIN_FOOT_CLEARANCE = 0.05
 """Height of the feet above the lowest other shape of the robot [m]: a keyframe is reported if all
-feet are at least this height above. Chosen, not tuned.
+feet are at least this height above. In `_find_opposite_signs`, also a bound of the distance between
+feet and ground. Chosen, not tuned.
 """
 
 
