@@ -111,7 +111,7 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 def _find_plane_of_displaced_limb(
     robot: RobotModel, pairs: list[tuple[str, str]], tolerance: float
 ) -> MirrorPlane | None:
-    """Return the mirror plane of a robot with one displaced limb; None for other robots.
+    """Return the mirror plane of a robot with one displaced limb; None if none is found.
 
     The vectors from the parent links to the links are mirror images in all pairs except one.
     """
