@@ -204,8 +204,7 @@ class Audit(Tabular):
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
         notes: Messages about elements that were left out when the file was read.
-        floating: True if the file contains a free joint, or if two or more moving links are
-            attached to the base or to links that are fixed to the base.
+        floating: True if the base is free. A base of a URDF or MJCF with two or more limbs counts as free.
     """
 
     file: str

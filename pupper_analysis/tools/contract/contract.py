@@ -81,14 +81,14 @@ class Contract(Result):
         sources: Sources that were compared.
         facts: All numbers, with file and line.
         findings: Disagreements, the most severe first.
-        poses: Stand of the robot in the default pose of each source, with the gains of the source.
+        poses: Stands of the robot in the default poses of sources, with the gains of each source.
         unread: Sources and quantities that were not compared, with the reason.
         notes: Assumptions, and content that could not be read.
         evidence: ``parsed`` if the numbers were only read; ``simulated`` if the robot was also
             simulated in a default pose.
         passed: True if every disagreement is less severe than ``fail_on``, and everything was
             compared or ``fail_on`` is ``error``.
-        floating: True if the model has a free base, or at least two limbs.
+        floating: True if the base is free. A base of a URDF or MJCF with two or more limbs counts as free.
     """
 
     model: str
@@ -122,7 +122,7 @@ def read_contract(
             Python file imports are also searched in the folders.
         names: {joint name in a source: joint name in the model} of joints that are not matched
             automatically.
-        stand: Whether to compute how the robot stands in the default pose of each source.
+        stand: Whether to compute how the robot stands in the default poses of the sources.
         fail_on: Lowest severity of a disagreement that makes ``passed`` False.
 
     Returns:

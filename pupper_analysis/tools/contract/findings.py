@@ -137,7 +137,8 @@ def find_disagreements(
 
     Sources are for example a robot model, a motor driver and a policy. A number of a source is
     compared with the first source that states the number, and numbers of left and right joints with
-    each other. Infinite efforts and intended differences, for example, are not listed.
+    each other. Some differences are not listed, for example joint damping that represents the kd of
+    a servo.
 
     Args:
         placed: Sources, sorted by precedence: the first that states a number is the reference.

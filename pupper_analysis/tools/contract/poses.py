@@ -35,9 +35,10 @@ its default pose is computed. Chosen, not tuned.
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> tuple[tuple[DefaultPoseStand, ...], list[Diagnostic]]:
-    """Compute the stand of the robot in the default pose that each source states.
+    """Compute the stands of the robot in the default poses that sources state.
 
-    If a source states all gains, the stand is also simulated in MuJoCo.
+    If a source states all gains, the stand is also simulated in MuJoCo. Without default angles of
+    half of the joints, a source is skipped.
 
     Args:
         models: Files of the robot.

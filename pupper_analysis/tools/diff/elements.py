@@ -457,7 +457,7 @@ def find_changed_elements(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> Iterator[ElementDifference]:
-    """Yield the changes of elements between two versions, for elements with equal names.
+    """Yield the changes of elements between two versions, and the added and removed elements.
 
     Elements with an equal change usually form a common difference.
 
