@@ -204,7 +204,8 @@ class Audit(Tabular):
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
         notes: Messages about elements that were left out when the file was read.
-        floating: True if the base is free. A base of a URDF or MJCF with two or more limbs counts as free.
+        floating: True if the base counts as free, for example if a URDF or MJCF contains a free
+            joint, or if two or more limbs are attached to the base.
     """
 
     file: str

@@ -88,7 +88,8 @@ class Contract(Result):
             simulated in a default pose.
         passed: True if every disagreement is less severe than ``fail_on``, and everything was
             compared or ``fail_on`` is ``error``.
-        floating: True if the base is free. A base of a URDF or MJCF with two or more limbs counts as free.
+        floating: True if the base counts as free, for example if a URDF or MJCF contains a free
+            joint, or if two or more limbs are attached to the base.
     """
 
     model: str
