@@ -81,7 +81,7 @@ def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Actua
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators whose command has no effect, because the gain or the gear ratio is 0."""
+    """Find joint actuators (`list_drives`) without effect: the gain or the gear ratio is 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
@@ -210,7 +210,7 @@ def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators without a torque limit.
+    """Find joint actuators (`list_drives`) without a torque limit.
 
     Limits are forcerange, actuatorfrcrange and, for actuators without position feedback, ctrlrange.
     """
