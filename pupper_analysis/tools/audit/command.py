@@ -159,7 +159,7 @@ def _print_rules() -> None:
 
 
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
-    """Print the patch of all findings with a single repair, and write the files if confirmed.
+    """Print the patch of the unique repairs of the findings, and write the files if confirmed.
 
     Without ``confirmed``, the user is asked. Without ``prints_patch``, the patch is on standard
     error, since standard output is a document of another format.

@@ -249,8 +249,9 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 
 MIN_FELT_MOTION = 1e-4
-"""Largest difference of a simulated coordinate [m, rad], or of the final CoM height [m], between
-two versions that counts as no effect. A stand is settled to 1e-5. Chosen, not tuned.
+"""Largest difference of a simulated coordinate [m, rad, 1 for quaternions], or of the final CoM
+height [m], between two versions that counts as no effect. A stand is settled to 1e-5. Chosen, not
+tuned.
 """
 
 SIMULATION_SECONDS = 2.0
@@ -775,8 +776,8 @@ class SimulatedPair:
                 that rounding errors can cause are left out.
 
         Returns:
-            {quantity: largest difference of a joint coordinate [m, rad]}; messages. Both may be
-            empty, for example if the models have no common joint.
+            {quantity: largest difference of a joint coordinate [m, rad, 1 for quaternions]};
+            messages. Both may be empty, for example if the models have no common joint.
         """
         old, new = self.old, self.new
         if not self._common_joints or (
@@ -909,8 +910,8 @@ def _compare_runs(
     ``where`` are further fields of the message: duration, keyframe, and whether a ground was added.
 
     Returns:
-        {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]}, empty up to
-        `MIN_FELT_MOTION`; messages.
+        {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad, 1 for quaternions]}, empty
+        up to `MIN_FELT_MOTION`; messages.
     """
     if before.qpos.shape != after.qpos.shape:
         return {}, ()

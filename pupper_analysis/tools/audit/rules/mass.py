@@ -526,7 +526,8 @@ def _list_moving_inertials(robot: RobotModel) -> list[tuple[Link, Inertial]]:
 def list_placeholder_masses(robot: RobotModel) -> list[Link]:
     """Return all moving links with stated mass if the masses are probably defaults of an exporter.
 
-    The masses are then equal, and a power of ten (1, 0.1, 0.01 ... kg). Empty for other masses.
+    The masses are then equal, and a power of ten (1, 0.1, 0.01 ... kg). Empty for other masses, and
+    for fewer than three links.
     """
     links = [body for body, _ in _list_moving_inertials(robot)]
     masses = {body.mass for body in links}

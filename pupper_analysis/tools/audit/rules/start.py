@@ -309,9 +309,9 @@ def _find_opposite_signs(
 ) -> tuple[tuple[str, ...], float] | None:
     """Find the leg joints whose angles need the opposite sign to make the feet the lowest shapes.
 
-    The angles of these joints are negated in all legs alike: for example, of each second joint of a
-    leg. ``feet`` and ``others`` are ids of geoms; ``heights`` returns the height [m] of the lowest
-    point of each geom, from qpos and ids.
+    The angles of these joints are negated in all legs alike: for example, those of the second joint
+    of each leg. ``feet`` and ``others`` are ids of geoms; ``heights`` returns the height [m] of the
+    lowest point of each geom, from qpos and ids.
 
     Returns:
         Names of the joints, and the largest distance of a foot from the ground [m]. None if there
