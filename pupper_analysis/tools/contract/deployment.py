@@ -195,7 +195,7 @@ def _describe_order_place(placed_source: PlacedSource) -> str:
 def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str], Fact]) -> None:
     """Raise a ModelError, with the line, if the only list of a compared quantity was not read.
 
-    Such a list has another length than the joint order of its file.
+    Such a list has another length than the joint order of the source.
     """
     known = {quantity for quantity, _ in facts}
     for placed_source in placed:

@@ -458,9 +458,10 @@ def find_changed_elements(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> Iterator[ElementDifference]:
-    """Yield the changes of elements between two versions, and the added and removed elements.
+    """Yield the changes of elements between two versions; also added or removed elements.
 
-    Elements with an equal change usually form a common difference.
+    Elements with an equal change usually form a common difference. Added and removed elements of
+    the kinds `_TREE_ELEMENTS` are left out.
 
     Args:
         old: Elements of the old version.

@@ -669,8 +669,8 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The extent of the positions of all moving joints at zero angles must be 0, or between
     `MIN_ROBOT_EXTENT` and `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most
-    `MAX_SHAPE_RATIO` times the extent of the joints. Robots with fewer than two moving joints are
-    skipped.
+    `MAX_SHAPE_RATIO` times the extent of the joints, if the latter is at least `MIN_EXTENT`. Robots
+    with fewer than two moving joints are skipped.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
