@@ -74,6 +74,17 @@ def test_tables_of_a_python_file_are_read(text: str, name: str, tmp_path: Path) 
     assert sorted(found) == [*angles, ("kd", 0.5), ("kp", 20.0)]
 
 
+@pytest.mark.parametrize("key", ["control", "actions"])
+def test_numbers_as_keys_of_a_python_table_are_accepted(key: str, tmp_path: Path) -> None:
+    path = tmp_path / "train.py"
+    table = f"{{'{key}': {{0: {{'scale': 0.25}}}}, 'kp': 20.0, 'joint_names': ['hip']}}"
+    path.write_text(f"CFG = {table}\n")
+    [source] = python.read(Request(path))
+    values = {statement.quantity: statement.value for statement in source.statements}
+    assert values["kp"] == 20.0
+    assert source.order == ("hip",)
+
+
 def test_rtneural_file_gives_layer_sizes_and_no_weights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

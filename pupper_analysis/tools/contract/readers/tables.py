@@ -120,7 +120,7 @@ class _View:
 def _get_in_any_case(node: LocatedValue, path: Iterable[str]) -> LocatedValue:
     """Return the value of a path of keys, whose letters may have another case in the table."""
     for key in path:
-        names = {name.lower(): name for name in node.table}
+        names = {str(name).lower(): name for name in node.table}
         node = node.get(names.get(key.lower(), key))
     return node
 
@@ -501,7 +501,7 @@ def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
     return [
         one
         for key, one in node.table.items()
-        if isinstance(one.value, dict) and "Velocity" not in key and "Effort" not in key
+        if isinstance(one.value, dict) and "Velocity" not in str(key) and "Effort" not in str(key)
     ]
 
 
