@@ -23,6 +23,7 @@ import numpy as np
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Vector, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.shapes import Pose
@@ -246,6 +247,9 @@ def _read_drive_gains(
     """Return stiffness and damping of a joint's position drive [N m/rad, N m s/rad; N/m, N s/m].
 
     None without a force drive of positive stiffness.
+
+    Raises:
+        ModelError: If a gain is infinite or NaN.
     """
     prefix = f"drive:{axis_word}:physics"
     stiffness = read_number(prim, f"{prefix}:stiffness", 0.0)
@@ -255,8 +259,12 @@ def _read_drive_gains(
         or stiffness <= 0
     ):
         return None
+    damping = read_number(prim, f"{prefix}:damping", 0.0)
+    for name, value in (("stiffness", stiffness), ("damping", damping)):
+        if math.isinf(value):
+            raise _make_number_error(prim, f"{prefix}:{name}", value)
     unit = units.inertia / RADIANS_PER_DEGREE if is_hinge else units.mass
-    return stiffness * unit, read_number(prim, f"{prefix}:damping", 0.0) * unit
+    return stiffness * unit, damping * unit
 
 
 def _read_mimic(
@@ -858,10 +866,21 @@ def read_number(prim: Any, name: str, default: float = math.nan) -> float:
     """Read the number of an attribute, in the unit of the file; ``default`` without a value.
 
     Raises:
-        ModelError: If the value is no number.
+        ModelError: If the value is no number, or is NaN.
     """
     value = read_value(prim, name, "number")
-    return default if value is None else float(recover_decimals(value))
+    if value is None:
+        return default
+    if math.isnan(value):
+        raise _make_number_error(prim, name, value)
+    return float(recover_decimals(value))
+
+
+def _make_number_error(prim: Any, name: str, value: float) -> ModelError:
+    """Return the error that an attribute of a prim is not finite, or NaN."""
+    file = Path(prim.GetStage().GetRootLayer().realPath)
+    message = diagnose("usd-number-not-valid", attribute=name, value=f"{value:g}")
+    return make_file_error(Place(file, None, str(prim.GetPath())), message)
 
 
 def _all_finite(*values: float) -> bool:

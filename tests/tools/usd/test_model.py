@@ -219,3 +219,27 @@ def test_value_of_another_type_is_refused_at_its_prim(
 ) -> None:
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/.*physics|leg\.usda:</leg/.*mjc"):
         model(usd.write(tmp_path, change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("physics:lowerLimit = -30", "physics:lowerLimit = nan"),
+        ("physics:stiffness = 5000000", "physics:stiffness = nan"),
+        ("physics:stiffness = 5000000", "physics:stiffness = inf"),
+        ("physics:damping = 50000", "physics:damping = inf"),
+        ("mjc:damping = 1000000", "mjc:damping = nan"),
+    ],
+    ids=str,
+)
+def test_number_that_is_not_finite_is_refused_at_its_prim(
+    change: tuple[str, str], tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=r"leg\.usda:</leg/.*is (nan|inf); give a finite number"):
+        model(usd.write(tmp_path, change))
+
+
+def test_infinite_limit_is_no_limit(tmp_path: Path) -> None:
+    """USD's default of a missing limit is infinite."""
+    change = ("physics:lowerLimit = -30", "physics:lowerLimit = -inf")
+    assert model(usd.write(tmp_path, change)).joints["hip"].lower == -math.inf
