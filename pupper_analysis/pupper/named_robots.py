@@ -165,7 +165,7 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
     Args:
         word: Text that a user has given, for example on the command line.
         is_robot: True if the word must name a robot. False if the word may also name another
-            source: it is then refused only if it is similar to the name of a variant.
+            source: the word is then refused only if similar to the name of a variant.
 
     Raises:
         VariantError: If the word is refused; the message lists all variants, and similar names.

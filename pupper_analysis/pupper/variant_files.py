@@ -1,4 +1,4 @@
-"""Files of a variant: derive, write and load them; parse the words that name a robot.
+"""Derive, write and load the files of a variant; parse the words that name a robot.
 
 Input is the name of a variant or a ``VariantSpec``; the URDF and MJCF are derived from the files of
 the base model in memory, and cached until the URDF or the main MJCF of the base model changes.
@@ -111,7 +111,7 @@ def _derive_files(
     The stamps are results of `_read_file_stamp` for the base files.
 
     Returns:
-        XML text of the URDF, and spec of the MJCF; the spec is cached, so callers must copy it.
+        XML text of the URDF, and spec of the MJCF; callers must copy the cached spec.
     """
     try:
         urdf_text = read_text(urdf_source)

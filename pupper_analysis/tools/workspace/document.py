@@ -35,7 +35,7 @@ The names of all directions are listed together.
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the reasons why the base cannot move farther, with their directions, as a text.
+    """Return the reasons why the base cannot move farther, and the directions, as a text.
 
     The reason that limits most directions comes first.
     """
@@ -66,7 +66,7 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 
 
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
-    """Return each kind of limit with its directions, for the short answer, most directions first.
+    """Return each kind of limit with the directions, for the short answer, most directions first.
 
     For example, ``joints (all but x)``. Names of joints and links are omitted.
     """
@@ -94,7 +94,7 @@ to all directions, or to ``all but`` a single direction. Chosen, not tuned.
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:
-    """Return the names in a limit of the base: joints at their limits, or lowest links."""
+    """Return the names in a limit of the base: joints at a limit, or lowest links."""
     names = limit.values[_MERGED_NAMES[limit.code]]
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
@@ -170,7 +170,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
 
 @draw_result.register(BaseWorkspace)
 def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Plot the range of each direction as a bar between its ends, with the limit at each end.
+    """Plot the range of each direction as a bar between both ends, with the limit at each end.
 
     Lengths [mm] and angles [deg] have a panel each.
     """
