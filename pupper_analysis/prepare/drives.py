@@ -301,7 +301,7 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
     The gains are chosen so that the robot comes to rest in the nominal stand (the default
     `StandTask`), if possible. The time step may be reduced. Dependent joints (of closed loops and
-    couplings) get no servo. Servos at passive joints exert no torque.
+    couplings) get no servo. Passive joints, which have no motor, get servos without torque.
 
     Returns:
         Robot with servos, and notes on added servos and passive joints.

@@ -194,7 +194,7 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
-    """Compare the published file with the predicted equilibrium of the nominal stand.
+    """Compare MuJoCo's result for the published file with the predicted nominal stand.
 
     The nominal stand is the solution of the default `StandTask`.
 

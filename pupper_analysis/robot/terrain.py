@@ -145,7 +145,7 @@ def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dic
 def find_touched_surface(
     model: mujoco.MjModel, data: mujoco.MjData, body: str
 ) -> Diagnostic | None:
-    """Name the step, plane or bar of a task that a body touches, for messages.
+    """Name the surface of a task, such as a step, wall or bar, that a body touches, for messages.
 
     Args:
         model: Model with the ground of a task (`build_on_ground`).

@@ -145,7 +145,7 @@ class ServoBounds(Result):
 
     @property
     def uniform(self) -> bool:
-        """Whether all driven joints have equal stiffness and equal damping."""
+        """Whether the servos of all driven joints have equal stiffness kp and equal damping kd."""
         return len({(bounds.kp, bounds.kd) for bounds in self.classes}) == 1
 
 

@@ -282,12 +282,14 @@ class ClearanceShapes:
             at: Kinematics of the configuration.
             ground: Ground: slope, steps and planes of feet.
             foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the
-                world}; determines where the steps of the ground are.
+                world}.
+                Steps of the ground are below these targets.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
-            Smallest height [m] of `measure_part_heights`, with the link and its nearest surface
-            (empty on a single plane); None if `measure_part_heights` is empty.
+            Smallest height [m], with the link and the name of the nearest surface. The name is
+            empty on
+            a single plane. None if `measure_part_heights` is empty.
         """
         heights = self.measure_part_heights(at, ground, foot_targets, depths)
         if not heights:

@@ -245,8 +245,9 @@ class StanceProgram:
     def minimise_foot_distances(self, qpos: Array) -> Array:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
-        The sum of squared distances is minimised subject to the constraints of this program, in two
-        runs, the second with a smaller unit of distance. The minimum may be local.
+        The sum of squared distances is minimised subject to the constraints of this nonlinear
+        program.
+        The minimum may be local.
 
         Args:
             qpos: Initial configuration, shape (nq,).

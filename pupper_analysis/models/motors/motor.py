@@ -258,10 +258,10 @@ class Motor:
 
     @property
     def output_torque_per_ampere(self) -> float:
-        """Torque at the output per current of a motor that drives [N m/A].
+        """Torque at the output per current, while the motor drives the load [N m/A].
 
-        The stated `output_torque_constant` is preferred to stall torque / stall current, and this
-        to torque constant x gear ratio x gear efficiency.
+        The first known of these numbers: the stated `output_torque_constant`; stall torque / stall
+        current; torque constant x gear ratio x gear efficiency.
 
         Raises:
             ModelError: If these numbers are unknown.

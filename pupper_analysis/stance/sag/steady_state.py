@@ -549,7 +549,9 @@ def steady_state(
 def make_homotopy_path(
     robot: Robot, stand: Stand, kp: ArrayLike | None, feet: SlipLaw, *, exact: bool = False
 ) -> HomotopyPath:
-    """Create the path of equilibria of a stand, at its start: the equilibrium with feed-forward.
+    """Create the path of equilibria of a stand, at the start of the path.
+
+    The start is the equilibrium with feed-forward torques; along the path, these are removed.
 
     Args:
         robot: Robot, with the contacts of the stand.

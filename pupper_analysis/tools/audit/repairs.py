@@ -592,7 +592,7 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 
 
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield repairs of a URDF link's CoM: mm converted to m, or from the corresponding links."""
+    """Yield repairs of a URDF link's CoM: mm converted to m, or the CoM of the mirrored link."""
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link is None:

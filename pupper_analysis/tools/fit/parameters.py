@@ -163,7 +163,7 @@ class Prior:
     width: float = math.nan
 
     def compute_std(self, stated: float) -> float:
-        """Compute the prior standard deviation of a parameter, in the unit of the kind.
+        """Compute the prior standard deviation of a parameter, in the unit of its kind, such as kg.
 
         A relative width (``share``) is a fraction of the absolute value of ``stated``.
         """

@@ -76,7 +76,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
 
 
 def _describe_motor_regions(path: StancePath) -> list[doc.Words]:
-    """Return the text that names the motors whose regions define the utilisation, if any."""
+    """Return the text with the motors whose torque-speed regions define the utilisation, if any."""
     names = dict.fromkeys(path.motors.values())
     return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []
 

@@ -141,7 +141,8 @@ class Design:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stability of `standing_equilibrium`, from the spectrum of a simulation step.
+        """Stability of `standing_equilibrium`, from the eigenvalues of a linearised simulation
+        step.
 
         Raises:
             NotStandingError: If the robot does not stay up.

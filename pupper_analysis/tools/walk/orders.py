@@ -34,8 +34,10 @@ from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, simulate_cases
 
 DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
-"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With a single command, wrong
-orders can walk as well."""
+"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With a single command, a
+policy
+may also walk with a wrong joint order.
+"""
 
 MIN_COST_RATIO = 1.1
 """Ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of a policy

@@ -296,8 +296,10 @@ MIN_FEET = 2
 tuned."""
 
 MAX_LEG_JOINTS = 4
-"""Largest number of hinges of a leg of which all combinations of signs are tried. Chosen, to bound
-the time."""
+"""Largest number of hinges of a leg for which all combinations of opposite signs of the joint
+angles
+are tried. Chosen, to bound the time.
+"""
 
 
 def _find_opposite_signs(

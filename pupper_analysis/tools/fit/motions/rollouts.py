@@ -285,7 +285,10 @@ class Simulator:
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
     def _get_delay(self, vector: Array, part: str = "") -> float:
-        """Return the delay of commands [s], or the lag of a ``part`` [s]; 0 if not estimated."""
+        """Return the delay of commands [s]; with ``part``, a lag time constant of the servos [s].
+
+        0 if the parameter is not estimated. ``part`` is ``command`` or ``position``.
+        """
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
