@@ -366,7 +366,7 @@ class RelativeError:
 
     @cached_property
     def _total_deviations(self) -> dict[str, float]:
-        """Relative deviation of each quantity between both models, with all differences together."""
+        """Relative deviation of each quantity between both models, with all differences."""
         return {
             name: self.relative_deviation(name, values, self.two[name])
             for name, values in self.one.items()

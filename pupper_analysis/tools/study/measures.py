@@ -141,8 +141,7 @@ class Design:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stability of `standing_equilibrium`, from the eigenvalues of a linearised simulation
-        step.
+        """Stability of `standing_equilibrium`, from the eigenvalues of a simulation step.
 
         Raises:
             NotStandingError: If the robot does not stay up.
