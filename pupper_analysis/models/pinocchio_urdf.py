@@ -30,7 +30,7 @@ largest double for "no limit". Chosen, not tuned.
 
 _IDENTITY_ATOL: Final = 1e-12
 """Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
-rotation matrix. Equal frames become a single link. Chosen, not tuned.
+rotation matrix. Chosen, not tuned.
 """
 
 _WORLD: Final = "world"

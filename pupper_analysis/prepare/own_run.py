@@ -634,7 +634,8 @@ def _unheld_joints(
 ) -> list[JointOff]:
     """Return the joints that moved because no position servo holds them.
 
-    The result is empty unless more than half of the joints have a position servo.
+    Passive and coupled joints are left out. The result is empty unless more than half of the joints
+    have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):

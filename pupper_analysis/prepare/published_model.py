@@ -58,9 +58,7 @@ _BASE_POSE_ATOL = 1e-10
 `place_at_state` accepts the pose of the base. Chosen, not tuned."""
 
 _MAX_NEWTON_STEPS = 20
-"""Upper bound of the Newton steps in `place_at_state`; a free joint usually needs two. Chosen, not
-tuned.
-"""
+"""Upper bound of the Newton steps in `place_at_state`. Chosen, not tuned."""
 
 _TRIAL_COMMAND = 1e-6
 """Step of ctrl, in its own unit, in the finite difference of `_measure_command_law`. Chosen small

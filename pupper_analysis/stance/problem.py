@@ -661,7 +661,8 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
     """Move a sole rigidly, so that its spheres lie on a plane through the origin.
 
-    ``normal`` is the unit normal of the plane. ``sole`` and the result are sphere centres, shape (n, 3) [m].
+    ``normal`` is the unit normal of the plane. ``sole`` and the result are sphere centres, shape
+    (n, 3) [m].
     """
     out = UP
     for _ in range(_NUM_FIT_ITERATIONS):

@@ -496,8 +496,8 @@ def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """Convert a block, such as a plot or 3-D view, for the HTML template; plots become SVG.
 
-    The data of a 3-D view are appended to ``scenes``. None for a view that contains nothing to
-    show.
+    The data of a 3-D view are appended to ``scenes``. None if there is
+    nothing to show.
     """
     if isinstance(block, Plot):
         return draw_svg(block)

@@ -35,7 +35,7 @@ _URDF_CHILD_PATHS: Final = {
     # "dynamics" is the nearest element for parameters that URDF does not support.
     **{row.kind: row.urdf[0] if row.urdf else "dynamics" for row in TREE_ATTRIBUTES},
 }
-"""{kind of a difference: path of the element with the value, below the link or joint of a URDF}."""
+"""{kind of a difference: path of the reported element, below the link or joint of a URDF}."""
 
 _MJCF_SECTIONS: Final = {
     "tendon": "tendon",

@@ -233,8 +233,9 @@ def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
     """Stretch a link of the URDF in place, with inertial, shapes and child joint origins.
 
-    Points p of the link frame [m] move to A p + b, with A = ``matrix`` and b = ``shift``. The mass
-    is multiplied by ``factor``.
+    Points p of the link frame [m] move to A p + b, with A = ``matrix`` and b = ``shift``. Spheres,
+    and some shapes at an angle to the stretch, are only moved. The mass is multiplied by
+    ``factor``.
     """
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia

@@ -29,9 +29,8 @@ one error. Chosen, not tuned.
 """
 
 _MAX_FITTED_WIRINGS = 3
-"""Upper bound of the number of wirings (assignments of measured columns to joints, with signs) that
-are fitted, because a fit is slow. Usually the true wiring is ranked first, or second if an encoder
-offset is large as well.
+"""Largest number of wirings (assignments of measured columns to joints, with signs) of a ranking
+that are fitted, because a fit is slow. Chosen, not tuned.
 """
 
 
