@@ -276,7 +276,7 @@ def check_command(command: ArrayLike) -> Array:
     """
     try:
         checked = np.array(command, dtype=np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ConfigurationError("command", diagnose("no-numbers", count=3)) from error
     if checked.shape != (3,) or not np.isfinite(checked).all():
         raise ConfigurationError("command", diagnose("no-numbers", count=3))
