@@ -45,8 +45,8 @@ _COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
 def complete_command(step: NextStep | None) -> str:
     """Create the command line of a suggested next step, for the robot of the running command.
 
-    The line contains the command and the words of the step, the typed robot, and most of the typed
-    options that both commands have.
+    The line usually contains the command and the words of the step, the typed robot, and most of
+    the typed options that both commands have.
 
     Returns:
         Command line; empty without a step, or if no such line is possible, for example because the

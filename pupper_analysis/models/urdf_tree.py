@@ -192,7 +192,7 @@ class UrdfJoint(UrdfElement):
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
-        """Return the value of a joint parameter as written in the URDF; None if missing."""
+        """Return the text of a joint parameter in the XML tree; None if missing."""
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])

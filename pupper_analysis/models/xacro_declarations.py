@@ -50,7 +50,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file must be expanded by xacro, for example because of a macro call.
+        ModelError: If a xacro element must be expanded by xacro, for example a macro call.
     """
     declared = [element for element in root.iter() if element.prefix == XACRO_PREFIX]
     if not declared:

@@ -388,7 +388,7 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Yield the statement that servos of the file cannot hold a position, and were replaced."""
+    """Yield the statement that the replaced servos of the file cannot hold the joints, if any."""
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)

@@ -246,8 +246,7 @@ class StanceProgram:
         """Find the configuration (nq,) with the contact points nearest to their targets.
 
         The sum of squared distances is minimised subject to the constraints of this nonlinear
-        program.
-        The minimum may be local.
+        program. The minimum may be local.
 
         Args:
             qpos: Initial configuration, shape (nq,).
