@@ -24,6 +24,7 @@ from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.falls import find_fall_tests
 from pupper_analysis.tools.walk.gait import (
     _compute_base_deviations,
+    check_command,
     describe_run_failure,
     measure_gait,
     sample_ground_support,
@@ -333,3 +334,11 @@ def test_deviations_of_the_base_are_those_of_its_roll_pitch_and_height(still: Po
     states[:, columns[2]] = 0.13 + height
     found = _compute_base_deviations(stage, states)
     assert found == pytest.approx(np.array([0.2, 0.05, 0.01]) / math.sqrt(2), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "command", [(10**400, 0, 0), (math.nan, 0, 0), (1, 2), "fast", (200, 0, 0)]
+)
+def test_command_that_is_no_velocity_is_refused(command: Any) -> None:
+    with pytest.raises(pa.ConfigurationError):
+        check_command(command)
