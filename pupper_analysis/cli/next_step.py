@@ -38,6 +38,13 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
 """Commands that refuse a stance with a weld or a grip (`--contact NAME=weld`)."""
 
 
+_WORDS_FOR_FIXED_BASE = {
+    "gains": ("--contact", "base=weld"),
+    "heat": ("--contact", "base=weld"),
+    "live": ("--mujoco",),
+}
+"""{command about stands: words with which the command accepts a fixed base}."""
+
 _COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
 """Commands that read files of registered formats, besides URDF and MJCF."""
 
@@ -173,7 +180,7 @@ def complete_fixed_base_command(running_command: str) -> str:
     Args:
         running_command: Name of the refused command.
     """
-    words = {"gains": ("--contact", "base=weld"), "live": ("--mujoco",)}.get(running_command)
+    words = _WORDS_FOR_FIXED_BASE.get(running_command)
     return complete_command(NextStep("hold") if words is None else NextStep(running_command, words))
 
 

@@ -163,6 +163,8 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
     ("typed", "expected"),
     [
         ("stand --payload 1kg --height 1m", "hold {path} --payload 1kg"),
+        ("heat --motor mit-mini-cheetah",
+         "heat {path} --motor mit-mini-cheetah --contact base=weld"),
         ("gains --payload 1kg --delay 1ms",
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
         ("live --no-browser", "live {path} --no-browser --mujoco"),
