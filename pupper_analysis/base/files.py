@@ -28,7 +28,7 @@ from typing import Final, TextIO
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.base.kinds import OutputKind
-from pupper_analysis.base.runs import current_run
+from pupper_analysis.base.runs import current_run, is_command_line
 
 
 @cache
@@ -234,7 +234,7 @@ def _check_replaceable(
         if force:
             return
         if kind.owns is None:
-            raise OutputError(path, diagnose("output-there"))
+            raise OutputError(path, diagnose("output-there", option=is_command_line()))
         if not kind.owns(file):
             raise OutputError(path, diagnose("output-of-another-kind", kind=Term(kind.name)))
 

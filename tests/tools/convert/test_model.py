@@ -414,7 +414,7 @@ def test_command_states_the_file_the_agreement_and_the_stand(tmp_path: Path) -> 
     assert model.dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
     again = answer("convert", "quad.urdf", "-o", "quad.xml", folder=tmp_path)
     assert again.returncode == 2
-    assert again.stderr.startswith("error: cannot write quad.xml: the file exists; add --force")
+    assert again.stderr.startswith("error: cannot write quad.xml: the file exists; --force ")
 
 
 # ------------------ What a converted robot's base does: free or fixed, from `qpos0`, and on a slope
