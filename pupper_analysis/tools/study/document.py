@@ -151,11 +151,11 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _format_design(values: pd.Series[Any], units: Mapping[str, str]) -> str:
-    """Return the values of a row as ``name value unit``, separated by commas."""
+    """Return the values of a row as ``name value unit`` in shown units, separated by commas."""
     shown = []
     for name, value in values.items():
-        unit = units.get(str(name), "")
-        number = f"{value:.4g}" if isinstance(value, float) else str(value)
+        scale, unit = _find_shown_unit(str(name), units)
+        number = f"{scale * value:.4g}" if isinstance(value, float) else str(value)
         shown.append(f"{name} {number}{f' {unit}' if unit not in ('', '1') else ''}")
     return ", ".join(shown)
 

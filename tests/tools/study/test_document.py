@@ -18,6 +18,7 @@ from pupper_analysis.present.document import LinePlot, Report, Table, get_englis
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.tools.study import document
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import Failures, MetricSummary, compute_main_effects
 from tests.present.test_html import EVIL
@@ -311,3 +312,11 @@ def test_outcome_of_one_file_states_the_converted_file(tmp_path: Path) -> None:
     one = pa.study.study_outcome(study, tmp_path)
     assert (one.robot, one.converted) == ("pupper_v3.xml", "urdf")
     assert "from a single file" in write_markdown(build_report([("", one)]))
+
+
+def test_best_design_is_named_in_the_units_of_the_tables() -> None:
+    """12.8 % and 11.71 mm in the tables were 0.128 and 0.01171 m in the first line."""
+    design = pd.Series({"kp": 5.0, "peak_utilisation": 0.128, "servo_sag": 0.01171})
+    units = {"kp": "N m/rad", "peak_utilisation": "1", "servo_sag": "m"}
+    words = document._format_design(design, units)
+    assert words == "kp 5 N m/rad, peak_utilisation 12.8 %, servo_sag 11.71 mm"
