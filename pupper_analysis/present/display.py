@@ -59,7 +59,10 @@ def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def in_notebook() -> bool:
-    """Return True if the code runs in a Jupyter kernel, which displays pictures below the cell."""
+    """Return True in a Jupyter kernel, which displays pictures below the cell.
+
+    The criterion is IPython's shell ``ZMQInteractiveShell``.
+    """
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return type(shell).__name__ == "ZMQInteractiveShell"

@@ -49,7 +49,7 @@ def text(key: str, **values: object) -> Text:
             the result.
 
     Raises:
-        KeyError: If the catalogue has no such key.
+        KeyError: If the catalogue has no such key, or non-empty ``values`` lack a placeholder.
     """
     short = phrase(key, SHORT_FORM)
     return Text(
@@ -580,11 +580,11 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def widen_format(form: str, values: Iterable[float]) -> str:
-    """Return a fixed-point format with two significant digits of the largest of several values.
+    """Return a fixed-point format with at least two significant digits for the largest number.
 
-    The format has at least the decimals of ``form``, such as ``"+.4f"``, and at most nine
-    (`_MAX_DECIMALS`). Reason: torques of a robot of a few grams are 1e-3 N m, and ``".2f"`` would
-    print 0.00.
+    The format has the decimals of ``form``, such as ``"+.4f"``, or more, up to nine
+    (`_MAX_DECIMALS`). Reason: torques of a robot of a few grams may be 1e-3 N m, and ``".2f"``
+    would print 0.00.
     """
     start, decimals = form[:-1].split(".")
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)

@@ -245,7 +245,7 @@ def write_github(annotations: Iterable[Annotation]) -> str:
 
 
 def _escape_data(text: str) -> str:
-    """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file.
+    """Escape the message of a GitHub workflow command.
 
     GitHub defines escapes for line ends and "%". Other control characters become visible text
     (`escape_control`).
@@ -263,8 +263,9 @@ def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-ana
     """Convert annotations to JUnit XML, with a test case per annotation.
 
     A test case passes if the level of the annotation is notice, or if a baseline contains the
-    annotation. ``suite_name`` is the command and the files: CI servers show the results of several
-    commands under the names of the suites.
+    annotation. Without annotations, there is a single test case, which passes. ``suite_name`` is
+    the command and the files: CI servers show the results of several commands under the names of
+    the suites.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]

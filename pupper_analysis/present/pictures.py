@@ -59,8 +59,8 @@ _MIN_RADIUS = 0.01
 """Smallest radius of the sphere around a robot [m], for robots without geoms. Chosen, not tuned."""
 
 _TURN_SECONDS, _FRAMES_PER_SECOND = 4.0, 10
-"""Duration [s] of a turn of the camera around a posture, and frames per second of animations. The
-configurations of a verification have a time step of 0.1 s. Chosen, not tuned.
+"""Duration [s] of a turn of the camera around a posture, and frames per second of the turn. Chosen,
+not tuned.
 """
 
 _MAX_FRAMES = 600
@@ -75,8 +75,9 @@ _MAX_PIXELS = 300_000_000
 """Largest number of pixels of all frames together: 0.9 GB in memory. Chosen, not tuned."""
 
 _DRAWING_TIMEOUT = 300.0
-"""Time [s] after which a drawing process is ended. A frame takes 0.1 s without a graphics card.
-Chosen, not tuned."""
+"""Time [s] after which a drawing process is ended. A frame takes about 0.1 s without a graphics
+card. Chosen, not tuned.
+"""
 
 _OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
 """Values of MUJOCO_GL that are tried on Linux without a display; "" is MuJoCo's default."""

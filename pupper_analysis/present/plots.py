@@ -37,6 +37,7 @@ def plot_result(result: Any, robot: object = None) -> tuple[Axes, ...]:
         ConfigurationError: If the result has no plot, or the robot is missing, is no `Robot`, or is
             not the robot of the result.
         StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
+        TypeError: If ``result`` is no result.
     """
     if robot is not None and not isinstance(robot, Robot):
         given = " ".join(reprlib.repr(robot).split())
@@ -53,6 +54,7 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
 
     Raises:
         ConfigurationError: If the document has no plots.
+        TypeError: If ``result`` is no result.
     """
     from pupper_analysis.present.figures.drawing import make_plots_figure
 

@@ -256,7 +256,7 @@ def describe_joint_axes(
 def collect_visible_shapes(
     model: mujoco.MjModel, max_faces: int
 ) -> tuple[list[VisibleShape], dict[int, Mesh]]:
-    """Read the visible geoms of a robot, and simplify the meshes.
+    """Read the visible geoms of a model, and simplify the meshes.
 
     ``max_faces`` is the approximate upper bound of the triangles of all meshes. If the meshes have
     more triangles, large meshes are reduced by about the same factor.
@@ -278,7 +278,7 @@ def collect_visible_shapes(
 
 
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the indices of the robot's geoms in the groups that MuJoCo's viewer shows by default.
+    """Return the indices of the bodies' geoms in the groups that MuJoCo's viewer shows by default.
 
     These groups are 0 to 2. If no geom is in these groups, geoms of other groups are returned.
     Geoms of the world body and of unsupported kinds are excluded.

@@ -37,7 +37,7 @@ from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 100
 """Maximum width [characters] of the line of joined messages in a short answer; a first message that
-cannot be cut is wider. Messages beyond the width are only counted. Chosen, not tuned.
+cannot be cut may be wider. Messages beyond the width are only counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -394,10 +394,10 @@ def _get_short_form(words: Words) -> str:
 
 
 def _style_words(words: Words, *, short: bool = False) -> Text:
-    """Convert words to a text for the terminal, in the style of their emphasis (``mark``).
+    """Convert words to a text for the terminal, with a style for their emphasis (``mark``).
 
-    A word in capitals at the start, such as HOLDS, is styled alone. ``short`` selects the short
-    form.
+    The style applies to a first word in capitals, such as HOLDS. Other texts have a style only if
+    the mark is ``quiet``. ``short`` selects the short form.
     """
     plain = _get_short_form(words) if short else _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")

@@ -112,7 +112,7 @@ def load_blocks(
     units: Sequence[str],
     more: Mapping[doc.Column, Sequence[float]],
 ) -> list[doc.Block]:
-    """Create the tables and the plot of motor torques and contact forces.
+    """Create the table and the plot of motor torques, and the table of contact forces.
 
     Args:
         statics: Equilibrium with minimum tangential forces; its torques are the prediction.

@@ -10,7 +10,7 @@ from pupper_analysis.present.document import join_words, text
 
 
 def describe_motor_energy(energy: MotorEnergy | None) -> Iterable[doc.Words]:
-    """Yield a text on the electrical energy of motors in a simulation; nothing without motors."""
+    """Yield a text on the electrical energy of simulated motors; nothing if ``energy`` is None."""
     if energy is None:
         return
     if energy.unknown or energy.power is None:

@@ -42,9 +42,7 @@ from pupper_analysis.present.document import (
 from pupper_analysis.robot.robot import Robot
 
 MAX_SHOWN_ENTRIES = 24
-"""Largest number of entries of a list, mapping or array that a cell shows. Chosen, not tuned:
-enough for the joints of a humanoid without hands.
-"""
+"""Largest number of entries of a list, mapping or array that a cell shows. Chosen, not tuned."""
 
 MAX_CELL_LENGTH = 600
 """Largest number of characters of a value in a table cell, except for descriptions of tasks. A
@@ -181,7 +179,7 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Create the title of a report from its documents: kind of result, and all titles."""
+    """Create the title of a report: common kind of result, or "report", and titles of documents."""
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}
@@ -192,8 +190,8 @@ def _make_title(documents: Sequence[Document]) -> Words:
 def load_builder(kind: type) -> None:
     """Import the module that registers the builder of a result type's document, if there is one.
 
-    A module ``document`` is searched in the package of the type and its parent packages, then in
-    the tools of this package.
+    For the type, then for each base class, a module ``document`` is searched in the package of the
+    class and its parent packages, then in the tools of this package.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

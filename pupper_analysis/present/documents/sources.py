@@ -28,7 +28,7 @@ def cite_page(name: str, heading: str) -> Text:
 
 
 def files_text(robot: Robot | None) -> Text:
-    """Create the sentence that names the URDF and MJCF from which results were computed.
+    """Create the sentence that names the model files from which results were computed.
 
     Without a robot, no file is named.
     """
@@ -59,12 +59,12 @@ def is_urdf_changed(robot: Robot) -> bool:
 def quote_line(place: str | None, *paths: str) -> str:
     """Quote the XML tag at a place in a model file: the line, with earlier lines of the tag.
 
-    An XML reader reports the line on which a tag ends; earlier lines may belong to the tag.
+    The XML reader (lxml) reports the line on which a tag ends; earlier lines may belong to the tag.
     ``place`` is ``file:line``; ``paths`` are candidate files, relative to which included files are
     searched.
 
     Returns:
-        Lines, joined by newlines, without indentation; empty if the line is not found.
+        Lines, joined by newlines, without indentation; empty if the line is not found or blank.
     """
     file, _, line = (place or "").rpartition(":")
     if not file or not line.isdigit() or int(line) < 1:

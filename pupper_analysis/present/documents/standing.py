@@ -138,7 +138,7 @@ def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss of the base [mm] in the last second of a simulation.
 
     The loss is the requested height ``task`` [m] minus the mean height. ``run.height_loss`` belongs
-    to an earlier second, before the nudge.
+    to another interval, before the nudge.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))

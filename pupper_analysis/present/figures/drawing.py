@@ -61,7 +61,7 @@ SERIES_COLOURS = (
 """Colours of the lines of a plot, in plotting order."""
 
 _TITLE_PLACE = 0.006
-"""Left end of the title of a figure, as a share of the width: that of the titles of the panels."""
+"""Left end of the title of a figure [1], relative to the width of the figure. Chosen, not tuned."""
 
 PAGE_WIDTH = 178 / 25.4
 """Width of a figure [inch]: the text width of a printed page, 178 mm."""
@@ -99,7 +99,9 @@ _LETTER_HEIGHT = 12.0
 """Font size of the plots in HTML reports [CSS pixels]."""
 
 _NUM_COLUMNS = 2
-"""Largest number of panels in a row of a figure. Chosen: with three, the labels are illegible."""
+"""Default of the largest number of panels in a row of a figure. Chosen: with three, the labels are
+illegible.
+"""
 
 
 def write_plots(
@@ -246,7 +248,11 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 
 
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
-    """Return the legend of a drawing as {text: class of the style sheet}, with its note."""
+    """Return the legend of a drawing as {text: class of the style sheet}, with its note (class "").
+
+    A single entry that repeats another text of the drawing, such as the name of an axis, is
+    omitted.
+    """
     entries = {get_english(words): kind for words, kind in drawing.legend}
     words = {get_english(mark["words"]) for mark in drawing.marks if mark["tag"] == "text"}
     if len(entries) == 1 and words.issuperset(entries):
@@ -255,8 +261,9 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
 
 
 _LEGEND_LINE_LENGTH = 3.6
-"""Length of the line of a legend entry, as a multiple of the font size: a whole period of the
-longest dash pattern if a row has a single panel. Chosen, not tuned."""
+"""Length of the line of a legend entry, as a multiple of the font size: at least a period of the
+longest dash pattern if a row has a single panel. Chosen, not tuned.
+"""
 
 _LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 5.6
 """Mean width of a letter of a legend, and width of a symbol with the gaps, as fractions of the font

@@ -50,13 +50,13 @@ are merged: number in the first grid, and lower bound in further grids. Each fur
 of the cells per side. Chosen, not tuned.
 """
 _MAX_BASE_FACES = 2500
-"""Upper bound of the number of triangles of the base's meshes. With more triangles, the vertices
-are merged in a coarser grid. Chosen for speed: the silhouettes of 2000 triangles take 0.1 s, those
-of Go2's 78,000 triangles 5 s.
+"""Number of triangles of the base's meshes above which the vertices are merged in a coarser grid,
+as far as `_COARSEST_CELLS` permits. Chosen for speed: the silhouettes of 2000 triangles take 0.1 s,
+those of Go2's 78,000 triangles 5 s.
 """
 _MIN_DETAIL = 1 / 80
-"""Width of the gaps and needles that a silhouette of meshes omits, divided by the longer side of
-the silhouette [1]. Chosen, not tuned: the merging of vertices causes such gaps and needles.
+"""Largest width of the gaps and needles that a silhouette of meshes omits, divided by the longer
+side of the silhouette [1]. Chosen, not tuned: the merging of vertices causes such gaps and needles.
 """
 
 _NUM_GLOBE_POINTS = 200
@@ -101,7 +101,8 @@ class BasePart:
                 shape (n, 2).
 
         Returns:
-            Polygons in the units of the image, with holes; separate areas are separate polygons.
+            Polygons in the units of the image, with holes; separate areas are separate polygons. A
+            line or a point if the projection of a convex shape has no area.
         """
         seen = project(self.points)
         if self.faces is None:
@@ -239,16 +240,18 @@ _PROJECTIONS = (
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
 _CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
-"""Largest numbers of letters in a row of the caption, and of rows. Chosen: 120 letters may be wider
-than the figure, and six rows leave two thirds of the height to the panels."""
+"""Largest numbers of characters in a row of the caption, and of rows. Chosen: 120 characters may be
+wider than the figure, and six rows leave about half of the height to the panels."""
 _TITLE_LETTERS, _TITLE_ROW_HEIGHT = 80, 0.045
-"""Largest number of letters in a row of the title, and height of a row relative to the figure [1].
-Chosen for the bold font of the title: 80 letters are narrower than the figure."""
+"""Largest number of characters in a row of the title, and height of a row relative to the figure
+[1]. Chosen for the bold font of the title."""
 _MAX_ARROW_RATIO = 0.35
-"""Length of the arrow of the largest contact force, divided by the longer side of the support
-polygon [1]. Chosen, not tuned."""
+"""Length of the arrow of the largest contact force, divided by the longer horizontal side of the
+box around the support polygon [1]. Chosen, not tuned.
+"""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
-"""Colours of the legs on the side of the viewer, and on the other side of the base."""
+"""Dark and light colour of limbs. In a stand, the legs on the side of the viewer are dark, the legs
+on the other side of the base and other links are light."""
 _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
 """Colours of the base: faces, and edges with the polygon of the hips."""
 _SUPPORT_COLOUR = "#CFE8F7"
@@ -277,6 +280,7 @@ def write_pose_figure(
     The left panel is an oblique view, the right panel a view from above.
 
     Raises:
+        ConfigurationError: If the stand belongs to another robot.
         OutputError: If the file cannot be written, or is an existing file of another kind.
     """
     drawing.save_figure(make_pose_figure(robot, stand, statics), path)
@@ -297,6 +301,9 @@ def make_pose_figure(
     """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
     ``create`` returns an empty figure, as ``pyplot.figure`` does.
+
+    Raises:
+        ConfigurationError: If the stand belongs to another robot.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     title = textwrap.wrap(_make_title(robot, stand), _TITLE_LETTERS)
@@ -382,7 +389,9 @@ def make_skeleton_figure(
 
 
 def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
-    """List the lines that draw the links of a robot: from joint to joint, and to contact points.
+    """List the lines that draw the links of a robot: from joint to joint, or to the end of a limb.
+
+    The end is a contact point, or the frame of the last body.
 
     Returns:
         Pairs: MuJoCo id of the body at the end of the line; line, shape (2, 3) [m], in the world

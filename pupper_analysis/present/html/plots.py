@@ -91,7 +91,7 @@ def draw_svg(plot: Plot) -> Drawing:
 
 _MIN_HEIGHT_RATIO = 1e-3
 """Lower bound of the range of a line plot's vertical axis, divided by the larger magnitude of its
-ends [1]. In a smaller range, the tick labels, with six digits, would be equal.
+ends [1]. In a much smaller range, the tick labels, with six digits, would be equal.
 """
 
 
@@ -101,8 +101,9 @@ def format_axis_value(axis: Axis, value: float) -> str:
 
 
 _MIN_SPAN_OF_ANGLES = 60.0
-"""Range of an axis [deg] above which its ticks are at multiples of 15, 30, 45 or 90 deg. Chosen,
-not tuned."""
+"""Range of a horizontal axis [deg] above which its ticks are at multiples of 15, 30, 45 or 90 deg.
+Chosen, not tuned.
+"""
 
 
 def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = False) -> list[float]:
@@ -269,7 +270,10 @@ def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.
 
 
 def _compute_range(values: Array, margin: float) -> tuple[float, float]:
-    """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``."""
+    """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``.
+
+    If the values are equal, their magnitude replaces the range.
+    """
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
     return low - margin * span, high + margin * span if high > low or margin else high + span
@@ -346,7 +350,7 @@ def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
 
 
 def draw_words(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
-    """Create the SVG mark of a text at (x, y) [CSS pixels]; y, of the base line, points down.
+    """Create the SVG mark of a text; its base line is at (x, y) [CSS pixels], with y downwards.
 
     ``anchor`` is the part of the text at ``x``: ``start``, ``middle`` or ``end``. ``unit`` follows
     the text in brackets.

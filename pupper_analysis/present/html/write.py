@@ -205,8 +205,8 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
     Returns:
         {key: value}. ``en`` and ``zh`` are the name in both languages, ``time`` the times [s], and
         ``reach`` the largest absolute coordinate [m], at least 1e-3. ``frames`` contains the
-        integers: for each body x, y, z in units of ``reach`` / 32767, then the quaternion in units
-        of 1 / 32767.
+        integers: for each time and body x, y, z in units of ``reach`` / 32767, then the quaternion
+        in units of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
@@ -229,7 +229,7 @@ def round_values(values: ArrayLike) -> list[Any]:
 
 
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Compute the axis-aligned box that contains a robot in a configuration.
+    """Compute the axis-aligned box that contains the bodies of a model in a configuration.
 
     The box contains the bounding spheres of the visible geoms and the origins of the body frames.
     The kinematics of ``data`` must be evaluated.
@@ -280,12 +280,12 @@ def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
 def serialise_geoms(
     model: mujoco.MjModel,
 ) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Convert a robot's visible geoms and meshes to JSON data.
+    """Convert the visible geoms and meshes of a model to JSON data.
 
     Returns:
-        List of geoms, and {name of a mesh: packed mesh}. A geom has a shape, the index of the
-        body (without the world), size [m], position [m] and quaternion (w, x, y, z) in the body
-        frame, and colour. The name of a mesh is a hash, so robots with equal meshes share an entry.
+        List of geoms, and {name of a mesh: packed mesh}. A geom has a shape, the index of the body
+        (without the world), size [m], position [m] and quaternion (w, x, y, z) in the body frame,
+        and colour. The name of a mesh is a hash, so robots with equal meshes share an entry.
     """
     shapes, found = collect_visible_shapes(model, MAX_FACES)
     meshes = {number: _pack_mesh(mesh) for number, mesh in found.items()}
@@ -496,8 +496,7 @@ def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """Convert a block, such as a plot or 3-D view, for the HTML template; plots become SVG.
 
-    The data of a 3-D view are appended to ``scenes``. None if there is
-    nothing to show.
+    The data of a 3-D view are appended to ``scenes``. None if `serialise_scene` returns None.
     """
     if isinstance(block, Plot):
         return draw_svg(block)
