@@ -265,7 +265,10 @@ def _get_leg_style(leg: int) -> dict[str, Any]:
 
 
 def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
-    """Write the feet of each leg above a panel, right-aligned, in colour and marker of the leg."""
+    """Write the feet of each leg above a panel, right-aligned, in colour and marker of the leg.
+
+    Nothing is written for a single leg, or for more legs than colours.
+    """
     if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
         return
     right = 0.0
@@ -344,7 +347,8 @@ def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
 def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUnits) -> None:
     """Draw a heat map of a gain sweep: a cell per pair of gains, a row per kp, a column per kd.
 
-    A cell has the colour and the number of the height deviation in the last second [mm].
+    A cell has the colour and the number of the height deviation in the last second [mm], or the
+    word "falls".
     """
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
     colours = ScalarMappable(scale, _COLOUR_MAP)

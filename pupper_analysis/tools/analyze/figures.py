@@ -258,7 +258,7 @@ def _quiet_attempt() -> Iterator[None]:
     """Suppress warnings while an OpenGL backend is tried, and undo side effects afterwards.
 
     PyOpenGL binds to a single backend on import, by a variable that MuJoCo sets. Therefore new
-    modules are removed from ``sys.modules`` after an exception.
+    modules of PyOpenGL and MuJoCo are removed from ``sys.modules`` after an exception.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)

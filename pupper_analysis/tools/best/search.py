@@ -86,7 +86,8 @@ the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum
-to the scaled objective. Chosen, not tuned.
+to the scaled objective; also the amount by which a descent lowers all constraints of a stance that
+does not exist. Chosen, not tuned.
 """
 
 
@@ -486,7 +487,10 @@ class _Descent:
         return self._search.evaluate(self._subspace.compute_coordinates(scaled), near)
 
     def _evaluate_rows(self, scaled: Array) -> Array:
-        """Evaluate a stance, update ``best``, and return the constraint rows (a, b), (k, 2)."""
+        """Evaluate a stance, update ``best``, and return the constraint rows (a, b), (k, 2).
+
+        Without a stance, the rows are those of the first stance with violated constraints.
+        """
         stance = self._evaluate(scaled)
         if stance is None:
             return self._missing

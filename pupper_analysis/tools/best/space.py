@@ -212,7 +212,7 @@ class StanceSpace:
 
     @property
     def is_symmetric(self) -> bool:
-        """True if the initial stand task is known to be left-right symmetric.
+        """True if the initial stand task counts as left-right symmetric.
 
         Tasks with moved feet or steps do not count as symmetric. Contacts, for example, are not
         checked.
@@ -227,8 +227,9 @@ class StanceSpace:
         """Return the directions of the search space in which the feet move together.
 
         Returns:
-            A direction per column, shape (n, k) [m or rad]: base coordinates, then length of the
-            stance, width of the front feet and width of the rear feet, as far as these move a foot.
+            A direction per column, shape (n, k) [m or rad]: base coordinates (only height, x and
+            pitch if the stand is symmetric), then length of the stance, width of the front feet and
+            width of the rear feet, as far as these move a foot.
         """
         keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
@@ -391,7 +392,10 @@ class StanceSpace:
         return result
 
     def _compute_limit_distances(self, stand: Stand) -> Array:
-        """Return each joint's distance [rad, m] from its lower, then upper limit, shape (2 nu,)."""
+        """Return each joint's distance [rad, m] from its lower, then upper limit, shape (2 nu,).
+
+        A distance beyond a limit is negative.
+        """
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 
