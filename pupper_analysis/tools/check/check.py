@@ -255,7 +255,8 @@ def _list_changes_since(
 ) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
-    Changes that ``found``, the remarks on the present files, already report are left out.
+    Changes that ``found``, the remarks on the present files, already report, and pairs with a
+    refused file are left out.
     """
     messages, folder, done = list(found), config.path.parent, set()
     refused = {remark.pair for remark in messages if remark.kind == REFUSED_KIND}
@@ -334,7 +335,10 @@ def _has_refusal(remarks: Iterable[Remark]) -> bool:
 
 
 def _drop_repeated(remarks: Iterable[Remark]) -> Iterator[Remark]:
-    """Yield remarks without duplicates, which occur if a file belongs to several pairs."""
+    """Yield remarks without duplicates, which occur if a file belongs to several pairs.
+
+    Remarks of a comparison are never dropped.
+    """
     seen = set()
     for remark in remarks:
         key = (remark.identity, str(remark.values), remark.place)

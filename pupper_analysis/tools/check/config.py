@@ -182,7 +182,7 @@ _TOP_KEYS: Final = {
     **_COMMON_KEYS,
     "pair": _PAIRS_VALUE,
 }
-"""{key: required kind of its value} at the top of a configuration."""
+"""{key: required kind of its value} at the top of a configuration, without the tables of tools."""
 _ENTRY_KEYS: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT_VALUE), "feet": _NAMES_VALUE}
 """{key: required kind of its value} of the keys that are valid in a ``[[pair]]`` entry but not at
 the top, except ``map``."""

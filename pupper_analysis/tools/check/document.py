@@ -189,7 +189,7 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Return a line with the numbers of failing, less severe and known findings of a check."""
+    """Return a line with the numbers of failing, less severe, known and stale findings."""
     new = [remark for remark in check.remarks if not remark.known]
     counts = {
         "count-to-fix": check.failures,
@@ -206,7 +206,10 @@ def summarise_check(check: RepositoryCheck) -> Text:
 
 
 def relative_to_root(place: str) -> str:
-    """Make the path in ``file:line`` relative to the repository's root, as CI services expect."""
+    """Make the path in ``file:line`` relative to the checkout, as CI services expect.
+
+    The checkout is that of `relative_to_checkout`.
+    """
     file, line = Annotation("", "", "", place).file_and_line
     return relative_to_checkout(file) if line is None else f"{relative_to_checkout(file)}:{line}"
 

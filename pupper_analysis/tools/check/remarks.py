@@ -234,9 +234,9 @@ def make_remark(
         file: File, relative to the configuration.
         message: Diagnostic.
         bad: Severity.
-        place: ``file:line``; None if unknown.
+        place: ``file:line``, or a path without the line; None if unknown.
         other_place: ``file:line`` in the second file of a difference; None if there is none.
-        consequences: Effects of a change in a simulation.
+        consequences: Effects (``Remark.consequences``).
     """
     return Remark(
         check,

@@ -261,7 +261,7 @@ class GainStudy(Result):
 
     @property
     def uniform(self) -> bool:
-        """Whether all driven joints have the same reference stiffness and reference damping."""
+        """Whether all joints have the same reference stiffness and the same reference damping."""
         return len({(one.reference_kp, one.reference_kd) for one in self.classes}) == 1
 
     @property
@@ -393,6 +393,9 @@ def _select_reference(
     Returns:
         Reference gains; factors on kp and kd with which the stand is stable; whether the gains are
         proportional to the inertia that each motor accelerates.
+
+    Raises:
+        ConfigurationError: If no tried gains are stable.
     """
     gains = _Gains(loop, *present)
     stable_pair = gains.find_stable_pair()
