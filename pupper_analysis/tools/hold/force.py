@@ -133,8 +133,8 @@ def _find_weakest_direction(rows: Array, margins: Array) -> tuple[float, Array, 
         margins: Slack of `force_inequalities`, shape (2 nu,) [N m, or N for a slide].
 
     Returns:
-        Magnitude of the force [N], NaN if unknown; its direction in world axes, shape (3,), or
-        zeros; index of the joint of the motor, or -1.
+        Magnitude of the force [N], NaN if unknown, infinite without a limit; its direction in world
+        axes, shape (3,), or zeros; index of the joint of the motor, or -1.
     """
     if margins.min() < 0:
         return 0.0, np.zeros(3), int(margins.argmin()) % (len(rows) // 2)

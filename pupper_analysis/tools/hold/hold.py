@@ -294,9 +294,9 @@ def servo_payload(
 
     The stiffness of the robot with a mass m is W^T (K + G_0 + m G_1) W: K is the servo stiffness,
     G_0 and m G_1 are the derivatives of the static loads of robot and mass, and W is a basis of the
-    joint velocities that loops and couplings permit. The limit is the smallest m > 0 at which this
+    joint velocities that loops and couplings permit. The limit is the smallest m at which this
     matrix is singular, or at which a command with feed-forward, q + tau(m) / kp, reaches the end of
-    its range. Effort limits are ignored.
+    its range; 0 if the servos do not hold the robot alone. Effort limits are ignored.
 
     Args:
         robot: Robot with a fixed base.
@@ -355,7 +355,7 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
     """Return a mask (nu,) of the motors that may bear a mass at a tool.
 
     These are motors of the tool's chain, and those coupled to the chain by loops or joint
-    couplings.
+    couplings, without dependent joints.
     """
     may_bear = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure

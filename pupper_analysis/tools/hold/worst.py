@@ -47,13 +47,14 @@ turn. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
 """Relative increase of the torque in a sweep over all joints [1] at or below which a search for the
-largest torque stops. Chosen, not tuned.
+largest torque stops; also the relative range of sampled torques at or below which no maximum is
+searched between the samples. Chosen, not tuned.
 """
 
 _PEAK_POSITION_ATOL = 1e-6
 """Tolerance [rad, m] of the joint position at which a motor torque has a maximum between two
-samples. Derived: the torque of a hinge is A cos(x) near the maximum, so that an error of x changes
-it by 1e-12 A / 2.
+samples, or ceases to be defined. Derived: the torque of a hinge is A cos(x) near the maximum, so
+that an error of x changes it by 1e-12 A / 2.
 """
 
 _UNDEFINED_TORQUE = 1e300
@@ -282,8 +283,8 @@ whose joints do not move in proportion: their torques have many local maxima. Ch
 """
 
 _NUM_POOL_STARTS = 3
-"""Number of start postures of a motor that are selected from the `_NUM_POOL_POSTURES` random
-postures: those with the largest torques of the motor. Chosen, not tuned.
+"""Number of start postures that are selected from the `_NUM_POOL_POSTURES` random postures for each
+motor and direction: those with the largest torques. Chosen, not tuned.
 """
 
 _MIN_TORQUE_PER_WEIGHT = 1e-14

@@ -102,7 +102,7 @@ def _parse_host_name(host: str) -> str:
 
 
 def strip_folders(text: str) -> str:
-    """Return a text in which absolute paths without spaces are replaced by their file names.
+    """Return a text without the folders of most absolute paths, so that the file names remain.
 
     Errors contain paths on the server, which the user of a page should not see.
     """
@@ -112,5 +112,5 @@ def strip_folders(text: str) -> str:
 _FOLDER_PATTERN = re.compile(
     r"(?<![\w.:/])(?:[A-Za-z]:|~)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])"
 )
-"""Pattern of the folders of an absolute path. `strip_folders` deletes the matches, so that only the
-file name remains."""
+"""Pattern of the folders, without spaces, of an absolute path. `strip_folders` deletes the matches.
+"""

@@ -56,8 +56,9 @@ _OPTIONS_OF_MODE = {
     },
     "the page": {*_ROBOT_OPTIONS, "stance", "language", "host", "port", "no_browser"},
 }
-"""{option that selects a mode of `live`: names of the parameters that the mode uses}. Other options
-are refused in this mode."""
+"""{option that selects a mode of `live`, or "the page": names of the parameters that the mode
+uses}. Other options are refused in this mode.
+"""
 
 
 @shared.command("live")

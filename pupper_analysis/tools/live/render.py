@@ -210,7 +210,7 @@ class Translator:
         ``values`` fill the placeholders.
 
         Raises:
-            KeyError: If the catalogue does not contain the key.
+            KeyError: If the catalogue lacks the key, or non-empty ``values`` lack a placeholder.
         """
         return self._select_language(text(key, **values))
 

@@ -158,7 +158,8 @@ PIT_COLOUR: Colour = (120, 126, 134)
 
 _NUM_POLYGON_CORNERS = 24
 """Number of corners of the drawn support polygon. The number is constant, so that the size of the
-array is constant: a polygon with fewer corners repeats its last corner.
+array is constant: a polygon with fewer corners repeats its last corner; further corners are not
+drawn.
 """
 
 _WEIGHT_ARROW_LENGTH = 3.0
@@ -168,8 +169,7 @@ Chosen, not tuned."""
 
 _DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
 """Radius [m] of the disc that is drawn at a joint, if the stand of the robot has the reference
-height [m]. For other robots, the radius is proportional to height^0.6. Chosen larger than the
-motors of Pupper v3 (23 mm)."""
+height [m]. For other robots, the radius is proportional to height^0.6. Chosen, not tuned."""
 
 
 class RobotFigure:
@@ -446,7 +446,7 @@ class Scene:
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
         """Draw a disc at each joint with a known torque, coloured by the motor utilisation.
 
-        A label states the largest load.
+        A label states the load of the most utilised motor.
         """
         assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]
@@ -488,8 +488,8 @@ class Scene:
 def make_force_arrows(robot: Robot, contacts: Sequence[DrawnForce]) -> Array:
     """Return the start and the end of an arrow for each contact force, shape (n, 2, 3) [m].
 
-    An arrow starts at the centre of pressure and has the direction of the force on the foot, both
-    in the world frame. A force equal to the robot's weight has an arrow of
+    An arrow starts at the point of the force (`DrawnForce.point`) and has the direction of the
+    force on the foot, both in the world frame. A force equal to the robot's weight has an arrow of
     ``_WEIGHT_ARROW_LENGTH`` times the height of the stand; the length is proportional to the force.
     """
     weight = robot.weight

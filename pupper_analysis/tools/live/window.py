@@ -249,7 +249,7 @@ def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
     """Create the message about motors without torque that may bear a load in the nominal stand.
 
     Damping and friction may hold the joints of such motors for longer than a drop is simulated.
-    None if no such motor bears a load.
+    None if no such motor bears a load, or springs replace the motors.
     """
     message = describe_zero_torque_limits(robot)
     if message is None:

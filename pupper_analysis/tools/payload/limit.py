@@ -121,7 +121,8 @@ def simulate_payload(
 MAX_BOUND_RATIO = 10.0
 """Factor [1] on the larger of the robot's mass and the first payload that fails by one of three
 criteria (stance, motors, servos). The search for the bounds of the other criteria ends at the
-product at the latest. Chosen, not tuned.
+product at the latest. If a simulation refutes a servo bound of 0, the servos are checked up to this
+factor times the robot's mass. Chosen, not tuned.
 """
 
 VERIFIED_FRACTION = 0.97
