@@ -104,7 +104,7 @@ SECTIONS = 30
 """Facets around a motor can."""
 
 RECESS_SECTIONS = 18
-"""Facets around the recess in a motor's face."""
+"""Facets around the recess in a motor's face, the disc in it, and the axle."""
 
 BOLT_SECTIONS = 6
 """Facets around a bolt hole."""
