@@ -195,8 +195,8 @@ def show_result(
         elevation: Elevation of the picture's camera [deg], in MuJoCo's convention.
 
     Raises:
-        ConfigurationError: If the result has no picture, the robot is missing, or an argument is
-            out of range.
+        ConfigurationError: If the result has no picture, the robot is missing, a stand belongs to
+            another robot, or an argument is out of range.
         DisplayError: If the picture cannot be drawn, for example without OpenGL.
     """
     check_finite("azimuth", azimuth)
@@ -237,8 +237,8 @@ def animate_result(
         elevation: Elevation of the camera [deg], in MuJoCo's convention.
 
     Raises:
-        ConfigurationError: If the result has no picture, the robot is missing, or an argument is
-            out of range.
+        ConfigurationError: If the result has no picture, the robot is missing, a stand belongs to
+            another robot, or an argument is out of range.
         DisplayError: If the pictures cannot be drawn, for example without OpenGL.
     """
     check_finite("azimuth", azimuth)

@@ -34,8 +34,8 @@ def plot_result(result: Any, robot: object = None) -> tuple[Axes, ...]:
     """Draw a result in a new figure of ``pyplot``, and return the axes of its panels.
 
     Raises:
-        ConfigurationError: If the result has no plot, or the robot is missing, is no `Robot`, or is
-            not the robot of the result.
+        ConfigurationError: If the result has no plot, the robot is missing or is no `Robot`, or a
+            stand belongs to another robot.
         StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
         TypeError: If ``result`` is no result.
     """

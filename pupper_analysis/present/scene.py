@@ -186,8 +186,8 @@ def _collect_contacts(
 def evaluate_plane_height(points: Array, place: Array) -> float:
     """Return z [m] of the least-squares plane through ``points``, shape (n, 3) [m], at a place.
 
-    ``place`` contains x and y [m]. For fewer than three points, the plane is the minimum-norm
-    solution.
+    ``place`` contains x and y [m]. If the points do not determine a plane, the minimum-norm
+    solution is used.
     """
     known = np.column_stack([points[:, :2], np.ones(len(points))])
     plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]

@@ -107,7 +107,7 @@ Chosen, not tuned.
 
 
 def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = False) -> list[float]:
-    """Choose about ``count`` round tick values of an axis from ``low`` to ``high``, ascending.
+    """Choose up to ``count`` + 1 round tick values of an axis from ``low`` to ``high``, ascending.
 
     The values are multiples of 1, 2 or 5 times a power of 10. If ``degrees`` is True and the range
     is large, the values are multiples of 15, 30, 45, or a multiple of 90.

@@ -418,7 +418,7 @@ def write_report(
             language is unknown, an argument has the wrong type, or a stand belongs to another robot
             than the robot with its name.
         OutputError: If the file cannot be written, or ``force`` is False and the file would replace
-            a file that is not a page of this package.
+            a non-empty file that is not a page of this package.
     """
     if language not in HTML_LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))

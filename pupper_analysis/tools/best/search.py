@@ -36,8 +36,8 @@ from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasibl
 from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack, StanceSpace
 
 _SAMPLE_COUNT = 128
-"""Number of stances (Latin hypercube samples of the search space) that are evaluated to choose the
-initial guesses of the descents. Chosen, not tuned."""
+"""Number of stances (Latin hypercube samples of the stances whose feet move together) that are
+evaluated to choose the initial guesses of the descents. Chosen, not tuned."""
 
 _START_COUNT = 16
 """Number of descents that start at the best samples; another descent starts at the initial task.

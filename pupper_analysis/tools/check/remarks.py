@@ -108,7 +108,7 @@ def list_comparison_remarks(
 ) -> Iterator[Remark]:
     """Yield a remark for each result of the comparison of a URDF with an MJCF.
 
-    Paths are relative to ``folder``.
+    The files of the remarks are relative to ``folder``.
     """
     file = relative_path(comparison.urdf, folder)
     causes = {

@@ -541,7 +541,7 @@ class _Gains:
         return stiffness * self.kp, damping * self.kd
 
     def find_stable_pair(self) -> tuple[float, float] | None:
-        """Find a stable pair of factors on stiffness and damping, both powers of two near 1.
+        """Find a stable pair of factors on kp and kd: powers of two, tried from 1 outwards.
 
         None if no tried pair is stable.
         """

@@ -61,7 +61,7 @@ def import_viser() -> Any:
 
 
 def find_free_port(host: str, port: int | None) -> int:
-    """Return a port on which a server can listen: ``port``, or any free port if ``port`` is None.
+    """Return a port on which a server can listen: ``port``, or any free port for None and 0.
 
     The check is necessary: viser would use the next port if the port is taken, and would wait
     indefinitely for an unknown host.

@@ -251,7 +251,8 @@ def make_state(task: StandTask, **robot_values: Any) -> State:
     ``robot_values`` are further fields of the `State`, which concern the robot, in page units.
 
     Raises:
-        ConfigurationError: If the page has no slider for a value of the task.
+        ConfigurationError: If the page has no slider for a value of the task, or a number is not
+            finite.
     """
     values = {
         name: value for name, value in task.values().items() if value != FIELDS[name].default_value
