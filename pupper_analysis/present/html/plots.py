@@ -192,7 +192,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
     numbers = [f"{number_cell(bar.value, axis.form).text} {bar.unit or axis.unit}" for bar in bars]
-    names = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown))
+    names = 24.0 + LETTER_WIDTH * max(map(_count_characters, shown))
     values, step = 24.0 + LETTER_WIDTH * max(map(len, numbers)), 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
@@ -245,7 +245,7 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     )
 
 
-def _count_letters(words: Words) -> int:
+def _count_characters(words: Words) -> int:
     """Return the number of characters of a name, or of a text in its longer language."""
     return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
