@@ -330,6 +330,10 @@ class StanceSearch:
         Returns:
             -m / ``scale`` for the largest payload m [kg]; rows (a, b) of its constraints, shape (k,
             2).
+
+        Raises:
+            NoEquilibriumError: If the servos do not hold the stand without payload.
+            StaticsInfeasibleError: If no contact forces balance the stand, for example.
         """
         rows = self.payload.compute_rows(stand)
         if rows is None:

@@ -121,8 +121,8 @@ def simulate_payload(
 MAX_BOUND_RATIO = 10.0
 """Factor [1] on the larger of the robot's mass and the first payload that fails by one of three
 criteria (stance, motors, servos). The search for the bounds of the other criteria ends at the
-product at the latest. If a simulation refutes a servo bound of 0, the servos are checked up to this
-factor times the robot's mass. Chosen, not tuned.
+product at the latest. If a simulation refutes a servo bound of 0, the next simulated mass is at
+most this factor times the robot's mass. Chosen, not tuned.
 """
 
 VERIFIED_FRACTION = 0.97
@@ -136,8 +136,9 @@ this payload in simulation, the bound was too small and is raised. Chosen, not t
 """
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance [1] of the bisections in which simulations decide whether a payload holds.
-Chosen, not tuned.
+"""Relative tolerance [1] of the bisections in which simulations decide whether a payload holds;
+also the relative distance from the servo bound to the first larger mass that is simulated. Chosen,
+not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
