@@ -41,8 +41,8 @@ all dependent joints move in proportion. Chosen, not tuned.
 
 _NUM_LOOP_SAMPLES = 25
 """Number of positions of an independent joint at which a loop is closed, if the loop has one
-independent joint. For a gripper, the positions are 3 degrees apart. The number bounds the computing
-time: closing a loop takes 15 ms. Chosen, not tuned.
+independent joint. The number bounds the computing time: closing a loop takes about 15 ms. Chosen,
+not tuned.
 """
 
 _NUM_COMBINED_SAMPLES = 9
