@@ -44,8 +44,8 @@ DEFAULT_SIZE = (640, 480)
 """Width and height of a picture [pixel]. Chosen, not tuned."""
 
 ANIMATION_SIZE = (480, 360)
-"""Width and height of an animation [pixel]. Chosen, not tuned: the GIF of a turn around v3 has about
-1.2 MB."""
+"""Width and height of an animation [pixel]. Chosen, not tuned: the GIF of a turn around v3 has
+about 1.2 MB."""
 
 AZIMUTH, ELEVATION = 135.0, -20.0
 """Direction of the camera in MuJoCo's convention [deg]: from the front right, from above."""

@@ -82,8 +82,8 @@ def simulate_payload(
 ) -> PayloadTrial:
     """Simulate a stance with a payload after each of twelve nudges of the base.
 
-    A nudge is an initial velocity of the base of about 10 mm/s (``simulate_nudges``). The servos
-    have feed-forward torques for the load.
+    A nudge is a small initial velocity of the base (``simulate_nudges``). The servos have
+    feed-forward torques for the load.
 
     Args:
         robot: The robot.
