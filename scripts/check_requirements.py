@@ -52,7 +52,7 @@ def requirement_name(requirement: str) -> str:
 
 
 def make_requirements() -> str:
-    """Return the content of the list."""
+    """Return the content of the list of requirements (`FILE`)."""
     project = tomllib.loads((PROJECT_FOLDER / "pyproject.toml").read_text())["project"]
     needed = {requirement_name(line): line for line in project["dependencies"]}
     for name in NOT_NEEDED:

@@ -9,7 +9,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 
 def run_command(command: str, *arguments: str) -> None:
-    """Run a command; print instructions if the environment is not activated.
+    """Run a command of the package; print instructions if a required package is missing.
 
     Args:
         command: Name of the command.

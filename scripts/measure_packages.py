@@ -80,7 +80,7 @@ def measure_folders() -> dict[str, tuple[int, int, list[str]]]:
 
 
 def main() -> None:
-    """Print the table and the sums."""
+    """Print the size and the importing folders of each folder, and the sums of the sizes."""
     table = measure_folders()
     for folder, (files, lines, importers) in table.items():
         print(f"{folder:20} {files:4} files {lines:6} lines of code  <- {', '.join(importers)}")

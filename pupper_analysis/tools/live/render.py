@@ -215,11 +215,11 @@ class Translator:
         return self._select_language(text(key, **values))
 
     def format_diagnostic(self, message: Diagnostic) -> str:
-        """Return the text of a diagnostic in the language of the page, without folder names."""
+        """Return a diagnostic in the language of the page, without folders (`strip_folders`)."""
         return message.with_names(strip_folders).text(self.code)
 
     def translate(self, words: Words) -> str:
-        """Return the text of a document element in the page's language, without folder names."""
+        """Return a text of a document in the page's language, without folders (`strip_folders`)."""
         return strip_folders(
             self._select_language(words) if isinstance(words, Text) else words.text
         )
