@@ -229,10 +229,10 @@ def round_values(values: ArrayLike) -> list[Any]:
 
 
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Compute the axis-aligned box that contains the bodies of a model in a configuration.
+    """Compute the axis-aligned box around the visible geoms and body frames of a model.
 
-    The box contains the bounding spheres of the visible geoms and the origins of the body frames.
-    The kinematics of ``data`` must be evaluated.
+    The box contains the bounding spheres of the geoms and the origins of the frames. The kinematics
+    of ``data`` must be evaluated.
 
     Returns:
         Lower and upper bounds, shape (3,) [m], in the world frame.
