@@ -48,9 +48,9 @@ class MujocoTree:
     """MuJoCo model of a multibody tree, whose parameters can be changed without compiling.
 
     The model is compiled for a structure (names, parents and types of joints). The other
-    parameters, except velocity limits, are written into the model. Joints and base have the names
-    of the tree; each frame is a site. Gravity, damping and applied forces act; joint limits,
-    friction and contacts do not act.
+    parameters, except velocity limits, are written into the model. Joints have the names of the
+    tree; each frame is a site. Gravity, damping and applied forces act; joint limits, friction and
+    contacts do not act.
 
     Attributes:
         model: MuJoCo model.

@@ -2,10 +2,10 @@
 
 `make_spec_of_model` writes bodies, joints, geoms, sites, meshes, actuators, tendons, equalities,
 contact pairs and exclusions, height fields, keyframes and options of the model to a new spec. The
-spec is compiled and compared with the model. An error is raised if an array with an effect on the
-dynamics differs (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`). Cameras, lights, materials, textures,
-and sensors other than the sensors of an IMU are left out, because they have no effect on the
-dynamics.
+spec is compiled and compared with the model. An error is raised if a compared array
+(`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`), geom or option differs. Cameras, lights, materials,
+textures, and sensors other than the sensors of an IMU are left out, because they have no effect on
+the dynamics.
 """
 
 from __future__ import annotations
@@ -145,7 +145,8 @@ mesh, which MuJoCo stores with seven digits. Chosen, not tuned.
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     """Reconstruct a spec that compiles to a model with the same dynamics as a given model.
 
-    Most elements without a name get a name such as ``body_3``. The given model is not modified.
+    Bodies, hinges, slides and sites without a name get a name such as ``body_3``. The given model
+    is not modified.
 
     Raises:
         ModelError: If the model has no names or an unsupported element, for example, or the

@@ -45,7 +45,7 @@ class Description:
         nominal: {joint: position [rad, m]} of the nominal stand, the pose in which the robot stands
             by default; missing joints are at zero.
         made_frames: Names of the frames (links of ``urdf``, sites of ``mjcf``) that were added for
-            contact points, because neither file has such a frame.
+            contact points.
         added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written get
             the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of

@@ -44,9 +44,7 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics (``dyntype``) that do not overshoot. The control range bounds the force if the
-initial activation is within this range.
-"""
+"""Actuator dynamics (``dyntype``) with which the control range counts as a bound of the force."""
 
 
 MIN_EFFORT = 1e-6
@@ -160,7 +158,7 @@ class EffortLimit(Result):
         lower: Lower end of the range of torque or force (N m or N); -inf without a limit.
         upper: Upper end of the range of torque or force (N m or N); inf without a limit.
         origin: Statement with the smallest limit; None without a limit.
-        stated: All statements of both files.
+        stated: Statements from which the limit was resolved.
         unit: Unit of ``lower`` and ``upper``: N m for a hinge, N for a slide.
         code: Meaning of the limit: ``unknown`` if no file states a limit, ``zero`` and ``negative``
             if the motor has no torque, else ``stated``.

@@ -106,7 +106,7 @@ def refuse_uncommitted(path: Path) -> None:
 
     Raises:
         OutputError: If the file has uncommitted changes, for example.
-        InputError: If a file in the repository cannot be read.
+        InputError: If the file is tracked and cannot be read.
     """
     path = path.resolve()
     if shutil.which("git") is None or not any(

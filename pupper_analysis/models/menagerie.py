@@ -36,8 +36,8 @@ Chosen, not tuned: file systems permit 255 per name.
 def is_menagerie_name(word: str) -> bool:
     """Return True if a text names a robot of MuJoCo Menagerie, and is no existing path.
 
-    With the prefix ``mujoco_menagerie/``, the robot need not exist. Without the prefix, the
-    installed package or a clone must contain the robot.
+    With the prefix ``mujoco_menagerie/``, the robot need not exist. Without the prefix, the name
+    must contain an underscore, and the installed package or a clone must contain the robot.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):

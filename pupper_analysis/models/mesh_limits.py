@@ -22,8 +22,8 @@ MuJoCo computes the hull within a minute.
 """
 
 MAX_MESH_VERTICES: Final = 1_000_000
-"""Maximum number of vertices of a mesh in a format other than STL and OBJ. Chosen above the largest
-published mesh, which has 830,000 (trunk of Go1). MuJoCo compiles a million in 5 s, with 2 GB.
+"""Maximum number of vertices of a mesh in a format other than STL and OBJ. Chosen above the meshes
+of published robots, for example 830,000 (trunk of Go1).
 """
 
 MAX_MESH_PARTS: Final = 10_000

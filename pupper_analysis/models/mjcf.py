@@ -106,7 +106,7 @@ step, although contacts oscillate within 10 ms.
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF with any suffix; MuJoCo itself reads only files ``*.xml``.
+    """Parse an MJCF, also with a suffix that MuJoCo itself does not read, such as ``.mjcf``.
 
     Raises:
         ValueError: If MuJoCo rejects the file.
@@ -332,9 +332,9 @@ def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
-    """Return the XML of an uncompiled spec, with all digits and default classes.
+    """Return the XML of a spec, with all digits and default classes.
 
-    The XML of a compiled spec would have six digits.
+    By default, MuJoCo writes six digits.
     """
     spec = spec.copy()
     spec.compiler.savecompiled = False

@@ -110,7 +110,7 @@ class TreeJoint:
 
 @dataclass(frozen=True, eq=False)
 class MultibodyTree:
-    """Robot as a tree of joints; each body has the name of the joint that moves it.
+    """Robot as a tree of joints; a body, except the base, has the name of the joint that moves it.
 
     Attributes:
         base: Name of the base.
@@ -167,7 +167,7 @@ class MultibodyTree:
         return found
 
     def parents_first(self) -> list[str]:
-        """Return the names of all joints below the base in depth-first order, as in Pinocchio."""
+        """Return the names of all joints below the base in depth-first order."""
         return self.list_descendants(self.base)
 
     def list_descendants(self, body: str) -> list[str]:

@@ -30,7 +30,7 @@ largest double for "no limit". Chosen, not tuned.
 
 _IDENTITY_ATOL: Final = 1e-12
 """Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
-rotation matrix. Chosen, not tuned.
+rotation matrix. The first such frame gives its name to the link of the joint. Chosen, not tuned.
 """
 
 _WORLD: Final = "world"
@@ -96,7 +96,7 @@ class _UrdfWriter:
 
     Args:
         model: Pinocchio model that is written.
-        floating: Whether the first joint is a free flyer, which a URDF does not contain.
+        floating: Whether the first joint is a free flyer, which is written as type ``floating``.
         source: Name of the model, for messages.
 
     Attributes:
@@ -113,8 +113,8 @@ class _UrdfWriter:
     def add_links(self) -> None:
         """Add the links and joints of the Pinocchio model to the URDF.
 
-        The link of a joint has the name of the body frame that equals the joint's frame, if any.
-        Further body frames get links of their own, fixed to the joint's link.
+        The link of a joint has the name of the first body frame that equals the joint's frame, if
+        any. Other body frames get links of their own, fixed to the joint's link.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]

@@ -26,7 +26,7 @@ class Place:
 
     Attributes:
         file: The file.
-        line: Line number, from 1; None for the whole file, or in files without lines.
+        line: Line number, from 1; None for the whole file, if unknown, or in files without lines.
         element: Path of the element in files without lines; None in other files.
     """
 

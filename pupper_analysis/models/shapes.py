@@ -180,7 +180,7 @@ class Shape:
         return self.read()
 
     def compute_volume(self) -> float | None:
-        """Compute the volume of the solid shape [m^3]; None if unknown (open mesh, plane)."""
+        """Compute the volume of the solid shape [m^3]; None for an open mesh, for example."""
         size = self.size
         match self.kind:
             case "sphere":

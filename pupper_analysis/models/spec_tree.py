@@ -41,9 +41,9 @@ _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Smallest half width [N m, N] of a written force range, and width [rad, m] of a joint range that
-is written for equal limits. Reason: MuJoCo rejects an enabled range with equal ends. Chosen, not
-tuned.
+"""Smallest half width [N m, N] of a force range that `write_joint_parameter` writes, and width
+[rad, m] of a joint range that is written for equal limits. Reason: MuJoCo rejects an enabled range
+with equal ends. Chosen, not tuned.
 """
 
 
@@ -392,8 +392,8 @@ class SpecTree:
     def limit_effort(self, joint: str, effort: float) -> None:
         """Replace the force limits of a joint by a symmetric limit of the sum of its actuators.
 
-        Control ranges of torque motors at the joint are disabled. A joint without such an actuator,
-        for example one that a tendon drives, gets the limit as ``actuatorfrcrange``.
+        Control ranges of torque motors at the joint are disabled. A joint without an actuator of
+        its own, for example one that a tendon drives, gets the limit as ``actuatorfrcrange``.
 
         Args:
             joint: Joint.

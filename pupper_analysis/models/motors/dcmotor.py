@@ -66,7 +66,7 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
     """Read the motors of all ``dcmotor`` actuators with transmission ``joint`` of a MuJoCo model.
 
     Returns:
-        {joint: motor}; the last motor in the file if a joint has several.
+        {name of the joint: motor}; the last motor in the file if several have the same key.
 
     Raises:
         ModelError: If `Motor` rejects the numbers of an actuator.
@@ -84,9 +84,10 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
 def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     """Return the text of MuJoCo's ``dcmotor`` element for a motor at a joint.
 
-    The element has one thermal node. The thermal resistances and the heat capacities of winding and
-    housing are added: the final temperature is equal, but the winding heats up more slowly. Losses
-    of the gear, friction, peak torque, limit temperature and unknown numbers are not written.
+    The element has at most one thermal node. The thermal resistances and the heat capacities of
+    winding and housing are added: the final temperature is equal, but the winding heats up more
+    slowly. Losses of the gear, friction, peak torque, limit temperature and unknown numbers are not
+    written.
 
     Raises:
         ModelError: If a required number is unknown, for example the torque constant or the gear

@@ -31,7 +31,7 @@ from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
 class MotorEnergy(Result):
     """Electrical energy of all assigned motors in a simulated motion, and its balance.
 
-    All energies are None if a number of a motor is unknown.
+    All energies are None if a required number of a motor is unknown.
 
     Attributes:
         duration: Simulated time (s).

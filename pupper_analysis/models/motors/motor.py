@@ -33,8 +33,8 @@ the torque, which suggests other units. The smallest ratio in the data files is 
 
 MAX_CONVENTION_RATIO = 2.0
 """Largest accepted ratio between a stated number of a motor, such as the peak torque, and its value
-from other numbers. Chosen, not tuned: line and phase currents, and rms and peak values, differ by
-up to sqrt(3).
+from other numbers; stall torque and stall current have the bound `MAX_STALL_RATIO`. Chosen, not
+tuned: line and phase currents, and rms and peak values, differ by up to sqrt(3).
 """
 
 
@@ -59,8 +59,8 @@ class Motor:
 
     Attributes:
         name: Name.
-        source: Address of the source of the numbers.
-        sources: {number: address} of numbers from another source.
+        source: Source of the numbers, for example an address.
+        sources: {number: source} of numbers from another source.
         torque_constant: Torque per current of the rotor [N m/A].
         resistance: Resistance of the winding for this current [ohm].
         resistance_temperature: Temperature at which the resistance was measured [degC].
@@ -320,7 +320,8 @@ class Motor:
         """Largest torque at the output at rest [N m], and the name of the field that limits it.
 
         The torque is the smallest known limit from peak torque, stall torque, current limit and
-        supply voltage. The field is for example ``peak_torque``. None if no limit is known.
+        supply voltage. The field is for example ``peak_torque``. None if no torque limit follows
+        from the known numbers.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:

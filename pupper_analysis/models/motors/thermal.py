@@ -30,8 +30,9 @@ THERMAL_NUMBERS = (
     "resistance_rise",
     "resistance_temperature",
 )
-"""Fields of `Motor` that the thermal network requires. Both fields of the housing may be unknown:
-the network then has one node, the winding.
+"""Fields of `Motor` that the thermal network requires, besides the electrical resistance and the
+ambient temperature. Both fields of the housing may be unknown: the network then has one node, the
+winding.
 """
 
 _TIME_TOLERANCE = 1e-12

@@ -133,9 +133,9 @@ def body_names(model: mujoco.MjModel) -> list[str]:
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return the name of a joint; without a name, the substitute `name_unnamed_joint`: "(BODY)".
+    """Return the name of a joint; without a name, the substitute of `name_unnamed_joint`.
 
-    A body without a name is written as "#3", with its id.
+    The substitute is for example "(BODY)". A body without a name is written as "#3", with its id.
     """
     if name := str(model.joint(joint).name):
         return name
@@ -260,9 +260,10 @@ def _stated_values(
 def _make_inertial(
     model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
 ) -> Inertial | None:
-    """Return the inertia of a body, from ``spec_body`` if given, else from the geoms; None if zero.
+    """Return the inertia of a body, from ``spec_body`` if given, else from the compiled model.
 
-    ``spec_body`` is the body of the spec, if its inertia is explicit.
+    ``spec_body`` is the body of the spec, if its inertia is explicit. Without it, None for a mass
+    of 0.
     """
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:

@@ -50,8 +50,8 @@ class Inertial:
         inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
         stated: Whether the file specifies the values; otherwise the values are derived from the
             shapes.
-        rounding: Rounding error [kg m^2] of the specified entries: half a unit of the last digit,
-            of the entry with the fewest decimal places.
+        rounding: Largest rounding error [kg m^2] of the specified entries: half a unit of the last
+            digit of an entry that is not zero.
     """
 
     mass: float
@@ -67,8 +67,7 @@ class Inertial:
         Args:
             inertia: Spatial inertia.
             stated: Whether the file specifies the values.
-            rounding: Rounding error of the inertia's entries [kg m^2]: half a unit of the last
-                digit.
+            rounding: Largest rounding error of the inertia's entries [kg m^2].
         """
         com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)
@@ -191,7 +190,7 @@ class RobotModel:
         base: Name of the base; "" if MuJoCo does not compile an MJCF, ``world`` for an MJCF without
             bodies.
         links: {name: link}, parents first.
-        notes: Diagnostics of elements that were left out.
+        notes: Notes of the reader, for example on elements that were left out.
     """
 
     format: str
@@ -216,9 +215,10 @@ class RobotModel:
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the base is free: the file has a free joint, or several moving links at the base.
+        """Whether the base counts as free, as the base of a legged robot does.
 
-        The URDF of a legged robot usually contains no free joint. Links that are fixed to the base
+        The file has a joint of the kind ``FREE_JOINT``, or several moving links at the base: the
+        URDF of a legged robot usually contains no free joint. Links that are fixed to the base
         count as part of the base.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
@@ -270,7 +270,7 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Return a link and the descendants that are fixed to it; empty for the world."""
+        """Return a link and the descendants that are fixed to it; empty without such a link."""
         if name not in self.links:
             return []
         group = [self.links[name]]

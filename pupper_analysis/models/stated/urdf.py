@@ -1,8 +1,8 @@
 """Reading of a robot model as stated by a URDF (`stated.model`), including meshes.
 
 `read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
-zero joint positions. Convex hulls and integrals of meshes are computed on demand. The
-results of the last 256 files are cached until the file changes.
+zero joint positions. Convex hulls and integrals of meshes are computed on demand, and cached until
+the file changes.
 """
 
 from __future__ import annotations
