@@ -396,7 +396,8 @@ def _make_elements_test(
 ) -> Callable[[Any], bool]:
     """Return a function that tests whether a value is an iterable whose elements pass a test.
 
-    With ``of_known_length``, the value must be a sequence or an array.
+    With ``of_known_length``, the value must be a sequence or an array. The elements of other
+    iterables are not tested.
     """
 
     def has_valid_elements(value: Any) -> bool:

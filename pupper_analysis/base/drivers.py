@@ -69,7 +69,7 @@ def guard_mujoco_import() -> None:
 def import_without_opengl() -> None:
     """Import MuJoCo without OpenGL, for commands that do not render.
 
-    With OpenGL, the library GLFW would start a process while loading. MUJOCO_GL has the old value
+    By default, MuJoCo loads GLFW, which starts a process while loading. MUJOCO_GL has the old value
     afterwards, because ``present.pictures`` starts a process that renders with this value.
     """
     with _disabled_opengl():

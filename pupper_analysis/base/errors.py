@@ -550,7 +550,7 @@ class FitError(PupperAnalysisError):
 
 
 def __dir__() -> list[str]:
-    """Return the names for ``dir``, without imported objects and constants."""
+    """Return the names for ``dir``, without imported objects and most constants."""
     return sorted(
         name
         for name, value in globals().items()

@@ -22,8 +22,8 @@ _EXTENSION = "scipy.optimize._minpack"
 used if the module cannot be loaded."""
 
 _STEP_FACTOR = 100
-"""Upper bound of the norm of the first step, as a multiple of the norm of the initial guess, in
-MINPACK's scaling of the variables. The value is the default of SciPy.
+"""Upper bound of the norm of the first step, as a multiple of the norm of an initial guess that is
+not zero, in MINPACK's scaling of the variables. The value is the default of SciPy.
 """
 
 

@@ -39,9 +39,9 @@ NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Absolute value up to which a float of an array or sequence is shown as 0 in a table cell,
-relative to the largest number of the array or sequence, or to 1 if 1 is larger. Smaller numbers are
-rounding errors of double precision. Chosen, not tuned.
+"""Absolute value up to which a float of an array or sequence is shown as 0 in a table cell or in
+``repr``, relative to the largest number of the array or sequence, or to 1 if 1 is larger. Smaller
+numbers are rounding errors of double precision. Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"

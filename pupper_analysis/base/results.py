@@ -288,7 +288,7 @@ def _to_python_scalar(item: object) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names for ``dir``, without imported objects and constants."""
+    """Return the names for ``dir``, without imported objects and most constants."""
     return sorted(
         name
         for name, value in globals().items()

@@ -192,7 +192,7 @@ VARYING_UNIT: Final = "varies"
 def units_of(kind: type) -> dict[str, str]:
     """Return {field: unit} of a result class, from ``field(metadata={"unit": ...})``.
 
-    Fields without a fixed unit are left out.
+    Fields without a unit, and fields with a varying unit, are left out.
     """
     if not is_dataclass(kind):
         return {}
