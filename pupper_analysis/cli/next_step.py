@@ -46,14 +46,14 @@ _WORDS_FOR_FIXED_BASE = {
 """{command about stands: words with which the command accepts a fixed base}."""
 
 _COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
-"""Commands that read files of registered formats, besides URDF and MJCF."""
+"""Commands to which a next step passes a typed file of another format than URDF and MJCF."""
 
 
 def complete_command(step: NextStep | None) -> str:
     """Create the command line of a suggested next step, for the robot of the running command.
 
-    The line usually contains the command and the words of the step, the typed robot, and most of
-    the typed options that both commands have.
+    The line contains the command and the words of the step, the typed robot (unless the words
+    contain its files), and most of the typed options that both commands have.
 
     Returns:
         Command line; empty without a step, or if no such line is possible, for example because the
