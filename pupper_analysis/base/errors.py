@@ -327,7 +327,8 @@ class PostureUnreachableError(PupperAnalysisError):
     """Posture for whose tasks no solution within the joint limits was found.
 
     Args:
-        written: Python code of the target in rad, if the user has probably written degrees.
+        written: Text of the target in degrees, as Python code or option, if the user has probably
+            written degrees.
         far: Whether the target is so far away that the user has probably written mm.
 
     Attributes:
@@ -335,7 +336,8 @@ class PostureUnreachableError(PupperAnalysisError):
             found.
         residual: The residual of this task, in ``unit``.
         unit: Unit of the residual: m or rad.
-        residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
+        residuals: {task: residual [m, rad]} of the tasks and kept contacts in the best
+            configuration found.
         conflicting: Tasks and kept contacts whose residuals increase if the residual of ``task``
             decreases.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.

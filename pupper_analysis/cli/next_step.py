@@ -35,7 +35,8 @@ without ``--payload``.
 
 
 _COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
-"""Commands that refuse a stance with a weld or a grip (`--contact NAME=weld`)."""
+"""Commands that are not suggested after a stance with a weld or a grip (`--contact NAME=weld`). For
+example, ``push`` refuses such a stance."""
 
 
 _WORDS_FOR_FIXED_BASE = {
@@ -90,7 +91,7 @@ def complete_command(step: NextStep | None) -> str:
 def _replace_step_of_weld(
     step: NextStep, values: Mapping[str, Any], running_command: str
 ) -> NextStep:
-    """Replace a next step that would refuse the welds or grips of the typed stance.
+    """Replace a next step that does not suit the welds or grips of the typed stance.
 
     Args:
         step: Next step.
@@ -99,7 +100,7 @@ def _replace_step_of_weld(
 
     Returns:
         `hold` if the base is welded; otherwise `payload`, or `gains` after `payload`. The given
-        step if the next command accepts the typed stance.
+        step if no replacement is necessary.
     """
     contacts = [word.partition("=")[::2] for word in _split_parameter(values.get("contacts"))]
     fixed_parts = [
