@@ -176,7 +176,7 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """Mesh of the shape, usually its convex hull; None if unknown."""
+        """Convex hull of a mesh, or the mesh itself if it has no hull (flat); None if unknown."""
         return self.read()
 
     def compute_volume(self) -> float | None:

@@ -36,7 +36,7 @@ class UnitKind:
         offset: {unit: value that is added after the multiplication}, for temperatures.
         signed: Whether zero and negative values down to -273.15 are accepted (temperatures in
             degC); otherwise values are positive, or zero if ``zero`` is set.
-        zero: Whether zero is accepted.
+        zero: Whether zero is accepted if ``signed`` is not set.
         most: Largest accepted value, in ``unit``.
     """
 
