@@ -34,10 +34,11 @@ without ``--payload``.
 """
 
 
-_COMMANDS_WITHOUT_WELDS = ("best", "path", "push", "walk", "workspace")
-"""Commands that are not suggested after a stance with a weld or a grip (`--contact NAME=weld`). For
-example, ``push`` refuses such a stance."""
+_COMMANDS_WITHOUT_WELDS = ("best", "path", "push")
+"""Commands that refuse a stance with a weld or a grip (``--contact NAME=weld``)."""
 
+_COMMANDS_WITHOUT_WELDED_BASE = (*_COMMANDS_WITHOUT_WELDS, "workspace")
+"""Commands that refuse a stance with ``--contact base=weld``."""
 
 _WORDS_FOR_FIXED_BASE = {
     "gains": ("--contact", "base=weld"),
@@ -107,7 +108,8 @@ def _replace_step_of_weld(
         part for part, surface in contacts if surface.startswith("weld") or "grip=" in surface
     ]
     payload_on_base = step.command == "payload" and not values.get("payload_at")
-    if "base" in fixed_parts and (step.command in _COMMANDS_WITHOUT_WELDS or payload_on_base):
+    refused = step.command in _COMMANDS_WITHOUT_WELDED_BASE or payload_on_base
+    if "base" in fixed_parts and refused:
         return NextStep("hold")
     if fixed_parts and step.command in _COMMANDS_WITHOUT_WELDS:
         return NextStep("gains" if running_command == "payload" else "payload")
