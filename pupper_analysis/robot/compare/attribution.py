@@ -199,9 +199,8 @@ def armature_differences(
 ) -> Iterator[Difference]:
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    - An armature of the free joint usually comes from a default class, and adds inertia without
-      weight to the base.
-    - Armatures of a joint and its mirror image on the other side of the robot usually agree.
+    - An armature of the free joint adds inertia without weight to the base.
+    - A joint and its mirror image on the other side of the robot have different armatures.
 
     Args:
         values: Multibody tree with the armatures of the MJCF.

@@ -6,8 +6,7 @@ the unmodified URDF.
 
 Collision shapes of feet are compared by height: another radius changes the height of the robot, and
 a missing shape lets the robot fall. The form of a foot (such as a sphere instead of a mesh) and
-other collision shapes are not compared: they differ in most pairs of files, and do not change a
-stand.
+other collision shapes are not compared.
 """
 
 from __future__ import annotations
@@ -75,13 +74,13 @@ from pupper_analysis.robot.shapes import may_touch
 
 CONTACT_HEIGHT_ATOL = 2e-4
 """Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m];
-also the tolerance of the distance of equally near geoms. Meshes are accurate to a tenth of a
-millimetre, and files contain radii such as 0.02 for 19.95 mm. Chosen, not tuned."""
+also the tolerance of the distance of equally near geoms. Reason: files contain rounded radii, such
+as 0.02 for 19.95 mm. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
 """Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
 is measured above the lowest point of all limbs, in the initial pose, relative to the height of the
-CoM above that point. Hands are higher. Chosen, not tuned."""
+CoM above that point. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

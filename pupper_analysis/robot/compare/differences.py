@@ -366,7 +366,7 @@ class RelativeError:
 
     @cached_property
     def _total_deviations(self) -> dict[str, float]:
-        """Relative deviation of each quantity between both models, with all differences."""
+        """{quantity: relative deviation between both models, with all differences together}."""
         return {
             name: self.relative_deviation(name, values, self.two[name])
             for name, values in self.one.items()
@@ -486,8 +486,8 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 
 MIN_FACTOR = 10.0
-"""Ratio of two numbers, such as MJCF / URDF, or relative effect [1], above which a message states a
-factor ("20 times") instead of a percentage. Chosen, not tuned."""
+"""Lower bound of the ratio of two numbers, such as MJCF / URDF, or of the relative effect [1] for
+which a message states a factor ("20 times") instead of a percentage. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
