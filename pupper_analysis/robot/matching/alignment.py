@@ -191,9 +191,8 @@ def _joint_bits(
 def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
     """Return the deviation of CoM and inertia between two bodies, as a number without unit.
 
-    The deviations of CoM and inertia are converted by `measure_deviation_bits`, log2(1 + deviation
-    /
-    tolerance), and added. The result is 0 if a body has no mass.
+    The deviations of CoM and inertia are converted to bits (`measure_deviation_bits`), and added.
+    The result is 0 if a body has no mass.
 
     Args:
         first: Body of the first tree.

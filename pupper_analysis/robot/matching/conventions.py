@@ -1,8 +1,8 @@
 """Different conventions of two files of a robot: frame of the base, and zero positions of joints.
 
 These conventions do not affect the robot, but change qpos. The module detects a displaced frame of
-the base, and joints with a displaced zero (and displaced limits). Each such difference is removed
-from the comparison, and reported as a single difference.
+the base, and joints with a displaced zero (and displaced limits). These differences are removed
+before other values are compared.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ def _find_base_pose(
 ) -> pin.SE3 | None:
     """Find a pose of the first tree's base frame in the second that explains the deviation.
 
-    None if no pose explains the deviation, or if names of limbs may be exchanged instead: a half
-    turn about x exchanges left and right, too.
+    None, for example, if no pose explains the deviation, or if names of limbs may be exchanged
+    instead: a half turn about x exchanges left and right, too.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
@@ -293,8 +293,9 @@ def _do_joints_coincide(
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
 """Requirements of `_find_pose_of_joints`: minimum number of joints on the base (two joints with
-axes determine ten numbers, a pose has six), and lower bound of the spread of points [m]. Chosen,
-not tuned."""
+axes determine ten numbers, a pose has six), and lower bound of the spread of points [m]. The spread
+also is the largest distance [m] of equal points on a line, with which base frames count as equal.
+Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 Input: kind of a value and name of the element in a comparison. Output: file and line, from
 `UrdfSources` or `MjcfSources`. A body in a comparison may consist of several links or bodies that
-are fixed to each other. The location is then the location of the heaviest.
+are fixed to each other. The location of its mass, CoM or inertia is that of the heaviest part.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ _URDF_CHILD_PATHS: Final = {
     # "dynamics" is the nearest element for parameters that URDF does not support.
     **{row.kind: row.urdf[0] if row.urdf else "dynamics" for row in TREE_ATTRIBUTES},
 }
-"""{kind of a difference: path of the reported element, below the link or joint of a URDF}."""
+"""{kind of a difference: path of the element with the value, below the link or joint of a URDF}.
+If a URDF does not support the value, the path is that of the nearest element."""
 
 _MJCF_SECTIONS: Final = {
     "tendon": "tendon",
@@ -140,7 +141,7 @@ class MjcfSources:
             element.
         base: Names of the base in the comparison.
         renumbered: Whether joints were removed for the comparison. The numbers of elements without
-            name then differ from the file.
+            name may then differ from the file.
     """
 
     file: MjcfFile
