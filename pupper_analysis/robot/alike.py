@@ -1,6 +1,6 @@
 """Limbs with the same structure: groups of corresponding joints, and limbs that lack a foot.
 
-Limbs with the same joint types, and with similar masses or dimensions, usually have the same
+Limbs with the same joint types, and with similar masses or dimensions, probably have the same
 function. If at least half of such limbs end in a foot, and one limb does not, the file probably
 contains a wrong value for this limb, or lacks a shape.
 """
@@ -20,8 +20,7 @@ from pupper_analysis.robot.robot import Robot
 _SIMILARITY_TOLERANCE = 0.05
 """Tolerance [1] with which two limbs count as similar (`Limb.is_similar_to`). The tolerance applies
 to three quantities: masses, relative to the larger mass; distances between joints, relative to the
-length of the limb; and |cos| between axes. Left and right limbs of published robots usually agree
-within 1 %. Chosen, not tuned."""
+length of the limb; and |cos| between axes. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +167,8 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
 def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
     """Group corresponding joints of similar limbs that have equal gains and effort limits.
 
-    Corresponding joints are, for example, all knees (`sibling_joints`). Joints without actuator are
-    omitted.
+    Corresponding joints are, for example, all knees (`sibling_joints`). Joints without direct
+    actuator are omitted.
 
     Args:
         robot: Robot.

@@ -60,8 +60,7 @@ class ServosUsed:
 
 MIN_UNHELD_DISPLACEMENT = 0.05
 """Displacement [rad, m] above which a joint counts as displaced, in a simulation of a published
-file from its keyframe. A displaced joint without stiffness usually moves to a stop. Chosen, not
-tuned."""
+file from its keyframe. Chosen, not tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -153,7 +152,7 @@ lacks these changes, so its simulation may deviate from the computed equilibrium
 - other actuators are replaced by servos (``other-drive``)
 
 If the published robot does not collapse and all causes have these codes, the verdict reports the
-deviation, but is not FAILS."""
+deviation, which alone does not make the verdict FAILS."""
 
 
 MAX_OWN_TILT = math.radians(10.0)

@@ -362,7 +362,7 @@ def compile_with_visuals(robot: Robot) -> mujoco.MjModel:
 
 
 def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """List the joints of a MuJoCo model in actuator order; joints without actuators come last."""
+    """List the joints of a model in actuator order; joints without direct actuator come last."""
     all_joints: list[str] = []
     for joint in range(model.njnt):
         kind = JointKind(int(model.jnt_type[joint]))

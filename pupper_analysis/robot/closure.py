@@ -54,8 +54,8 @@ longer step is scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
 """Constraint violation [m, rad] below which the loops of qpos0 or of a keyframe count as closed.
-Such a configuration can be the reference configuration. Keyframes with a few digits violate
-constraints by up to a millimetre. Chosen, not tuned."""
+Such a configuration can be the reference configuration. A keyframe with a few digits may violate
+constraints by almost a millimetre. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-7
 """Step of the joint positions [rad, m] in the central differences of the constraint torques. The

@@ -19,16 +19,15 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200
 """Maximum number of iterations of `GroundLaw.depth` between a lower and an upper bound of the
-penetration. Usually 5 Newton steps are sufficient. Chosen, not tuned."""
+penetration. Chosen, not tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
-"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. Usually two
-steps are sufficient. Chosen, not tuned."""
+"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. Chosen, not
+tuned."""
 
 _STEP_RTOL = 1e-9
 """Length of a Newton step, relative to the penetration plus the contact margin [1], at or below
-which `GroundLaw.depth` ends. The remaining relative error is of the order of the square of this
-value. Chosen, not tuned."""
+which `GroundLaw.depth` ends. Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
 """Tolerance of the iteration of `GroundLaw.depth`, relative to the penetration plus the contact
@@ -159,9 +158,9 @@ class GroundLaw:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
-        penetration. The geometric mean of the bounds replaces a step that leaves the bounds, or
-        that follows a step that did not halve the residual. With ``near``, up to four Newton steps
-        without bounds are tried first.
+        penetration. The geometric mean of the bounds (half of the upper bound if the lower bound is
+        0) replaces a step that leaves the bounds, or that follows a step that did not halve the
+        residual. With ``near``, up to four Newton steps without bounds are tried first.
 
         The iteration ends if the relative step is at most 1e-9 (`_STEP_RTOL`), if the relative
         distance of the bounds is at most 4e-16 (`_DEPTH_RTOL`), or after 200 iterations.

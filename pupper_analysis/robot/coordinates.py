@@ -217,8 +217,8 @@ class MujocoConvention:
     Attributes:
         qpos_index: Index in MuJoCo's qpos of each public coordinate, shape (nq,).
         qvel_index: Index in MuJoCo's qvel of each public velocity, shape (nv,).
-        actuator_index: Id of the actuator of each joint, shape (n,); -1 for a joint without
-            actuator. If a joint has several actuators, the id of the last.
+        actuator_index: Id of the actuator that acts directly on each joint, shape (n,); -1 if there
+            is none. If several actuators act directly on a joint, the id of the last.
     """
 
     qpos_index: IntArray

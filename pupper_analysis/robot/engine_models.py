@@ -72,6 +72,7 @@ class EngineModels:
 
         Raises:
             InputError: If a mesh file cannot be read.
+            OutputError: If this run of the command line also writes a mesh file.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)

@@ -56,8 +56,8 @@ _MAX_KEYFRAME_STEPS = 5000
 `_MIN_KEYFRAME_DURATION`. This bounds the computing time. Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
-"""Lower bound of the simulated time of a run from a keyframe [s]: a robot that topples lies on the
-ground by then."""
+"""Lower bound of the simulated time of a run from a keyframe [s]. Chosen, not tuned: a robot that
+topples quickly lies on the ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
 """Horizontal travel of the CoM, relative to the initial CoM height [1], above which a robot has
@@ -67,7 +67,7 @@ a robot by 20 m in 2 s.)"""
 NUDGE_SPEED = 1e-3
 """Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]; also the
 tolerance of velocities in `_are_equal_states`. The nudge must upset unstable equilibria: some
-survive changes of 1e-9 and fall after changes of 1e-7. Stable stands return even after 1e-2."""
+survive changes of 1e-9 and fall after changes of 1e-7. Chosen, not tuned."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
@@ -467,7 +467,7 @@ def horizontal_distance(start: Array, end: Array) -> float:
 def is_lifted(leaning: float, lost: float, size: float) -> bool:
     """Return True if a robot is upright, and its CoM is far above the initial height.
 
-    The usual cause is a constraint that ties the robot to the world.
+    A possible cause is a constraint that ties the robot to the world.
 
     Args:
         leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT`` (0.5 rad).

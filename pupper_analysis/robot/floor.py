@@ -37,7 +37,7 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 
 
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
-    """Move the contact bits of the other level planes of the world body to a level floor, in place.
+    """Move the contact bits of the other level planes of the world body to the floor, in place.
 
     The planes may have any height. Planes in a ``<frame>``, or without a quaternion, are not
     changed.

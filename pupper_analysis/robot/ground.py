@@ -34,8 +34,8 @@ Point = tuple[float, float]
 
 
 _DEFAULT_ANGLE = 0.0
-"""Default of slope and uphill direction [rad]. The constructor skips checks for this object
-(``is``, not ``==``), which saves time: level ground is the usual case."""
+"""Default of slope and uphill direction [rad]. To save time, the constructor skips its checks if
+both are this object (``is``, not ``==``), and there are no steps."""
 
 
 class Step(NamedTuple):

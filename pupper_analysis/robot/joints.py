@@ -114,7 +114,7 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
 _MAX_POSTURE_VIOLATION = 1e-6
 """Largest constraint violation [rad, m] with which a requested posture counts as closing its loops
-and couplings. Users enter positions with up to six decimals."""
+and couplings. Chosen, not tuned."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:

@@ -193,7 +193,8 @@ class Bar:
         """Return a point (x, y, z) [m] above the axis of this bar, near a horizontal position [m].
 
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
-        perpendicular to the axis, by 1 m times the cosine of the bar's inclination.
+        perpendicular to the axis, by 1 m times the cosine of the bar's inclination: by 0 for a
+        vertical bar.
 
         Raises:
             ConfigurationError: If a coordinate exceeds `MAX_LENGTH`, as for a steep bar.
@@ -342,8 +343,8 @@ class Contact:
     def __format__(self, spec: str) -> str:
         """Return this contact in the syntax of the command line, with formatted numbers.
 
-        With a number format ``spec`` such as ``.4g``, the units are mm and deg. If ``spec`` is
-        empty, all digits are written, in SI units or degrees.
+        With a number format ``spec`` such as ``.4g``, lengths are in mm, and angles in deg. If
+        ``spec`` is empty, all digits are written, in SI units or degrees.
         """
         write, plane = _make_formatter(spec), self.plane
         if isinstance(plane, Slope):

@@ -272,7 +272,7 @@ class Robot(EngineModels):
         floating: Whether the base is free.
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
-        joint_names: Joints in actuator order; joints without actuator come last.
+        joint_names: Joints in actuator order; joints without direct actuator come last.
         contact_points: Names of the contact points of feet and hands. A spherical foot has a single
             contact point, with the name of the foot. A flat foot has several.
         feet: {foot or hand: its contact points}, hands last.
@@ -293,7 +293,8 @@ class Robot(EngineModels):
             `StandTask`) may differ.
         stand_height: Height [m] of the base above the ground in the nominal stand. Without feet, it
             is 0; exception: if a task welds a fixed base, it is half the extent of the robot.
-        imu: Frame with gyro and accelerometer; None if there is none.
+        imu: Link of the URDF with the name of an MJCF site with gyro and accelerometer. None
+            without such a link.
         pin_convention: Coordinate maps of Pinocchio's model.
         mj_convention: Coordinate maps of MuJoCo's model.
         fingerprint: Text that identifies the robot of a stand: the name and a hash. The hash covers

@@ -521,13 +521,11 @@ def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
 
 MIN_TIMESTEP = 5e-5
 """Smallest time step that `with_options` accepts [s]; smaller values are refused. Measured: a stand
-of Pupper v3 takes 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s. Files of robots
-usually specify 5e-4 s or more."""
+of Pupper v3 took 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s."""
 
 MAX_IMPRATIO = 1e5
 """Largest ``impratio`` [1] that a user may request; larger values are refused. Measured: contacts
-of Pupper v3 chatter with 1e6, and `payload` takes 79 s; with 1e5 it takes 7 s. Files of robots
-usually specify 100 or less."""
+of Pupper v3 chatter with 1e6, and `payload` took 79 s; with 1e5 it took 7 s."""
 
 
 def with_options(

@@ -27,7 +27,7 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 DIFFERENCE_STEP = 1e-7
 """Finite-difference step with which a MuJoCo time step is linearised, for positions [m, rad] and
 velocities [m/s, rad/s]. The step must be small, because contact forces are nonlinear over 1e-5 m.
-Measured: the error of the eigenvalues is 1e-9 with 1e-7, and also with 1e-6."""
+Measured: the error of the eigenvalues is about 1e-9."""
 
 SECOND_STEP = 3e-8
 """Second finite-difference step, for positions [m, rad] and velocities [m/s, rad/s]. Growing modes
@@ -132,13 +132,11 @@ def _difference_steps(
 
 HOLD_DURATION = 12.0
 """Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted unless
-it oscillates, because MuJoCo's regularised friction always slips a little. At the payload limit of
-Pupper v3, for example, a deviation doubles in 30 s."""
+it oscillates, because MuJoCo's regularised friction slips slowly."""
 
 SETTLING_TIME = 0.5
-"""Default simulated time before a state is evaluated [s]. The time is long enough for contacts,
-which settle within 0.05 s. It is short enough for modes: a mode that doubles in a second grows by a
-factor of 1.4."""
+"""Default simulated time before a state is evaluated [s]. Contacts need less time to settle, and a
+mode that doubles in a second grows by a factor of only 1.4. Chosen, not tuned."""
 
 _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
@@ -165,8 +163,8 @@ rolls freely has a double eigenvalue 1 with a single eigenvector. An error e of 
 this eigenvalue by sqrt(e). Chosen, not tuned."""
 
 _MAX_REST_SPEED = 0.1
-"""Largest absolute element of qvel with which a state counts as at rest [m/s, rad/s]. Pupper v3
-still sags with up to 0.02 after the settling time."""
+"""Largest absolute element of qvel with which a state counts as at rest [m/s, rad/s]. Chosen, not
+tuned: a robot may still sag slowly after the settling time."""
 
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings of a mode within the settling time, above which the mode explains a motion
@@ -194,7 +192,7 @@ class Mode(Result):
         doubling_time: Time in which the mode doubles (s); None if the mode does not grow, or is
             sustained (``is_sustained``).
         joints: Joints with the largest motion in the mode, largest first.
-        without_dry_friction: Whether the mode belongs to the spectrum without dry friction of
+        without_dry_friction: Whether the mode is taken from the spectrum without dry friction of
             joints and tendons.
         repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` contains the mode as
             well. Also True if that spectrum was not computed.

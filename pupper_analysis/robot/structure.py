@@ -70,9 +70,9 @@ class Structure:
         feet: {contact point: frame index in ``model``}.
         parents: {contact point: index of the joint that moves the point}.
         rest: Zero velocity (nv,), read-only.
-        carried: Mask (nv, nv): for coordinates on the same chain, True if coordinate j (column)
-            moves the axis of coordinate i (row). Computed as: i is not before j in ``model``, or
-            both are rotations of the base.
+        carried: Mask (nv, nv). True if coordinate i (row) is not before coordinate j (column) in
+            ``model``, or both are rotations of the base. On the same chain, coordinate j then moves
+            the body of coordinate i.
         total_mass: Mass [kg] of all links, including a fixed base and the links fixed to it.
         fixed: Fraction of the total mass that does not move [1]: a fixed base and the links fixed
             to it. 0 for a free base.

@@ -154,7 +154,7 @@ def find_touched_surface(
 
     Returns:
         Kind of the surface, with its foot or hand, such as "wall of left_palm". None without such a
-        surface, or if the body touches the floor.
+        surface, or if the body touches another geom of the world body, such as the floor.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -170,7 +170,10 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Name the kind of a surface geom: step, bar, wall, table or ceiling; empty for another."""
+    """Name the kind of a surface geom: step, bar, wall, table or ceiling; empty for another.
+
+    A surface that is parallel to the ground plane counts as a step.
+    """
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER.value:
         return "bar"
     normals = np.zeros((2, 3))
@@ -188,8 +191,8 @@ def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
 
 
 _NORMAL_ATOL = 1e-6
-"""Tolerance of the components of two unit normals [1] that count as equal. It exceeds the rounding
-errors of quaternions. Chosen, not tuned."""
+"""Absolute tolerance of the components of two unit normals [1] that count as equal. It exceeds the
+rounding errors of quaternions. Chosen, not tuned."""
 
 _STEP_PREFIX, _TOP_PREFIX = "step", "top"
 """Prefix of the geom name of a step, plane or bar, and of the plane on top of a box. An underscore
