@@ -256,7 +256,8 @@ class Contact:
             also has a ``Weld``, balance permits any force, and the force follows from minimum motor
             torque.
         place: Target point (x, y, z) in the world (m), which is projected to the plane. By default,
-            the nominal position of the foot, or the position of the hand with the joints at home.
+            the position of the foot in the task, or the position of the hand with the joints at
+            home.
         offset: Centre (x, y, z) of the contact sphere in the named frame of the hand (m).
         radius: Radius of the contact sphere of a hand (m). By default, the radius of the largest
             sphere with this centre inside a collision shape of the hand. If the centre is outside

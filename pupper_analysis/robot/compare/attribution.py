@@ -200,7 +200,7 @@ def armature_differences(
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
     - An armature of the free joint adds inertia without weight to the base.
-    - A joint and its mirror image on the other side of the robot have different armatures.
+    - Armatures of a joint and its mirror image should agree (`find_unlike_pairs`).
 
     Args:
         values: Multibody tree with the armatures of the MJCF.

@@ -244,8 +244,8 @@ the memory. Pinocchio's data contain four tensors of second derivatives (nv, nv,
 needed here. The tensors take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000."""
 
 _MAX_STATE_BYTES: Final = 80e6
-"""Maximum memory of the mass matrices of all states in an evaluation of a large robot [bytes]. The
-bound limits the number of states: 106 states for 306 degrees of freedom, 10 states for 1000.
+"""Memory that the mass matrices of all states of a large robot should not exceed [bytes]. The bound
+limits the number of states: 106 states for 306 degrees of freedom, 10 states for 1000.
 Chosen, not tuned."""
 
 _MIN_STATES: Final = 2
