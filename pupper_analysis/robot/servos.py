@@ -56,15 +56,13 @@ the input of the force law equals the command, or converges to the command."""
 class Servos:
     """MuJoCo model with position servos: tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit).
 
-    Dependent joints of closed loops count as joints without servo.
+    Dependent joints of closed loops and couplings count as joints without servo.
 
     Attributes:
         model: MuJoCo model with the servos, a copy of the robot's model.
-        kp: Stiffness of each joint's servo, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of
-            loops.
-        kd: Damping of each joint's servo, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of
-            loops.
-        gear: Actuator length per joint position, shape (nu,); 1 for dependent joints of loops.
+        kp: Stiffness of each joint's servo, shape (nu,) [N m/rad, N/m]; 0 for dependent joints.
+        kd: Damping of each joint's servo, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints.
+        gear: Actuator length per joint position, shape (nu,); 1 for dependent joints.
         integrator: Name of MuJoCo's integrator.
     """
 
