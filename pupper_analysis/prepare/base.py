@@ -43,9 +43,9 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a legged robot that the MJCF fixes to the world.
 
-    A base without joints gets a free joint if it has at least two limbs (subtrees with joints), or
-    is free in the URDF. A free joint may also replace slides and hinges that move the base
-    (`join_free_base`); the keyframes are then deleted.
+    A base without joints usually gets a free joint if it has at least two limbs (subtrees with
+    joints), or is free in the URDF. A free joint may also replace slides and hinges that move the
+    base (`join_free_base`); the keyframes are then deleted.
 
     Args:
         urdf: URDF.
@@ -57,8 +57,7 @@ def free_base(
         changed.
 
     Raises:
-        ModelError: If two or more limbs are attached to the world without a base body. For example,
-            MuJoCo's import fuses the root link of a URDF with the world, and loses its mass.
+        ModelError: If two or more limbs are attached to the world without a base body.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):

@@ -52,8 +52,7 @@ The value is MuJoCo's default; chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations [1] and upper bound of the tolerance [1] with which the constraint
-solver Newton counts as accurate. Newton's method converges in about ten iterations. Chosen, not
-tuned.
+solver Newton counts as accurate. Chosen, not tuned.
 """
 
 _LOCKING_DAMPING = 1e6
@@ -139,7 +138,7 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 
 
 def _name_bodies(names: Iterable[str]) -> str:
-    """Form a name for a constraint without a name: "A and B", with the names of its two bodies.
+    """Form a name "A and B" for a constraint without a name, from the names of its two bodies.
 
     An empty name stands for the world.
     """
@@ -273,7 +272,7 @@ def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the robot's joints in the published model, (nu,), in actuator order."""
+    """Return the ids of the joints in ``robot.joint_names`` in the published model, (nu,)."""
     return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
@@ -308,7 +307,7 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield the actuators with a negative gear, which is seldom intended, as a candidate cause."""
+    """Yield the actuators with a negative gear at the robot's joints as a candidate cause."""
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -377,7 +376,8 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 _MIN_FRICTION = 0.3
 """Lower bound of the sliding friction coefficient [1]. A contact with a lower coefficient is tested
 as the cause of a fall, or of a deviation from the predicted equilibrium: the value may be a mistake
-of the file. Chosen lower than the coefficients of usual materials."""
+of the file. Chosen, not tuned.
+"""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
@@ -526,10 +526,7 @@ def _find_wrap_bodies(model: mujoco.MjModel, wrap: int) -> list[int]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield limits of servo commands and forces as candidate causes of a failed simulation.
-
-    The equilibrium that is predicted with feed-forward does not consider these limits.
-    """
+    """Yield limits of servo commands and forces as candidate causes of a failed simulation."""
     model, joints, motors = (
         published.model,
         _list_joint_ids(published, robot),
@@ -550,7 +547,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield actuators that act on no single hinge or slide, and slow filters, as candidate causes.
 
-    Servos at tendons that hold joints without actuator are no candidates.
+    The first kind excludes servos at tendons that hold joints without actuator.
     """
     model = published.model
     commanded = {

@@ -92,9 +92,7 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
     """Return True if the joints of a leg can move the sole along the normal without a tilt.
 
-    Random joint positions are tested. Rotation about the normal is permitted. With four joints this
-    is possible if three axes are parallel (for example hip, knee and ankle) and the fourth joint
-    keeps these axes level.
+    Random joint positions are tested. Rotation about the normal is permitted.
 
     Args:
         model: Model.
@@ -206,7 +204,8 @@ touching the ground with an edge. Chosen, not tuned.
 
 _MIN_SOLE_LENGTH = 0.015
 """Lower bound of the largest extent of a flat part along a coordinate axis [m]. A smaller flat part
-is no sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
+is no sole. Chosen, not tuned.
+"""
 
 _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
@@ -501,9 +500,7 @@ def _find_corner_balls(
 ) -> tuple[ContactPoint, ...]:
     """Create contact points at the corners of a sole: small spheres that touch a common plane.
 
-    ``out`` is the outward normal of the sole in the body frame, shape (3,). A common plane is
-    needed: if a corner were a tenth of a millimetre off the plane, the foot would rest on three
-    spheres, tilted by milliradians.
+    ``out`` is the outward normal of the sole in the body frame, shape (3,).
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -314,8 +314,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Detect passive joints, which no motor drives; list them in the robot's description.
 
-    A passive joint has an effort limit of zero, and no actuator in the MJCF. An effort of zero in a
-    single file may be a mistake. The list is `Description.passive_joints`.
+    A passive joint has an effort limit of zero, and no actuator in the MJCF. The list is
+    `Description.passive_joints`.
     """
     model, dependent = mjcf.model, list_dependent_joints(robot)
     if mjcf.of_urdf or not model.nactuator:

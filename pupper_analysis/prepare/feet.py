@@ -37,13 +37,13 @@ from pupper_analysis.robot.robot import Robot
 _MAX_LEG_HEIGHT_FRACTION = 0.15
 """Factor a [1] of a height bound. A limb counts as a leg if the lowest point of its last body is
 less than max(a h, b r) above that of the lowest limb [m]. The height of the base above this lowest
-point is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
-higher; feet in a start pose rarely differ by more than a few percent."""
+point is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned.
+"""
 
 MAX_SHORT_LEG_HEIGHT_FRACTION = 0.33
 """Factor a [1] of the bound that `_MAX_LEG_HEIGHT_FRACTION` describes, for robots with legs of
-different lengths. Chosen, not tuned: SABO's forelegs end 21 % above its hind legs, and hands hang
-at about half the height of the base."""
+different lengths. Chosen, not tuned: SABO's forelegs end 21 % above its hind legs.
+"""
 
 _MAX_LEG_RISE_FRACTION = 0.05
 """Factor b [1] of the bound max(a h, b r) [m] that `_MAX_LEG_HEIGHT_FRACTION` describes. r is the
@@ -86,7 +86,8 @@ base, about 45 deg, with which the limbs count as pointing along this axis. Chos
 
 _MIN_LIMB_LENGTH = 1e-3
 """Lower bound of the limb length [m] by which a limb vector is divided to get the direction of the
-limb. The bound avoids a division by zero: the length of a wheel is zero. Chosen, not tuned."""
+limb. The bound avoids a division by zero. Chosen, not tuned.
+"""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
@@ -415,8 +416,8 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 _CONTACT_POINT_TOLERANCE = 1e-6
 """Upper bound of the displacement of a contact point between two successive fits of spheres to
-ellipsoids [m]. If a point moves farther, the fit is repeated. Chosen: a hundredth of the depth of a
-loaded contact."""
+ellipsoids [m]. If a point moves farther, the fit is repeated. Chosen, not tuned.
+"""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:

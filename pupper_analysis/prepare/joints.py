@@ -31,8 +31,8 @@ differences are rounding. Chosen, not tuned.
 """
 
 _CONTINUOUS_LIMIT = 2 * math.pi
-"""Limit of a continuous joint in both directions [rad], for a robot with closed loops or couplings
-whose MJCF has no limit. Chosen as a revolution: larger angles are not needed.
+"""Limit of a continuous joint in both directions [rad]: a revolution. It is used for robots with
+closed loops or couplings, if the MJCF does not limit the joint. Chosen, not tuned.
 """
 
 

@@ -72,9 +72,7 @@ def report_passive_joints(robot: Robot) -> Iterator[Diagnostic]:
 def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
     """Yield a message about joints that the MJCF drives only through tendons.
 
-    The prepared robot has a servo at each of these joints. Results such as static deflection and
-    payload are computed with the added servos. Simulations of the unmodified file use the actuators
-    at the tendons.
+    The prepared robot has a servo at each of these joints.
     """
     file = None if robot.published is None else robot.published.file
     driven = [

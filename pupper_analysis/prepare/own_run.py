@@ -86,8 +86,8 @@ _SETTLING_TIME = 2.0
 
 _MAX_GROUND_DISTANCE_RATIO = 0.05
 """Upper bound of the distance of a leg from the ground, relative to the CoM height [1], with which
-the leg counts as on the ground (`_list_lifted_legs`). Chosen, not tuned: feet of published
-keyframes differ by a few percent in height."""
+the leg counts as on the ground (`_list_lifted_legs`). Chosen, not tuned.
+"""
 
 _MAX_RESTING_SPEED = 5e-3
 """Upper bound of the speeds of a robot at rest [m/s, rad/s]. Chosen between two measured speeds:
@@ -435,8 +435,8 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe, whose ctrl is
-then used. Chosen, not tuned.
+"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe; the ctrl of
+the keyframe, if stated, is then used. Chosen, not tuned.
 """
 
 
@@ -634,8 +634,8 @@ def _unheld_joints(
 ) -> list[JointOff]:
     """Return the joints that moved because no position servo holds them.
 
-    Passive and coupled joints are left out. The result is empty unless more than half of the joints
-    have a position servo.
+    Joints without actuator that need no servo (passive, coupled) are left out. The result is empty
+    unless more than half of the joints have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):

@@ -494,7 +494,7 @@ def _find_feet(draft: Draft) -> PassOutput:
 def _add_short_legs(
     draft: Draft, feet: tuple[Foot, ...], poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
-    """Add the feet of shorter legs, such as forelegs, if the feet have no support polygon.
+    """Add the feet of shorter legs, such as forelegs, if the feet have too few contact points.
 
     The robot must then have a nominal stand.
     """
@@ -735,11 +735,7 @@ def _pose_without_servos(draft: Draft) -> Robot:
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
 def _convert_visual_meshes(draft: Draft) -> PassOutput:
-    """Convert visual meshes; build the robot again with visual geoms if they were removed.
-
-    A model of G1 without its visual meshes takes 1 MB instead of 71 MB, and each simulation of a
-    stand copies the model.
-    """
+    """Convert visual meshes; build the robot again with visual geoms if they were removed."""
     if not draft.request.visuals:
         return draft, ()
     robot, insert_visuals = draft.robot, draft.mjcf.deferred_visuals
@@ -764,7 +760,7 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
 
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
-"""Names of passes whose notes are reordered. `_complete_preparation` puts the pass that fixed the
+"""Names of passes, to order their notes. `_complete_preparation` puts the pass that fixed the
 base last. `_add_notes` puts the notes about visual meshes after the notes about the matching of
 URDF and MJCF."""
 

@@ -71,8 +71,7 @@ the actuator. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
-value. A slower filter, for example with ``timeconst="1e5"``, starts at zero: it does not settle
-within the simulated time. Chosen, not tuned.
+value. A slower filter, for example with ``timeconst="1e5"``, starts at zero. Chosen, not tuned.
 """
 
 
@@ -133,10 +132,10 @@ def has_few_servos(published: PublishedModel) -> bool:
 
 
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
-    """Use the prepared robot's time step and integrator, if the file of a model states none.
+    """Use the prepared robot's time step and integrator, if a file with few servos states none.
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
-    added. Without such servos, the model is returned unchanged.
+    added.
     """
     file = None if robot.published is None else robot.published.file
     if file is None or not robot.description.made_servos or not has_few_servos(published):
@@ -224,8 +223,6 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
 
 def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel:
     """Compile a URDF by MuJoCo's own importer, with floor and servos as in the prepared robot.
-
-    The collision shapes are those of the file.
 
     Raises:
         ModelError: If MuJoCo refuses the URDF.
@@ -334,7 +331,7 @@ def place_at_state(
         state: Data of ``robot.mj_model``; the kinematics are evaluated here.
 
     Returns:
-        Data; None if the base cannot be placed there, for example if the base is fixed.
+        Data; None if the base cannot be placed there, for example if it is fixed elsewhere.
     """
     mujoco.mj_kinematics(robot.mj_model, state)
     model, body = published.model, robot.mj_model.body(robot.mj_base)
@@ -584,7 +581,9 @@ recorded. Chosen, not tuned."""
 
 
 _STEPS_PER_CHECK = 25
-"""Simulation steps between two tests of whether MuJoCo has reset the state. Chosen, not tuned."""
+"""Simulation steps between two tests of whether MuJoCo has reset the state, in the part of a
+simulation whose forces are not recorded. Chosen, not tuned.
+"""
 
 
 def simulate_published(
@@ -607,8 +606,7 @@ def simulate_published(
             to the final state.
         hold: Commands of the actuators, and gains and targets of the external servos.
         seconds: Duration [s].
-        record_forces: Whether to record the extreme forces. If False, the simulation is up to a
-            tenth faster.
+        record_forces: Whether to record the extreme forces.
 
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
@@ -687,8 +685,8 @@ def _measure_command_law(
     measurement, since zero may be at the end of a ctrlrange, or outside.
 
     Returns:
-        Index of the control, lever [N m or N per unit of ctrl], offset [N m, N]; None if no ctrl
-        changes the torque.
+        Index of the control, lever [N m or N per unit of ctrl], offset [N m, N]; None without an
+        actuator, or if the lever is negligible (`_MIN_COMMAND_GAIN`).
     """
     if not actuators:
         return None
@@ -707,9 +705,10 @@ def _measure_command_law(
 
 
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
-    """Return the names of joints whose actuator has its own control law, such as ``pid``.
+    """Return the names of joints with an actuator of another control law, such as ``pid``.
 
-    Such an actuator has several controls, or an internal state. No command is computed for it.
+    The law is neither that of a motor nor that of a servo, and has several controls or an internal
+    state. Simulations of the published file are usually omitted if there are such joints.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):

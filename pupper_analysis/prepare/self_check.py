@@ -89,12 +89,12 @@ from pupper_analysis.statics.equilibrium import gravity_compensation
 
 SETTLING_TIME = 1.0
 """Simulated time [s] between the start in the predicted equilibrium and the nudge (a small
-velocity). Chosen: servos with natural frequencies of some hertz are then usually at rest.
+velocity). Chosen, not tuned.
 """
 
 NUDGED_TIME = 4.0
-"""Usual simulated time [s] between the nudge and the comparison with the predicted equilibrium.
-Chosen, not tuned.
+"""Lower bound of the simulated time [s] between the nudge and the comparison with the predicted
+equilibrium, unless the simulation ends early (`_is_lasting`). Chosen, not tuned.
 """
 
 _MAX_NUDGED_TIME = 40.0
@@ -137,7 +137,8 @@ Chosen, not tuned.
 
 HEIGHT_RTOL = 1e-3
 """Upper bound of the height error of the CoM, divided by the CoM height [1], with which the
-published file agrees with the predicted equilibrium; 0.13 mm for Pupper v3. Chosen, not tuned."""
+published file agrees with the predicted equilibrium. Chosen, not tuned.
+"""
 
 
 def compare_as_published(
@@ -294,8 +295,8 @@ def _moves_alike(
 ) -> bool:
     """Return True if published file and prepared robot fail alike without feed-forward.
 
-    The file is then no cause. Measured for the reduced Talos of example-robot-data, whose soles
-    chatter: both deviate by 42.3 % in torque.
+    The file is then no cause. An example is the reduced Talos of example-robot-data, whose soles
+    chatter.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
@@ -362,13 +363,13 @@ class PredictedRest:
 
 
 def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
-    """Predict the equilibrium of a stand, with feed-forward and with position commands alone.
+    """Predict the equilibrium of a stand or posture, with feed-forward torques and perhaps without.
 
     The stand of a free base is solved on soft ground if possible.
 
     Returns:
-        Prediction with feed-forward, then, if possible, prediction with position commands alone.
-        Empty without equilibrium.
+        Prediction with feed-forward. For a free base, a prediction with position commands alone may
+        follow. Empty without equilibrium.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -639,9 +640,6 @@ def _find_shaken_state(
     find_deviation: Callable[[Array, Array], float],
 ) -> tuple[mujoco.MjData, Array, Array] | None:
     """Nudge the base of a resting published model, and find a motion that shakes without decay.
-
-    Measured for a random robot with a time step of 2 ms: after an upward nudge it hops, and moves
-    by 0.4 m in 20 s.
 
     Returns:
         State, minimum and maximum forces, shape (model.nv,) each [N m, N]; None without such

@@ -63,7 +63,7 @@ slides, and stands with 8,000 and 20,000 N/m.
 
 _DAMPING_TIME = 0.05
 """Default ratio kd / kp [s] between damping and stiffness of servos added to a standing robot.
-Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned.
+Chosen, not tuned.
 """
 
 _MIN_TORQUE_FRACTION = 0.02

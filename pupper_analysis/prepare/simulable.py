@@ -41,13 +41,14 @@ square of the gear."""
 
 
 _MIN_IMPRATIO = 1e-9
-"""Lower bound of MuJoCo's option ``impratio`` (dimensionless). Chosen: with a much smaller value
-there is practically no friction."""
+"""Lower bound of MuJoCo's option ``impratio`` (dimensionless). `check_simulable` raises an error
+for a smaller value. Chosen, not tuned.
+"""
 
 _MAX_LENGTH = 1e4
 """Upper bound of the magnitude of contact margins, and of the coordinates of moving bodies and of
-joints, in an MJCF [m]. Chosen: no robot is as large, and at this distance the square of a
-micrometre is lost in a double."""
+joints, in an MJCF [m]. `check_simulable` raises an error for a larger value. Chosen, not tuned.
+"""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
@@ -170,8 +171,8 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
 
 MAX_SOLVER_RESIDUAL = 0.01
 """Upper bound of the residual of the equations of motion, divided by the robot's weight [1]. If the
-residual is larger, MuJoCo's solver counts as inaccurate (`find_solver_error`). Chosen below the
-tolerances of comparisons with simulations."""
+residual is larger, MuJoCo's solver counts as inaccurate (`find_solver_error`). Chosen, not tuned.
+"""
 
 _PUSH_FRACTION = 0.1
 """Force along each axis on the robot in the test of the solver's accuracy, divided by the robot's

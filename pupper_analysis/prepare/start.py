@@ -64,7 +64,7 @@ tuned."""
 
 _WEIGHT_RTOL = 0.01
 """Upper bound of |sum of the contacts' normal forces - weight| / weight [1] with which a keyframe
-counts as at rest. If a height was set by hand, the ratio is usually far larger. Chosen, not tuned.
+counts as at rest. Chosen, not tuned.
 """
 
 
@@ -187,7 +187,7 @@ height of the base above the lowest foot. Chosen, not tuned."""
 
 _MAX_BRANCHES = 3
 """Upper bound of the number of combinations of the legs' IK branches that are tried as initial
-guesses at a base height. Chosen, not tuned.
+guesses per call of `_solve_near_pose`. Chosen, not tuned.
 """
 
 _NUM_HEIGHTS = 12
@@ -244,8 +244,7 @@ SciPy requires a guess strictly inside of the bounds."""
 
 _MIN_CONTACT_RATE = 1e-9
 """Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint counts as
-moving a contact point. Smaller elements are rounding. Chosen, not tuned: the elements of legs are
-usually above 1e-2 m/rad.
+moving a contact point. Smaller elements are rounding. Chosen, not tuned.
 """
 
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
@@ -371,8 +370,7 @@ three point feet can have a support polygon.
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
 """Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``) and largest number of evaluations of the
-second least-squares problem of `_level_soles`, which has no regularisation. Gauss-Newton converges
-quadratically from errors of 1e-8 m. Chosen, not tuned."""
+second least-squares problem of `_level_soles`, which has no regularisation. Chosen, not tuned."""
 
 
 def _level_soles(
@@ -380,8 +378,8 @@ def _level_soles(
 ) -> Array | None:
     """Compute joint positions (nu,) [rad, m] that place all contact points on level ground.
 
-    The least-squares solution is close to ``pose``, (nu,) [rad, m]. The base is ``height`` [m]
-    above the ground. The wanted distance of the joints from the limits is ``margin`` [rad, m]. If
+    Small distances from ``pose``, (nu,) [rad, m], are preferred. The base is ``height`` [m] above
+    the ground. The wanted distance of the joints from the limits is ``margin`` [rad, m]. If
     ``centred``, the CoM is above the centre of the contact points. None if no accurate solution is
     found.
     """
@@ -676,7 +674,7 @@ def _solve_first_guess(
 
 
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
-    """Compute the base height above the ground at which the longest leg would be straight.
+    """Compute the largest base height above the ground at which a leg would be straight.
 
     The height of a leg is about the length of the chain from its first joint to the contact point,
     plus the height of the base above this joint in ``qpos``, plus the radius of the contact sphere.
@@ -706,7 +704,7 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 def with_foot_contacts_only(robot: Robot) -> Robot:
     """Return a robot whose foot bodies collide with their foot geoms only, in the MuJoCo model.
 
-    Contacts of a ``<pair>`` remain. The description (URDF and MJCF) is not changed.
+    Contacts of a ``<pair>`` remain.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
@@ -897,7 +895,6 @@ def make_start_keyframe(
         kd: Servo damping, shape (nu,) [N m s/rad, N s/m]; None: value of the robot.
 
     Raises:
-        ConfigurationError: If the stand belongs to another robot, for example.
         ModelError: If a joint has no servo or motor, for example.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """

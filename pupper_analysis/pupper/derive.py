@@ -108,8 +108,8 @@ def _stretch_link(
     """Stretch a link in place by ``variant.leg_scale`` along the direction to its end.
 
     ``end`` is the pose (4, 4) of the next joint in the link frame. The direction is projected into
-    the plane with the normal ``normal``, the knee axis (3,) in the link frame. For example, spheres
-    and boxes keep their size.
+    the plane with the normal ``normal``, the knee axis (3,) in the link frame. Spheres keep their
+    size, for example.
     """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
@@ -159,7 +159,7 @@ def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | Non
     """Return (radius, length of the cylinder) [m] of a link's collision capsule along an axis.
 
     A capsule is one cylinder along ``axis``, a unit vector (3,) in the link frame, with a sphere of
-    the same radius at each end. None without a capsule.
+    the same radius at each end. None if the link has no capsule, for example.
     """
     shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
@@ -283,8 +283,8 @@ def _stretch_body(
     """Stretch a body of an MJCF by ``factor`` along an axis, in place, except for its meshes.
 
     ``axis`` is a unit vector (3,) in the body frame. ``meshes`` receives {mesh: scale factors (3,)
-    along the axes of the mesh}; the caller must scale the meshes. For example, spheres and boxes
-    keep their size.
+    along the axes of the mesh}; the caller must scale the meshes. Spheres keep their size, for
+    example.
     """
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):

@@ -36,10 +36,11 @@ _Model = TypeVar("_Model")
 
 _MAX_WORD_LENGTH = 200
 """Largest number of characters of a word that is checked as a misspelled variant name. Chosen, not
-tuned: longer texts are probably XML."""
+tuned.
+"""
 
 _WORD_PATTERN = re.compile(r"\w[\w-]*")
-"""Pattern of a word that may be the name of a variant: no suffix, folder, prefix or XML."""
+"""Pattern of a word that may be the name of a variant: letters, digits, underscores and hyphens."""
 
 
 def is_variant(word: object) -> bool:

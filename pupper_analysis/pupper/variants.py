@@ -19,8 +19,9 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 
 _MAX_NAME_BYTES = 200
-"""Upper bound of the length of a variant's name [bytes]. Chosen, not tuned: file systems permit
-255, including prefixes and suffixes."""
+"""Upper bound of the length of a variant's name [bytes]. Chosen, not tuned: many file systems
+permit 255, including suffixes.
+"""
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
 
 
 def _check_name(name: object) -> None:
-    """Raise VariantError if the name of a variant cannot be used as a file name.
+    """Raise VariantError if the name of a variant is not permitted as a file name.
 
     An empty name is accepted.
     """
@@ -92,7 +93,8 @@ class VariantSpec:
 
     Attributes:
         base: ``"skeleton"`` or ``"v3"``.
-        leg_scale: Factor of the length and mass of each thigh and calf; > 0, at most `MAX_SCALE`.
+        leg_scale: Factor of the length of each thigh and calf, whose masses change accordingly;
+            > 0, at most `MAX_SCALE`.
         torso_mass_scale: Factor of the mass and inertia of the torso; > 0, at most `MAX_SCALE`.
         name: Name for tables and files; by default formed from the other values.
 
@@ -127,8 +129,9 @@ class VariantSpec:
 
 
 MAX_SCALE = 1000.0
-"""Upper bound of ``leg_scale`` and ``torso_mass_scale``: legs of almost 200 m, a torso of 1.5
-tonnes. Chosen, not tuned: larger robots have no meaningful simulation."""
+"""Upper bound of ``leg_scale`` and ``torso_mass_scale`` [1]: legs of almost 200 m, a torso of 1.5
+tonnes. Chosen, not tuned.
+"""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {
@@ -201,10 +204,7 @@ class ScalableVariant:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Scale factors of the variant, with the keys ``leg_scale`` and ``torso_mass_scale``.
-
-        The factors multiply length and mass of the legs, and mass and inertia of the torso.
-        """
+        """{``leg_scale`` or ``torso_mass_scale``: scale factor [1]}, for legs and torso mass."""
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def with_scales(self, scales: Mapping[str, float]) -> VariantSpec:

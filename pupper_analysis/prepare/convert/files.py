@@ -88,8 +88,8 @@ class RobotFiles:
     def to_dict(self) -> dict[str, Any]:
         """Return the specification as {option: value} for TOML or JSON.
 
-        The keys ``models``, ``urdf`` and ``mjcf`` contain file names; keys without a value are
-        absent. The other keys are loading options.
+        The keys ``models``, ``urdf`` and ``mjcf`` contain file names; the other keys are loading
+        options.
         """
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
@@ -128,7 +128,7 @@ class FileSource:
     def to_dict(self) -> dict[str, Any]:
         """Return the specification of the robot for a study file (TOML): {option: value}.
 
-        The keys ``models``, ``urdf`` and ``mjcf`` contain file names; keys without a value are
-        absent. The other keys are loading options.
+        The keys ``models``, ``urdf`` and ``mjcf`` contain file names; the other keys are loading
+        options.
         """
         return self.files.to_dict()

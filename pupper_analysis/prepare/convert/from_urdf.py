@@ -71,7 +71,9 @@ _SIZE_ATTRIBUTES = {
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
 }
-"""{tag of a URDF shape: its attributes that are lengths [m]}, for converting the sizes."""
+"""{tag of a URDF shape: its attributes that are lengths [m]}, to find shapes with a size of zero or
+below.
+"""
 
 
 VISUAL_CLASS: Final = "visual"

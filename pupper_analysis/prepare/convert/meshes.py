@@ -294,7 +294,7 @@ class _DeferredFile:
 
 
 class DeferredMeshes:
-    """Visual meshes of a URDF whose conversion takes seconds, and is therefore deferred.
+    """Visual meshes of a URDF whose slow conversion is deferred.
 
     In the MJCF, a tetrahedron represents each mesh until `insert` is called.
     """
@@ -428,8 +428,6 @@ def _convert_content(data: bytes, ending: str) -> bytes:
 def format_obj(vertices: Array, faces: IntArray, name: str | None) -> bytes:
     """Format a triangle mesh as the content of an OBJ file.
 
-    For a mesh without normals and colours, the result is equal to that of trimesh, byte for byte.
-
     Args:
         vertices: Positions, shape (n, 3), in the unit of the file; written with eight decimals.
         faces: Triangles, shape (m, 3), as row indices of ``vertices``, from 0.
@@ -442,7 +440,7 @@ def format_obj(vertices: Array, faces: IntArray, name: str | None) -> bytes:
 
 
 _OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
-"""First line of a converted OBJ file: the address of trimesh, which reads the other formats."""
+"""First line of a converted OBJ file: the address of trimesh, which reads the mesh files."""
 
 
 def read_mesh_file(path: Path) -> bytes:

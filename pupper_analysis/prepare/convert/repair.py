@@ -2,8 +2,8 @@
 
 Input is a URDF with inertials that MuJoCo refuses, for example because the principal moments
 violate the triangle inequality A + B >= C. An invalid inertial is first added to the inertial of a
-link to which fixed joints connect the link. This changes no motion. If no sum is valid, the nearest
-valid moments replace the invalid moments (`find_nearest_moments`).
+link to which fixed joints connect the link. This changes no motion. If no sum is valid, valid
+moments replace the invalid moments (`find_nearest_moments`).
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ mass. MuJoCo would refuse such a link; helper links of exporters often have no m
 tuned."""
 
 _GYRATION_RADIUS: Final = 0.01
-"""Radius of gyration [m] of a repaired link that has no positive moment of inertia in the URDF.
-Chosen as that of a ball with a radius of 16 mm. With a much smaller value, a small torque would
-move the link too fast for a time step of 2 ms."""
+"""Radius of gyration [m] of a repaired link whose moments of inertia in the URDF are all at most
+`_MIN_INERTIA`. Chosen as that of a ball with a radius of 16 mm.
+"""
 
 _TRIANGLE_MARGIN: Final = 1e-6
 """Relative margin [1] with which repaired principal moments satisfy A + B >= C. Chosen larger than
@@ -157,7 +157,7 @@ def repair_inertials(
     """Make the inertials of a URDF valid for MuJoCo, in place, by a move or a repair.
 
     An invalid inertial is added to the inertial of a link to which fixed joints connect the link:
-    this changes no motion. If no such sum is valid, the moments become the nearest valid moments. A
+    this changes no motion. If no such sum is valid, `find_nearest_moments` gives the new moments. A
     moving body gets `ADDED_MASS` if neither this body nor a body fixed to it has a mass.
 
     Args:
@@ -229,12 +229,12 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 def find_nearest_moments(moments: Array, mass: float) -> Array:
     """Compute the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
-    The moments are projected on those that satisfy A + B >= C (`_project_moments`). Without a
-    positive moment, all moments become m r^2, with the radius of gyration r, `_GYRATION_RADIUS`.
-    MuJoCo's ``balanceinertia`` uses the mean of the moments instead, which is a larger change.
+    Negative moments count as zero. The moments are projected on those that satisfy A + B >= C
+    (`_project_moments`). If no moment exceeds `_MIN_INERTIA`, all moments become m r^2, with the
+    radius of gyration r, `_GYRATION_RADIUS`.
 
     Args:
-        moments: Principal moments, shape (3,) [kg m^2], the largest last.
+        moments: Principal moments, shape (3,) [kg m^2].
         mass: Mass [kg].
     """
     result: Array = np.maximum(moments, 0.0)
@@ -273,7 +273,7 @@ def _widen_flat_inertia(bodies: LinkBodies, body: str) -> None:
     """Enlarge the moments of a flat body so that rounding does not violate A + B >= C, in place.
 
     A plate or a planar mesh without thickness has A + B = C. MuJoCo compares the moments after its
-    own rounding, without tolerance, and refuses about half of such tensors.
+    own rounding, without tolerance.
     """
     inertia = bodies.inertia(body)
     if inertia is None or not inertia.mass > 0 or not is_valid_inertia(inertia):
@@ -312,7 +312,7 @@ def _has_group_mass(bodies: LinkBodies, body: str) -> bool:
 
 
 def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
-    """Replace the inertia of a body by the nearest valid inertia, in place.
+    """Replace the inertia of a body by a valid inertia, in place (`find_nearest_moments`).
 
     The principal axes are kept. A mass of zero or below becomes `ADDED_MASS`.
     """
@@ -380,9 +380,7 @@ def move_massless_shapes(bodies: LinkBodies) -> list[str]:
     """Move the collision shapes of fixed bodies without inertial to an ancestor body, in place.
 
     The ancestor is the nearest body above that has an inertial, moves, or is the base. Reason: the
-    compliance of MuJoCo's ground depends on the inertia of a shape's body. The sphere of a massless
-    toe body sinks 25 times as far as the same sphere in the body of the foot. MuJoCo's own importer
-    also merges both bodies.
+    compliance of MuJoCo's ground depends on the inertia of a shape's body.
 
     Returns:
         Names of the bodies whose shapes were moved.
