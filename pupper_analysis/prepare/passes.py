@@ -524,10 +524,7 @@ def _stands_on(draft: Draft, feet: tuple[Foot, ...]) -> bool:
 
 
 _MAX_ELLIPSOID_FITS = 6
-"""Upper bound of the number of repeated fits of spheres to ellipsoids. Measured: an ellipsoid with
-half axes of 30, 20 and 10 mm, tilted by 0.6 rad, needs 2 to 5 fits, depending on the order of the
-axes.
-"""
+"""Upper bound of the number of repeated fits of spheres to ellipsoids. Chosen, not tuned."""
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:

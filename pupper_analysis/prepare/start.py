@@ -191,8 +191,9 @@ guesses per call of `_solve_near_pose`. Chosen, not tuned.
 """
 
 _NUM_HEIGHTS = 12
-"""Number of base heights at which a stand is searched, between folded and straight legs
-(`_MIN_HEIGHT_FRACTION`, `_MAX_HEIGHT_FRACTION`). Chosen, not tuned."""
+"""Number of base heights at which a stand is searched per pose, between folded and straight legs
+(`_MIN_HEIGHT_FRACTION`, `_MAX_HEIGHT_FRACTION`). Chosen, not tuned.
+"""
 
 _MIN_GROUND_CLEARANCE = 0.01
 """Lower bound of the height above the ground [m] of bodies other than those of the feet
