@@ -139,7 +139,7 @@ class AddedServos(NamedTuple):
 
 
 def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> AddedServos:
-    """Add position servos to the joints without a servo, with gains that hold a stand.
+    """Add position servos to independent joints without a servo, with gains that hold a stand.
 
     Candidates of gains and time step are tried in order. A good candidate brings the robot to rest
     in the predicted equilibrium, with feed-forward torques and with position commands alone, and
@@ -396,7 +396,7 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, at the joints without a servo.
+    """Add position servos to a robot with a fixed base, at independent joints without a servo.
 
     The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque.
 
@@ -500,7 +500,7 @@ def make_missing_servos(
     timestep: float,
     own: Collection[str] | None = None,
 ) -> list[Addition]:
-    """Create the additions to an MJCF that give a position servo to each joint without a servo.
+    """Create the position servos that an MJCF lacks, and the options that the servos need.
 
     Dependent joints of closed loops and couplings get no servo. The integrator becomes
     ``implicitfast``, since explicit damping makes light joints oscillate.

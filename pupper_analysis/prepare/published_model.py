@@ -707,8 +707,8 @@ def _measure_command_law(
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
     """Return the names of joints with an actuator of another control law, such as ``pid``.
 
-    The law is neither that of a motor nor that of a servo, and has several controls or an internal
-    state. Simulations of the published file are usually omitted if there are such joints.
+    These are actuators with several controls or an internal state, for which
+    ``drive.has_other_law`` is True.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):

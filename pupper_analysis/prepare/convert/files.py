@@ -38,8 +38,7 @@ class RobotFiles:
     def from_arguments(*models: str, **options: Any) -> RobotFiles:
         """Create the specification of a robot from arguments of ``load_robot``.
 
-        File names, also names of installed descriptions, become absolute paths. The files are not
-        read.
+        File names, also names of installed descriptions, become absolute paths.
 
         Args:
             *models: Names of a URDF, an MJCF, or both.

@@ -38,8 +38,9 @@ _URDF_NOTE_CODES = (
     "fixed-base-stands",
     "root-link-left-out",
 )
-"""Codes of notes about content that a URDF lacks. The notes are omitted if the URDF was converted
-from the MJCF: the user has no URDF."""
+"""Codes of notes about a URDF. The notes are omitted if the URDF was converted from the MJCF: the
+user has no URDF.
+"""
 
 
 @dataclass(frozen=True, eq=False)
