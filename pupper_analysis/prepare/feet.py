@@ -439,8 +439,9 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Return True if a contact point is a ball that approximates a mesh or another shape.
 
-    Contact points of spheres, capsules and lying cylinders (wheels) are no such balls: such geoms
-    themselves touch the ground. Points without radius are no balls either.
+    Contact points of spheres and capsules are no such balls: these geoms themselves touch the
+    ground. A point of a cylinder with exactly the radius of the cylinder (a wheel) is no ball
+    either.
     """
     kind = int(model.geom_type[point.geom])
     if (
