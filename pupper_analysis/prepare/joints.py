@@ -103,8 +103,8 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
     """Add the ``<mimic>`` couplings of the URDF to the MJCF, as joint equalities.
 
-    A mimic joint follows another joint, the leader. A mimic joint remains uncoupled, with a note,
-    if it has an actuator in the MJCF, for example.
+    A mimic joint follows another joint, the leader. No coupling is added, but a note, if the mimic
+    joint has an actuator in the MJCF, for example.
 
     Args:
         matched: Matched joints of both files, with the couplings of the URDF.

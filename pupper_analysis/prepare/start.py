@@ -749,7 +749,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return a message with the reason against a keyframe from which the unmodified file stands.
+    """Return the reason against a keyframe from which the unmodified file stands: one message.
 
     ``joints`` is {joint: position [rad, m]} of the keyframe.
     """
