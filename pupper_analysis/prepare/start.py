@@ -99,7 +99,6 @@ def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, flo
 def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     """Compute the ground penetration in keyframes whose contact forces balance the weight.
 
-    In such a keyframe the ground carries the robot, so the height of the base is meaningful.
     Keyframes with a ctrl of zero, or in which no axis of the base is vertical, are omitted.
 
     Args:
