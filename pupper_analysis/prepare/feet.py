@@ -8,6 +8,7 @@ are the collision geoms at the ends of the lowest limbs (`find_feet`), or those 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -436,6 +437,11 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
     )
 
 
+_RADIUS_RTOL = 1e-9
+"""Relative tolerance with which the radius of a contact point equals that of a cylinder. Rounding
+of the fitted radius is about 1e-14. Chosen, not tuned."""
+
+
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Return True if a contact point is a ball that approximates a mesh or another shape.
 
@@ -444,9 +450,8 @@ def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     either.
     """
     kind = int(model.geom_type[point.geom])
-    if (
-        kind == mujoco.mjtGeom.mjGEOM_CYLINDER.value
-        and point.radius == model.geom_size[point.geom, 0]
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER.value and math.isclose(
+        point.radius, model.geom_size[point.geom, 0], rel_tol=_RADIUS_RTOL
     ):
         return False  # wheel on its side
     round_types = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.prepare.contact_points import ContactPoint
-from pupper_analysis.prepare.feet import Foot, have_contact_points_moved
+from pupper_analysis.prepare.feet import Foot, have_contact_points_moved, is_ball
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped, rewrite_file
 
@@ -66,3 +68,17 @@ def test_legs_of_different_lengths_all_have_feet(tmp_path: Path) -> None:
     lifts = [force[2] for force in forces.values()]
     assert min(lifts) > 0.1 * sum(lifts)
     assert sum(lifts) == pytest.approx(robot.total_mass * 9.81, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("radius", "ball"), [(0.03, False), (0.02999999999999964, False), (0.02, True)]
+)
+def test_cylinder_with_the_fitted_radius_is_a_wheel_despite_rounding(
+    radius: float, ball: bool
+) -> None:
+    """The fitted radius of a cylinder on its side deviates by 3.6e-16 m from the file's 0.03 m."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="cylinder" size="0.03 0.01"/></worldbody></mujoco>'
+    )
+    point: Any = SimpleNamespace(geom=0, radius=radius)
+    assert is_ball(model, point) is ball
