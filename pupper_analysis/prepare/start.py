@@ -45,7 +45,7 @@ from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
-from pupper_analysis.stance.problem import StandTargets, compute_targets
+from pupper_analysis.stance.problem import StandTargets, compute_targets, select_stance_feet
 from pupper_analysis.stance.search import (
     NEAR_MISS,
     make_initial_configuration,
@@ -56,6 +56,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.contacts import make_contacts
 
 _LEVEL_COSINE_ATOL = 1e-6
 """Upper bound of 1 - cos(a) [1] with which a base counts as level in `compute_resting_depths`. a is
@@ -306,11 +307,12 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions near which a stand is searched, shape (nu,) each [rad, m].
 
     Returns:
-        Copy of the robot with this start pose. None if no stand is found, for example if the joints
-        do not move the contact points, as with wheels.
+        Copy of the robot with this stand as the nominal stand. None if no stand is found, or if no
+        joint positions can make a stand (`_can_carry_weight`). None also if no joint moves a
+        contact point in the first pose, as with wheels: the base then has a single height.
     """
-    if robot.gravity[2] >= 0:
-        return None  # no contact force balances the weight
+    if not _can_carry_weight(robot):
+        return None
     poses = list(poses)
     if poses and not _can_move_contacts(robot, poses[0]):
         return None
@@ -319,6 +321,20 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         or _search_poses(robot, [_spread_feet(robot, pose) for pose in poses])
         or next(filter(None, (_find_level_soles(robot, pose) for pose in poses)), None)
     )
+
+
+def _can_carry_weight(robot: Robot) -> bool:
+    """Return True unless no contact forces carry the weight, whatever the joint positions.
+
+    No forces exist if gravity does not point downward, if the robot touches the ground at fewer
+    than three points, or if the friction coefficient of each contact point is unknown or negative.
+    """
+    try:
+        stance_feet = select_stance_feet(robot, StandTask())
+        friction = make_contacts(robot, stance_feet, None, None, None).friction
+    except PupperAnalysisError:
+        return False
+    return bool(robot.fixed_parts) or not (friction < 0).all()
 
 
 def _can_move_contacts(robot: Robot, pose: Array) -> bool:

@@ -289,7 +289,7 @@ def _build_targets(
         contact_by_foot, normals, deep = like.contact_by_foot, like.normals, like.depths
         support, centre = like.support, like.centre
     else:
-        stance_feet = _select_stance_feet(robot, task)
+        stance_feet = select_stance_feet(robot, task)
         out = ground_normals(robot, task.ground)
         places = compute_foot_targets(robot, task)
         contacts = np.array(
@@ -474,8 +474,15 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
         )
 
 
-def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Select the contact points that carry load in a task, after checks of robot and names."""
+def select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
+    """Select the contact points that carry load in a task, after checks of robot and names.
+
+    Raises:
+        ConfigurationError: If the base is fixed, gravity does not point downward, the robot has no
+            feet, welds or grips, or the robot lacks the contacts of the task. For a robot without
+            weld or grip, also if fewer than three contact points carry load.
+        UnknownNameError: If the task contains an unknown foot.
+    """
     robot.check_floating()
     if not (robot.contact_points or robot.fixed_parts):
         notes = (note for note in robot.notes if note.code == "base-free-without-feet")

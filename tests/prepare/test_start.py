@@ -250,6 +250,28 @@ def test_stands_are_not_searched_for_wheels(
     assert searches == ["poses", "poses", "soles"]
 
 
+def test_stands_are_not_searched_if_no_contact_force_carries_the_weight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two points have no support polygon, and negative friction permits no force. The searches took
+    10 s and more, without a result. Reference: the nominal stand of the same joint positions.
+    """
+    robot = load("v3")
+    on_two_points = pa.load_robot(*quadruped(tmp_path), feet=["FL_calf", "RR_calf"])
+    contacts = {
+        point: replace(contact, friction=(-1.0, -1.0, *contact.friction[2:]))
+        for point, contact in robot.contacts.items()
+    }
+    searches: list[str] = []
+    monkeypatch.setattr(start, "_search_poses", lambda *_: searches.append("poses"))
+    monkeypatch.setattr(start, "_find_level_soles", lambda *_: searches.append("soles"))
+    assert start.solve_nominal_stand(robot) is not None
+    for hopeless in (on_two_points, replace(robot, contacts=contacts)):
+        assert start.solve_nominal_stand(hopeless) is None
+        assert start.search_start(hopeless, [hopeless.nominal]) is None
+        assert searches == []
+
+
 @pytest.mark.slow
 def test_robot_with_a_foot_on_the_base_is_loaded(tmp_path: Path) -> None:
     """Three legs and the trunk as feet: the search of a start pose raised StopIteration."""
