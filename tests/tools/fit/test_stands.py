@@ -296,9 +296,9 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
     gravity = robot.structure.sort_columns(
         pin.computeGeneralizedGravity(heavier, heavier.createData(), q)[None]
     )[0]
-    forces = system._regressor.evaluate(pose, numbers)[0]
+    forces = system._regressor.compute_forces(pose, numbers)
     np.testing.assert_allclose(forces, gravity, atol=1e-9)
-    bare = system._regressor.evaluate(pose, system._make_values(x))[0]
+    bare = system._regressor.compute_forces(pose, system._make_values(x))
     assert abs((forces - bare)[6 + joint]) > 1e-3
 
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -161,6 +163,25 @@ a joint reading, relative to 1 / (encoder noise)^2. The bound prevents a divisio
 """
 
 
+class _Elimination(NamedTuple):
+    """Decomposition that whitens residuals and eliminates the own unknowns of a stand.
+
+    Attributes:
+        factor: Cholesky factor of the noise covariance of the residuals, shape (m, m).
+        left_vectors: Left singular vectors of the whitened derivative by the own unknowns, shape
+            (m, m).
+        singular_values: Singular values above the bound, shape (rank,).
+        right_vectors: Right singular vectors of these values, shape (rank, 3 + 3 p).
+        log_noise: Log determinant of the noise covariance of the projected residuals.
+    """
+
+    factor: Array
+    left_vectors: Array
+    singular_values: Array
+    right_vectors: Array
+    log_noise: float
+
+
 class StandRows:
     """Residuals of a stand and derivatives, for given parameters, base pose and contact forces.
 
@@ -184,7 +205,6 @@ class StandRows:
         kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
         residual: Residuals, shape (m,), m = nv + p: nv equations of balance [N, N m], then the
             height equation of each contact point [m].
-        by_x: Derivative of the residuals by the n parameters, shape (m, n).
         by_own: Derivative of the residuals by the own unknowns, shape (m, 3 + 3 p).
         by_noise: Derivative of the residuals by noise that acts on several rows, shape (m, nu + 3 p
             + 6). The columns are nu encoder errors, 3 p moments at the contact points, and 6 base
@@ -254,8 +274,8 @@ class StandRows:
         num_unknowns, num_sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 6
         rows = robot.nv + len(points)
         self.residual = np.zeros(rows)
-        self.by_x, self.by_own, self.by_noise = (
-            np.zeros((rows, size)) for size in (len(table), num_unknowns, num_sources)
+        self.by_own, self.by_noise = (
+            np.zeros((rows, size)) for size in (num_unknowns, num_sources)
         )
         self._fill_balance()
         self._fill_contact()
@@ -281,6 +301,7 @@ class StandRows:
         base = _BALANCE_STD_RATIO * self._weight * np.array([1.0, 1.0, 1.0, height, height, height])
         flatness = np.full(len(normal_forces), noise.flatness)
         self.deviation: Array = np.concatenate([base, torque, flatness])
+        self.__dict__.pop("_elimination", None)
 
     def _compute_covariance(self) -> Array:
         """Return the noise covariance of the residuals, shape (m, m), in their units squared."""
@@ -289,8 +310,18 @@ class StandRows:
 
     def compute_cost(self, residual: Array) -> float:
         """Compute the sum of squares of a residual, shape (m,), whitened by this stand's noise."""
-        whitened = np.linalg.solve(np.linalg.cholesky(self._compute_covariance()), residual)
+        whitened = np.linalg.solve(self._elimination.factor, residual)
         return float(whitened @ whitened)
+
+    def solve_own_unknowns(self) -> tuple[float, Array]:
+        """Compute a Gauss-Newton step of base tilt, base height and contact forces.
+
+        Returns:
+            Sum of squares of the projected residuals, and the step, both as in
+            `eliminate_own_unknowns`. No derivatives by the parameters are computed.
+        """
+        projected, _, step = self._project_out_unknowns(self.residual[:, None])
+        return float(projected[:, 0] @ projected[:, 0]), step
 
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
         """Eliminate base tilt, base height and contact forces from the equations of a stand.
@@ -322,17 +353,22 @@ class StandRows:
             Projected columns; log determinant of the noise covariance of the projected residuals;
             Gauss-Newton step of the own unknowns, shape (3 + 3 p,).
         """
-        factor, n = np.linalg.cholesky(self._compute_covariance()), columns.shape[1]
-        whitened = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
+        factor, left_vectors, singular_values, right_vectors, log_noise = self._elimination
+        rank, whitened = len(singular_values), np.linalg.solve(factor, columns)
+        step = right_vectors.T @ (left_vectors[:, :rank].T @ -whitened[:, 0] / singular_values)
+        return left_vectors[:, rank:].T @ whitened, log_noise, step
+
+    @cached_property
+    def _elimination(self) -> _Elimination:
+        """Decomposition of the noise covariance and of the derivative by the own unknowns."""
+        factor = np.linalg.cholesky(self._compute_covariance()).astype(float, copy=False)
         left_vectors, singular_values, right_vectors = np.linalg.svd(
-            whitened[:, n:], full_matrices=True
+            np.linalg.solve(factor, self.by_own), full_matrices=True
         )
         rank = int(np.count_nonzero(singular_values > _MIN_FORCE_SIGNAL / self._weight))
-        step = right_vectors[:rank].T @ (
-            left_vectors[:, :rank].T @ -whitened[:, 0] / singular_values[:rank]
-        )
-        log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(singular_values[:rank]).sum())
-        return left_vectors[:, rank:].T @ whitened[:, :n], log_noise, step
+        singular_values = singular_values[:rank]
+        log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(singular_values).sum())
+        return _Elimination(factor, left_vectors, singular_values, right_vectors[:rank], log_noise)
 
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
         """Estimate the error (measured minus true) of each joint position in this stand.
@@ -377,6 +413,15 @@ class StandRows:
         if positions:
             np.add.at(rows.T, columns, derivatives.T[positions])
 
+    @cached_property
+    def by_x(self) -> Array:
+        """Derivative of the residuals by the n parameters, shape (m, n)."""
+        nv = self._robot.nv
+        by_x = np.zeros((len(self.residual), len(self._table)))
+        self._add_balance_derivatives(by_x[:nv])
+        self._add_contact_derivatives(by_x[nv:])
+        return by_x
+
     def _fill_balance(self) -> None:
         """Fill in the residual of the static balance and the derivatives.
 
@@ -391,51 +436,57 @@ class StandRows:
         moments = np.array([values.moment[foot] for foot in self._feet])
         moment_forces = forces[:, 2:] * moments
         wrenches = np.hstack([forces, np.cross(self._arms, forces) + moment_forces])
-        stiffness = self.config.loaded_points_derivative(self._twists, wrenches)
-        gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, values)
+        self._stiffness = self.config.loaded_points_derivative(self._twists, wrenches)
         angular = self._twists[:, 3:]
-        residual = self.config.passive_forces() - gravity
+        residual = self.config.passive_forces() - self._regressor.compute_forces(
+            self.config, values
+        )
         residual[2] -= values.unweighed_load * values.mass * values.gravity_norm
         residual += forces.ravel() @ self.jacobians.reshape(-1, nv)
         residual[6:] += values.kp * self._servo_errors
         residual += moment_forces.ravel() @ angular.reshape(-1, nv)
-        by_x, by_own, by_noise = (matrix[:nv] for matrix in (self.by_x, self.by_own, self.by_noise))
-        by_own[:, :3] = -stiffness[:, _TILT_HEIGHT_INDICES]
+        by_own, by_noise = (matrix[:nv] for matrix in (self.by_own, self.by_noise))
+        by_own[:, :3] = -self._stiffness[:, _TILT_HEIGHT_INDICES]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # Penetration moves the contact towards the centre of the foot by half of its amount.
         contact_moments = np.zeros((num_points, 3))
         contact_moments[:, 0], contact_moments[:, 1] = -forces[:, 1] / 2, forces[:, 0] / 2
-        contact_torques = (contact_moments[:, None] @ angular)[:, 0]
+        self._contact_torques = (contact_moments[:, None] @ angular)[:, 0]
         by_own[:, 5::3] += (
-            self._softness / self._ground_stiffness * contact_torques.T
+            self._softness / self._ground_stiffness * self._contact_torques.T
             + (moments[:, None] @ angular)[:, 0].T
         )
-        self._add_derivatives(
-            by_x, (self._depths[:, None] * contact_torques).T, "softness", self._feet
-        )
-        lever_torques = (np.cross(self._last_links, forces)[:, None] @ angular)[:, 0]
-        self._add_derivatives(by_x, lever_torques.T, "length", self._feet)
-        pressed = forces[:, 2, None, None] * angular
-        self._add_derivatives(by_x, pressed.reshape(-1, nv).T, "moment", self._feet, AXES)
         # True position = measured position - offset - noise. The servo error is the command minus
         # the measured position without noise: both contain the offset.
         by_noise[6:, :nu] += np.diag(self.kp * self._commanded)
-        by_noise[:, :nu] += stiffness[:, 6:]
-        yielded_friction = values.friction * self._signs
+        by_noise[:, :nu] += self._stiffness[:, 6:]
         for link in self._reading.added:
-            self._add_derivatives(by_x[6:], yielded_friction[:, None], "settling", [link])
-            residual[6:] += values.settling[link] * yielded_friction
+            residual[6:] += values.settling[link] * values.friction * self._signs
         by_noise[:, nu:-6] = angular.reshape(-1, nv).T
         feet = self._compute_last_motions()
         normal_forces = np.maximum(forces[:, 2], 0.0)
         by_noise[:, -6:] = np.einsum("p,pij,pik->jk", normal_forces, angular, feet)
-        self._add_derivatives(by_x, stiffness[:, 6:], "offset", self._names)
+        self._scale_to_positions(residual, by_own, by_noise)
+
+    def _add_balance_derivatives(self, by_x: Array) -> None:
+        """Add the derivatives of the static balance by the parameters, ``by_x``, shape (nv, n)."""
+        values, nv, forces = self._values, self._robot.nv, self._forces
+        angular = self._twists[:, 3:]
+        by_softness = (self._depths[:, None] * self._contact_torques).T
+        self._add_derivatives(by_x, by_softness, "softness", self._feet)
+        lever_torques = (np.cross(self._last_links, forces)[:, None] @ angular)[:, 0]
+        self._add_derivatives(by_x, lever_torques.T, "length", self._feet)
+        pressed = forces[:, 2, None, None] * angular
+        self._add_derivatives(by_x, pressed.reshape(-1, nv).T, "moment", self._feet, AXES)
+        yielded_friction = values.friction * self._signs
+        for link in self._reading.added:
+            self._add_derivatives(by_x[6:], yielded_friction[:, None], "settling", [link])
+        self._add_derivatives(by_x, self._stiffness[:, 6:], "offset", self._names)
         self._add_derivatives(by_x[6:], np.diag(self._servo_errors), "kp", self._names)
         by_deadband = -(values.kp * self._by_deadband)[:, None]
         self._add_derivatives(by_x[6:], by_deadband, "deadband", ["servos"])
-        self._fill_gravity(by_x, by_mass, by_com, by_slope)
-        self._scale_to_positions(residual, by_x, by_own, by_noise)
-        self.residual[:nv] = residual
+        self._add_gravity_derivatives(by_x)
+        self._scale_derivatives(by_x)
 
     def _compute_last_motions(self) -> Array:
         """Compute relative rotation rates [1] of p contact points in base motions, shape (p, 3, 6).
@@ -452,13 +503,13 @@ class StandRows:
         rates: Array = feet / np.maximum(np.abs(feet).max(axis=(0, 1)), _VELOCITY_ATOL)
         return rates
 
-    def _fill_gravity(self, by_x: Array, by_mass: Array, by_com: Array, by_slope: Array) -> None:
-        """Add the derivatives of the balance by bodies, known masses, slope and load to ``by_x``.
+    def _add_gravity_derivatives(self, by_x: Array) -> None:
+        """Add the derivatives of the balance by bodies, known masses, slope and load.
 
-        The other arrays are derivatives of the gravity forces: by masses (nv, b + k), by CoMs (nv,
-        b + k, 3) and by the slope along x and y (nv, 2), for b bodies and k known masses.
+        ``by_x`` has the shape (nv, n), and is changed in place.
         """
         values, nv = self._values, self._robot.nv
+        by_mass, by_com, by_slope = self._regressor.evaluate_derivatives(self.config, values)
         links = [link for link, *_ in values.bodies]
         b = len(links)
         by_body = -by_mass[:, :b]
@@ -474,26 +525,36 @@ class StandRows:
         by_load = np.full((1, 1), -values.mass * values.gravity_norm)
         self._add_derivatives(by_x[2:3], by_load, "load", ["scale"])
 
-    def _scale_to_positions(
-        self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
-    ) -> None:
-        """Scale the balance equations in place, so that small kp and mass have no advantage.
+    def _scale_to_positions(self, residual: Array, by_own: Array, by_noise: Array) -> None:
+        """Scale the balance equations, so that small estimates of kp and mass are not preferred.
 
-        The factors are (noise kp) / kp for joints, and (noise mass) / mass for the base. Without
-        the factors, small estimates would decrease the residuals, but not the noise.
+        Rows of commanded joints are multiplied by (noise kp) / kp, rows of the base by (noise
+        mass) / mass. The noise is computed with these constant values (``StandValues.noise_kp``,
+        ``noise_mass``). Without the factors, small estimates would decrease the residuals, but not
+        the noise. All arrays have a row per balance equation; the derivatives are changed in place.
         """
-        values = self._values
+        values, nv = self._values, self._robot.nv
         driven = self._commanded & (values.kp > 0)
         kp = np.where(driven, values.kp, 1.0)
-        factors = np.full(len(residual), values.noise_mass / values.mass)
-        factors[6:] = np.where(driven, self._noise_kp / kp, 1.0)
-        by_kp = np.diag(np.where(driven, -residual[6:] / kp, 0.0))
-        self._add_derivatives(by_x[6:], by_kp, "kp", self._names)
-        links = [link for link, *_ in values.bodies]
-        by_body = np.tile(-residual[:6, None] / values.mass, len(links))
+        self._factors = np.full(nv, values.noise_mass / values.mass)
+        self._factors[6:] = np.where(driven, self._noise_kp / kp, 1.0)
+        # Logarithmic derivatives of the factors by kp and by each mass, times the residual.
+        self._factors_by_kp = np.where(driven, -residual[6:] / kp, 0.0)
+        self._factors_by_mass = -residual[:6] / values.mass
+        for rows in (by_own.T, by_noise.T):
+            rows *= self._factors
+        self.residual[:nv] = residual * self._factors
+
+    def _scale_derivatives(self, by_x: Array) -> None:
+        """Scale the derivatives of the balance, shape (nv, n), as `_scale_to_positions`, in place.
+
+        The derivatives of the factors by kp and masses are added.
+        """
+        self._add_derivatives(by_x[6:], np.diag(self._factors_by_kp), "kp", self._names)
+        links = [link for link, *_ in self._values.bodies]
+        by_body = np.tile(self._factors_by_mass[:, None], len(links))
         self._add_derivatives(by_x[:6], by_body, "mass", links)
-        for rows in (residual, by_x.T, by_own.T, by_noise.T):
-            rows *= factors
+        by_x *= self._factors[:, None]
 
     def _fill_contact(self) -> None:
         """Fill in the contact equation z_p - r_p + softness depth(f_p) = 0 and the derivatives.
@@ -504,14 +565,17 @@ class StandRows:
         points = self._reading.points
         heights = self._twists[:, 2]
         nv = self._robot.nv
-        by_x, by_own, by_noise = (matrix[nv:] for matrix in (self.by_x, self.by_own, self.by_noise))
+        by_own, by_noise = (matrix[nv:] for matrix in (self.by_own, self.by_noise))
         self.residual[nv:] = self.config.foot_centres(points)[:, 2] - self._radius
         self.residual[nv:] += self._softness * self._depths
         by_own[:, :3] = heights[:, _TILT_HEIGHT_INDICES]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
-        self._add_derivatives(by_x, -heights[:, 6:], "offset", self._names)
         point = np.arange(len(points))
         by_own[point, 5 + 3 * point] += self._softness / self._ground_stiffness
+
+    def _add_contact_derivatives(self, by_x: Array) -> None:
+        """Add the derivatives of the contact equation by the parameters, ``by_x``, shape (p, n)."""
+        self._add_derivatives(by_x, -self._twists[:, 2, 6:], "offset", self._names)
         self._add_derivatives(by_x, np.diag(self._depths), "softness", self._feet)
         self._add_derivatives(by_x, np.diag(self._last_links[:, 2]), "length", self._feet)
 
@@ -695,41 +759,68 @@ class GravityRegressor:
         self._model = robot.structure.model.copy()
         self._data, self._rest = self._model.createData(), np.zeros(self._model.nv)
 
-    def evaluate(
+    def compute_forces(self, config: Configuration, values: StandValues) -> Array:
+        """Compute the generalised forces g(q) that balance gravity, shape (nv,) [N, N m].
+
+        Args:
+            config: Configuration of the robot.
+            values: Masses, CoM positions, known masses and gravity.
+        """
+        forces: Array = self._multiply(self._compute_rows(config, values, values.gravity), values)
+        return forces
+
+    def evaluate_derivatives(
         self, config: Configuration, values: StandValues
-    ) -> tuple[Array, Array, Array, Array]:
-        """Compute the generalised forces g(q) that balance gravity, and the derivatives of g.
+    ) -> tuple[Array, Array, Array]:
+        """Compute the derivatives of the generalised forces g(q) that balance gravity.
 
         Args:
             config: Configuration of the robot.
             values: Masses, CoM positions, known masses and gravity.
 
         Returns:
-            1. g(q), shape (nv,) [N, N m].
-            2. Derivatives of g by the masses of the b bodies of ``values.bodies``, then of the k
+            1. Derivatives of g by the masses of the b bodies of ``values.bodies``, then of the k
                known masses ``values.loads``, shape (nv, b + k) [N/kg, N m/kg].
-            3. Derivatives of g by the CoMs of the same bodies in the joint frame, shape (nv, b + k,
+            2. Derivatives of g by the CoMs of the same bodies in the joint frame, shape (nv, b + k,
                3) [N/m, N].
-            4. Derivatives of g by the sine of the ground's slope along x and along y, shape (nv, 2)
+            3. Derivatives of g by the sine of the ground's slope along x and along y, shape (nv, 2)
                [N, N m].
         """
+        _, mass, com = self._stack_bodies(values)
+        rows = self._compute_rows(config, values, values.gravity)
+        by_moment = rows[..., 1:]
+        by_mass = rows[..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
+        by_com = mass[:, None] * by_moment
+        by_slope = [
+            self._multiply(self._compute_rows(config, values, gravity), values)
+            for gravity in values.gravity_by_slope
+        ]
+        return by_mass, by_com, np.column_stack(by_slope)
+
+    def _stack_bodies(self, values: StandValues) -> tuple[IntArray, Array, Array]:
+        """Return joint indices, masses [kg] and CoMs [m] of the bodies, then of known masses."""
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
         bodies += [(load.number, load.mass, load.place) for load in values.loads]
         joints, mass, com = (np.array(column) for column in zip(*bodies, strict=True))
-        moments = np.column_stack([mass, mass[:, None] * com])
-        q, regressors = self._structure.convention.unit_q(config.qpos), []
-        for gravity in (values.gravity, *values.gravity_by_slope):
-            self._model.gravity.linear = gravity
-            rows = pin.computeJointTorqueRegressor(
-                self._model, self._data, q, self._rest, self._rest
-            )
-            rows = self._structure.sort_columns(rows.T).T
-            regressors.append(rows.reshape(len(rows), -1, 10)[:, joints - 1, :4])
-        forces = [np.einsum("vbm,bm->v", rows, moments) for rows in regressors]
-        by_moment = regressors[0][..., 1:]
-        by_mass = regressors[0][..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
-        by_com = mass[:, None] * by_moment
-        return forces[0], by_mass, by_com, np.column_stack(forces[1:])
+        return joints, mass, com
+
+    def _compute_rows(self, config: Configuration, values: StandValues, gravity: Array) -> Array:
+        """Compute the regressor by mass and first moment of each body, shape (nv, b + k, 4).
+
+        ``gravity`` [m/s^2] has the shape (3,).
+        """
+        self._model.gravity.linear = gravity
+        q = self._structure.convention.unit_q(config.qpos)
+        rows = pin.computeJointTorqueRegressor(self._model, self._data, q, self._rest, self._rest)
+        rows = self._structure.sort_columns(rows.T).T
+        selected: Array = rows.reshape(len(rows), -1, 10)[:, self._stack_bodies(values)[0] - 1, :4]
+        return selected
+
+    def _multiply(self, rows: Array, values: StandValues) -> Array:
+        """Multiply regressor rows, shape (nv, b + k, 4), by masses and first moments."""
+        _, mass, com = self._stack_bodies(values)
+        forces: Array = np.einsum("vbm,bm->v", rows, np.column_stack([mass, mass[:, None] * com]))
+        return forces
 
 
 _MAX_UNKNOWN_STEPS = 20
@@ -868,11 +959,13 @@ class StandEquations:
             stand: Index of the stand.
             values: Values of the robot for a parameter vector.
         """
-        rows, previous_chi2, fraction = self._evaluate_stand(stand, values), math.inf, 1.0
+        values = values.for_reading(self._readings[stand], self.table)
+        rows, previous_chi2, fraction = self._evaluate_rows(stand, values), math.inf, 1.0
         for _ in range(_MAX_UNKNOWN_STEPS):
-            linearised, step = rows.eliminate_own_unknowns()
-            change = abs(linearised.chi2 - previous_chi2)
-            previous_chi2, start = linearised.chi2, self._unknowns[stand]
+            last_rows = rows
+            chi2, step = rows.solve_own_unknowns()
+            change = abs(chi2 - previous_chi2)
+            previous_chi2, start = chi2, self._unknowns[stand]
             if fraction == 1.0 and change <= _UNKNOWN_CHI2_TOLERANCE:
                 self._apply_step(stand, step)
                 break
@@ -881,13 +974,13 @@ class StandEquations:
                 fraction = 0.5**halvings
                 self._unknowns[stand] = start
                 self._apply_step(stand, fraction * step)
-                trial = self._evaluate_stand(stand, values)
+                trial = self._evaluate_rows(stand, values)
                 required = _MIN_DECREASE_RATIO * fraction * (2 - fraction) * (cost - previous_chi2)
                 decrease = cost - rows.compute_cost(trial.residual)
                 if decrease >= required - _UNKNOWN_CHI2_TOLERANCE - _COST_RTOL * cost:
                     break
             rows = trial
-        return linearised
+        return last_rows.eliminate_own_unknowns()[0]
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
         """Evaluate the residuals of every stand, with derivatives, at parameters x, shape (n,).
@@ -899,11 +992,15 @@ class StandEquations:
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
         """Evaluate the residuals of a stand, at the stored base pose and contact forces."""
-        (base, forces), reading = self._unknowns[stand], self._readings[stand]
+        return self._evaluate_rows(stand, values.for_reading(self._readings[stand], self.table))
+
+    def _evaluate_rows(self, stand: int, values: StandValues) -> StandRows:
+        """Evaluate the residuals of a stand with values that are adapted to this stand."""
+        base, forces = self._unknowns[stand]
         return StandRows(
             self.table,
-            values.for_reading(reading, self.table),
-            reading,
+            values,
+            self._readings[stand],
             self._laws,
             base,
             forces,
