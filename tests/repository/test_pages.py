@@ -80,6 +80,14 @@ def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:
     assert all(any(words in line for words in unreachable) for line in left), left
 
 
+@pytest.mark.parametrize("pattern", pages.SHORTER_SEARCHES)
+def test_each_shorter_search_is_of_a_page(pattern: str) -> None:
+    """A pattern that no page contains any more has no effect: its page runs the long search."""
+    texts = (block.text for found in BLOCKS.values() for block in found)
+    lines = (line for text in texts for line in text.replace("\\\n", " ").splitlines())
+    assert any(re.search(pattern, line.partition("  #")[0].strip()) for line in lines)
+
+
 def test_wrong_output_and_exit_status_of_a_block_are_found(tmp_path: Path) -> None:
     """The example of the pages is checked only if a wrong number and a wrong status fail."""
     block = pages.Block(

@@ -210,8 +210,8 @@ SHORTER_SEARCHES = {
     r"(pupper-analysis push (?!.*--directions).*)": r"\1 --directions 3 --resolution 0.2",
     r"(pupper-analysis walk .*--seeds) 20\b": r"\1 2",
     r"(pupper-analysis walk .*--(?:vary|orders)\b.*)": r"\1 --seconds 3",
-    r"(pupper-analysis walk .*)--seeds 3\b": r"\1--seeds 1",
-    r"seeds=3\)": "seeds=1, seconds=3)",
+    r"(pupper-analysis walk .*)--seeds 5\b": r"\1--seeds 1",
+    r"seeds=5\)": "seeds=1, seconds=3)",
     r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
 }
 """Shorter runs, and fewer initial states or directions, of searches over a walk or a push; a
