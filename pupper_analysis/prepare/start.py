@@ -307,9 +307,8 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions near which a stand is searched, shape (nu,) each [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand. None if no stand is found, or if no
-        joint positions can make a stand (`_can_carry_weight`). None also if no joint moves a
-        contact point in the first pose, as with wheels: the base then has a single height.
+        Copy of the robot with this start pose. None if no stand is found, for example if the joints
+        do not move the contact points, as with wheels.
     """
     if not _can_carry_weight(robot):
         return None
@@ -324,10 +323,10 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 
 def _can_carry_weight(robot: Robot) -> bool:
-    """Return True unless no contact forces carry the weight, whatever the joint positions.
+    """Return True unless contact forces cannot carry the weight at any joint positions.
 
-    No forces exist if gravity does not point downward, if the robot touches the ground at fewer
-    than three points, or if the friction coefficient of each contact point is unknown or negative.
+    For example, gravity does not point downward, or fewer than three contact points touch the
+    ground.
     """
     try:
         stance_feet = select_stance_feet(robot, StandTask())

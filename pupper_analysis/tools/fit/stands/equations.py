@@ -526,12 +526,10 @@ class StandRows:
         self._add_derivatives(by_x[2:3], by_load, "load", ["scale"])
 
     def _scale_to_positions(self, residual: Array, by_own: Array, by_noise: Array) -> None:
-        """Scale the balance equations, so that small estimates of kp and mass are not preferred.
+        """Scale the balance equations in place, so that small kp and mass have no advantage.
 
-        Rows of commanded joints are multiplied by (noise kp) / kp, rows of the base by (noise
-        mass) / mass. The noise is computed with these constant values (``StandValues.noise_kp``,
-        ``noise_mass``). Without the factors, small estimates would decrease the residuals, but not
-        the noise. All arrays have a row per balance equation; the derivatives are changed in place.
+        The factors are (noise kp) / kp for joints, and (noise mass) / mass for the base. Without
+        the factors, small estimates would decrease the residuals, but not the noise.
         """
         values, nv = self._values, self._robot.nv
         driven = self._commanded & (values.kp > 0)
