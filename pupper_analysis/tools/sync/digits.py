@@ -13,8 +13,8 @@ from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
 """Relative tolerance of numbers in files, relative to the largest magnitude of the vector, or to a
-larger scale that the caller passes. `mjcf_side` also uses the number as an absolute tolerance [m, N
-m, N]. Chosen, not tuned: far below the tolerances of comparisons.
+larger scale that the caller passes. `mjcf_side` also uses the number as an absolute tolerance.
+Chosen, not tuned: far below the tolerances of comparisons.
 """
 
 

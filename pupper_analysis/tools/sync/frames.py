@@ -173,10 +173,10 @@ def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[st
 
 @dataclass(eq=False, kw_only=True)
 class Side:
-    """URDF or MJCF that receives numbers of the other file: base class of the planners.
+    """URDF or MJCF that receives numbers: base class of the planners.
 
     Attributes:
-        sides: Both robots.
+        sides: Matched robots of both files.
         target: Multibody tree that the changed file must describe.
         unwritten: {difference: reason why no value can be written}.
         notes: {difference: note on the written value}.

@@ -57,14 +57,13 @@ attribute is not changed.
 def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
-    The bodies of a group are fixed to each other. Only one of them is changed, with as few changed
-    attributes as possible.
+    The bodies of a group are fixed to each other. At most one of them is changed.
 
     Args:
         side: MJCF with the target values; the plan is stored in its elements.
         mover: Joint that moves the group, or the base.
-        keys: Differences (kind, element) of the group; recorded in ``side.unwritten`` if no change
-            is possible.
+        keys: Differences (kind, element) of the group; recorded in ``side.unwritten`` if the change
+            is refused.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
@@ -150,14 +149,14 @@ def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Arr
 
 
 COPIED_BODY = diagnose("body-is-a-copy")
-"""Reason why a change of a body is not written to the MJCF. MuJoCo copies the body from another
-element, so the file contains no element for this body.
+"""Reason why a change of a body or its joint is not written to the MJCF: the file contains no
+element for it, for example because MuJoCo copies the body from another element.
 """
 
 
 @dataclass(eq=False, kw_only=True)
 class MjcfSide(Side):
-    """MJCF that receives numbers of a URDF: planner of the changes.
+    """MJCF that receives numbers: planner of the changes.
 
     Attributes:
         file: MJCF.

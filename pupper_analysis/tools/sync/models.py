@@ -2,7 +2,7 @@
 
 Inputs are two files, and for each difference the file whose value is taken. Outputs are the changed
 files and a `Sync`. Changes are planned, verified by comparing changed copies of the models, and
-written together. If a chosen change is impossible, nothing is written, unless ``partial`` is True.
+written together.
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ def sync_models(
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
         tolerances: Differences within the tolerances are ignored. The default is the same as in
-            `compare_models`: numbers that agree to 5 or 6 digits are unchanged.
-            ``Tolerances.strict()`` only ignores rounding of floating-point numbers.
+            `compare_models`. ``Tolerances.strict()`` only ignores rounding of floating-point
+            numbers.
 
     Returns:
         Written or planned changes, and remaining differences.
@@ -368,7 +368,7 @@ _JOINT_PROPERTIES: Final = (
     "damping polynomial",
     *SERVO_GAIN_KINDS,
 )
-"""Kinds of differences whose element is usually a joint."""
+"""Kinds of differences whose element `format_owner_name` calls a joint."""
 
 
 def format_owner_name(difference: Difference) -> str:

@@ -378,8 +378,8 @@ NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)
 _SAME_ROBOT_RTOL = 1e-6
 """Tolerance of the difference between a body of the loaded robot and the same body in the files:
 relative for the mass, absolute [m] for the CoM, 1e3 times larger and relative for the inertia. At a
-larger difference nothing is written, since the robot was changed after loading. Conversion and
-alignment are accurate to about 1e-9. Chosen, not tuned.
+larger difference nothing is written, since the robot was probably changed after loading. Chosen,
+not tuned.
 """
 
 

@@ -66,8 +66,8 @@ class UnwrittenCause(StrEnum):
     NOT_STATED = "not stated"
     """The chosen file states no value."""
     NO_WORDS = "no words"
-    """The difference is not a number of both formats: structure, a convention, or a number of a
-    single format.
+    """The difference is not a number that both formats state alike, such as structure, a
+    convention, or a number of a single format.
     """
     NOT_MENDED = "not mended"
     """The number cannot be written, or the change does not remove the difference."""

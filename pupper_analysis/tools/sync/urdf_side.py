@@ -29,14 +29,13 @@ Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""
 
 UNKNOWN_LIMITS = {"effort": join_numbers(UNSTATED), "velocity": "1000"}
-"""{attribute of a URDF's <limit>: text that is written if no file states the required value}. The
-velocity is in rad/s or m/s. An effort of 0 counts as unknown in cross-checks, since exporters write
-0 for unknown efforts. The velocity is not 0, since motion planners would use this value. Chosen,
-not tuned.
+"""{attribute that a URDF's <limit> requires: text that is written if the URDF lacks the attribute}.
+The effort, in N m or N, means an unknown limit (`UNSTATED`). The velocity is in rad/s or m/s.
+Chosen, not tuned.
 """
 
 _LIMIT_KINDS = ("lower limit", "upper limit")
-"""Kinds of the two position limits of a joint, which a URDF must state together."""
+"""Kinds of the two position limits of a joint, which `sync` writes together."""
 
 _NUMBER_KINDS = [
     one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats and one.kind not in _LIMIT_KINDS
@@ -46,7 +45,7 @@ _NUMBER_KINDS = [
 
 @dataclass(eq=False, kw_only=True)
 class UrdfSide(Side):
-    """URDF that receives numbers of an MJCF: planner of the changes.
+    """URDF that receives numbers: planner of the changes.
 
     Attributes:
         tree: Links and joints, as elements that are changed in place.
