@@ -71,11 +71,11 @@ class ModelChange(Result):
         new: New value, in the old link frames; None if the element was removed.
         unit: Unit of both values.
         diagnostic: Message with both values.
-        effects: {quantity: effect of this change alone on the dynamics}; empty without an effect.
-            The effect of a contact, option, flag or keyframe is known only from a simulation, and
-            only if there is no other change.
-        consequences: Further effects of a contact, option, flag or keyframe: displacement of a
-            surface, and effects in a simulation if there is no other change. Empty for other kinds.
+        effects: {quantity: effect of this change alone on the dynamics}; empty without an effect,
+            or if the effect is not evaluated. The effect of an element such as a contact, option or
+            keyframe is known only from a simulation, and only if there is no other change.
+        consequences: Further effects of an element such as a contact, option or keyframe:
+            displacement of a surface, and effects in a simulation if there is no other change.
         old_place: File and line in the old version; empty if unknown or absent.
         new_place: File and line in the new version; empty if unknown or absent.
     """
@@ -115,9 +115,8 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within 1e-9.
-        combined: For two MJCFs: effects of all changes together in a simulation of the files, with
-            an added ground if both have no ground. Empty if the effect is reported for the only
-            change.
+        combined: For two MJCFs: effects of all changes together in a simulation of the files
+            (`SimulatedPair`). Empty if the effect is reported for the only change, for example.
         notes: Assumptions, and ignored content.
     """
 

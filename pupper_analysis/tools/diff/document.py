@@ -24,8 +24,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Largest relative change of a gravity torque with which the table of torques omits the joint. Such
-changes hardly alter the four printed digits. Chosen, not tuned.
+"""Change of a gravity torque, relative to the larger of the old and new torque, up to which the
+table of torques omits the joint. Chosen, not tuned.
 """
 
 
@@ -61,7 +61,7 @@ def _format_title(diff: ModelDiff) -> doc.Text:
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
-    """Yield the headline of a diff: old and new mass [kg], or a change if the masses are equal."""
+    """Yield the headline of a diff: the masses of both versions [kg], or the first change."""
     old, new = diff.mass
     if diff.same:
         yield text("mass-of-both", mass=f"{new:.6g}")
@@ -139,8 +139,8 @@ def _describe_dynamics_change(change: ModelChange) -> doc.Text:
 
 
 _NOT_EVALUATED_KINDS = ("joint", "type")
-"""Kinds of changes whose effects on the dynamics are not evaluated: joints in a single version, and
-another type of the base.
+"""Kinds of changes that the report calls not evaluated if they have no effects: for example joints
+in a single version, and another type of the base.
 """
 
 

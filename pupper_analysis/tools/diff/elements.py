@@ -60,12 +60,11 @@ class ModelElement:
 
     Attributes:
         values: {attribute: numbers}.
-        place: Function that returns file and line of an attribute, in the element or a default
-            class. Without the attribute, the result is the place of the element.
-        shape: Shape of a geom; None for other elements.
+        place: Function that returns file and line of an attribute, or else of the element.
+        shape: Shape of a geom or a URDF's collision; None for other elements.
         touches: Whether a geom can collide, by ``contype`` and ``conaffinity`` or in a pair; True
             for other elements.
-        owners: Body of a geom, geoms of a pair, or bodies of an exclude.
+        owners: Body of a geom, link of a collision, geoms of a pair, or bodies of an exclude.
     """
 
     values: Mapping[str, ParameterValues]
@@ -76,8 +75,8 @@ class ModelElement:
 
 
 _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
-"""{condim of a contact: number of friction coefficients that have an effect}. Further coefficients
-are not compared.
+"""{condim of a contact: number of friction coefficients that have an effect}. Of a geom, the
+coefficients for the largest condim in the model, at least 3, are compared.
 """
 
 
@@ -250,13 +249,11 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 MIN_FELT_MOTION = 1e-4
 """Largest difference of a simulated coordinate [m, rad, 1 for quaternions], or of the final CoM
-height [m], between two versions that counts as no effect. A stand is settled to 1e-5. Chosen, not
-tuned.
+height [m], between two versions that counts as no effect. Chosen, not tuned.
 """
 
 SIMULATION_SECONDS = 2.0
-"""Largest duration of a simulation of both versions [s]: enough for a fall and for servos of some
-hertz to settle. Chosen, not tuned.
+"""Largest duration of a simulation of both versions [s]. Chosen, not tuned.
 """
 
 _MAX_SIMULATION_STEPS = 4000
@@ -403,7 +400,7 @@ def _match_similar_shapes(
     old: Mapping[ElementKey, ModelElement],
     new: Mapping[ElementKey, ModelElement],
 ) -> dict[ElementKey, ElementKey]:
-    """Match shapes that are equal in all values, else in shape, else by order: {new: old}."""
+    """Match shapes by equal values, by equal shape, or by equal ability to collide: {new: old}."""
 
     def is_of_one_shape(first: ModelElement, second: ModelElement) -> bool:
         """Return True if both shapes have equal kind and nearly equal surfaces."""
@@ -460,8 +457,8 @@ def find_changed_elements(
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions; also added or removed elements.
 
-    Elements with an equal change usually form a common difference. Added and removed elements of
-    the kinds `_TREE_ELEMENTS` are left out.
+    Elements with an equal change may form a common difference. Added and removed elements of the
+    kinds `_TREE_ELEMENTS` are left out.
 
     Args:
         old: Elements of the old version.
@@ -568,8 +565,8 @@ def _format_setting(name: str, value: Any, other: Any) -> str:
 
 
 _TREE_ELEMENTS: Final = ("joint", "actuator", "tendon", "equality")
-"""Tags of MJCF elements whose addition or removal is reported by the comparison of the joints, or
-of the values outside the tree, and not by the comparison of elements."""
+"""Tags of MJCF elements whose addition or removal the comparison of elements does not report, since
+joints, and values outside the tree, are compared elsewhere."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
@@ -834,8 +831,8 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def _choose_ground_height(model: mujoco.MjModel) -> float:
     """Choose the height [m] at which a ground is added to a file without ground.
 
-    The height is usually 0, as in the scene files of published models, although feet may then start
-    some centimetres below the ground. The exception is the height of a geom that is deep below 0.
+    The height is 0, so feet may start below the ground. If the lowest point of the geoms is below 0
+    by more than a quarter of the CoM's height above this point, the height is that of the point.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]

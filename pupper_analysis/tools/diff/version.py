@@ -124,7 +124,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
 def _read_mjcf_version(file: MjcfFile) -> Version:
     """Return the content of an MJCF for comparison with another version.
 
-    Objects that do not belong to the robot are left out, and ball joints are fixed.
+    In the tree, objects that do not belong to the robot are left out, and ball joints are fixed.
 
     Raises:
         ModelError: If the MJCF has no joints, for example.
@@ -247,7 +247,7 @@ class VersionedFile:
 
     Attributes:
         path: Path for reading, or robot in memory.
-        name: Name passed by the user.
+        name: Name passed by the user; empty for a robot in memory without a name.
         revision: Revision; empty for a file outside git.
         root: Folder with the extracted revision; None for a file outside git.
     """
@@ -295,7 +295,7 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
         given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
             ``REVISION:PATH`` as for ``git show``. PATH is relative to the top of the repository, or
             to the current folder if PATH begins with ``./`` or ``../``. Files that the model may
-            include are extracted as well. A single letter other than ``@`` is no REVISION, but a
+            include are extracted as well. A single character other than ``@`` is no REVISION, but a
             drive.
 
     Raises:
