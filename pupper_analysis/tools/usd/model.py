@@ -320,7 +320,8 @@ class BodyMass:
     Attributes:
         inertial: Inertial; None if unknown.
         origin: Origin of the mass.
-        lacks: Missing properties among ``"mass"``, ``"com"`` and ``"inertia"``.
+        lacks: Missing properties among ``"mass"``, ``"com"`` and ``"inertia"``; empty if ``origin``
+            is ``STATED``.
     """
 
     inertial: Inertial | None
@@ -344,7 +345,7 @@ def read_body_mass(
         inertia are all stated, or the mass is negative, which `audit` reports.
 
     Raises:
-        ModelError: If an attribute has the wrong type.
+        ModelError: If an attribute has the wrong type or is NaN.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
@@ -391,7 +392,7 @@ def _read_positive(prim: Any, name: str) -> float:
 def _read_vector(prim: Any, name: str) -> Array | None:
     """Return a vector attribute in the unit of the file, shape (3,); None if missing or not finite.
 
-    The schema's default is -inf.
+    The schema's default of a CoM is -inf.
     """
     value = read_value(prim, name, "vector")
     values = None if value is None else recover_decimals(value)
@@ -674,7 +675,7 @@ class _JointForest:
         self.order += tree
 
     def find_world_edge(self, body: str) -> Edge | None:
-        """Return the joint between a body and the world; None if there is none."""
+        """Return the articulation's joint between a body and the world; None if there is none."""
         return self._world_edges.get(body)
 
     def compute_poses(

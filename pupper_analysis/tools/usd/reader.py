@@ -324,7 +324,8 @@ value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
     """Return the inertials of root and moving bodies with mass, each merged with the fixed bodies.
 
-    MuJoCo refuses degenerate inertias, for example that of a thin rod, even on a fixed body.
+    MuJoCo refuses a degenerate ``fullinertia``, for example that of a thin rod, even on a fixed
+    body.
     """
     inertials: dict[str, Inertial] = {}
     for name, link in model.links.items():
