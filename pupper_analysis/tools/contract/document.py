@@ -85,7 +85,7 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
 
 
 def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
-    """Return True if a finding compares a URDF with another model.
+    """Return True if a finding compares a URDF with a model of another format.
 
     ``others`` are the paths of the sources that are no models.
     """

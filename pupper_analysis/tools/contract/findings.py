@@ -34,8 +34,9 @@ from pupper_analysis.tools.contract.orders import (
 )
 
 _NUMBER_RTOL = 2e-6
-"""Largest relative difference of two numbers that count as equal, except of the quantities in
-`_KIND_TOLERANCES`: rounding to single precision, or to seven printed digits.
+"""Relative difference up to which two numbers count as equal, except of the quantities in
+`_KIND_TOLERANCES`, or up to which a number counts as the negative of another: rounding to single
+precision, or to seven printed digits.
 """
 
 _KIND_TOLERANCES = {
@@ -45,7 +46,7 @@ _KIND_TOLERANCES = {
 (`crosscheck`)."""
 
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
-"""Position limits of joints, which are compared with the absolute tolerance of `crosscheck`."""
+"""Position limits of joints, which agree within the absolute tolerance of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
 """Smallest number of decimals with which a number counts as computed, not typed: the rounded value
@@ -62,8 +63,7 @@ _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 
 _UNIT_RTOL = 5e-3
 """Relative tolerance with which the ratio of two sources' numbers must equal a factor in
-`_UNIT_FACTORS`, to report a wrong unit as the probable mistake. Chosen, not tuned; angles in
-degrees are usually written with three digits.
+`_UNIT_FACTORS`, to report a wrong unit as the probable mistake. Chosen, not tuned.
 """
 
 

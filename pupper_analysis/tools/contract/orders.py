@@ -351,7 +351,8 @@ def _list_unknown_names(
 def _list_joint_names(source: JointSource) -> list[str]:
     """Return the texts in a source that may be joint names: listed names, then keys of numbers.
 
-    legged_gym states gains by parts of joint names, which are usually omitted.
+    Parts of joint names, by which legged_gym states gains, are omitted unless they are also keys of
+    default angles.
     """
     keys = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
     parts = {statement.joint for statement in source.statements if statement.is_part}

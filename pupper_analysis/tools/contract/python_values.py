@@ -258,7 +258,8 @@ _PROJECT_MARKERS: Final = ("setup.py", "pyproject.toml", ".git")
 
 
 _MAIN_TEST = ast.unparse(ast.parse('__name__ == "__main__"'))
-"""Condition ``__name__ == "__main__"`` as text: its block is evaluated by `run_main_block` only."""
+"""Condition ``__name__ == "__main__"`` as text, to find the block that `run_main_block`
+evaluates."""
 
 
 class Evaluator:

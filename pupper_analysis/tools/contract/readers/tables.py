@@ -210,8 +210,7 @@ def read_nested_tables(
 def _split_document(own: _View, depth: int) -> list[_View]:
     """Group a table and its nested tables into sources, and return a view of each source.
 
-    Tables are usually one source if no two of them state the same quantity of joints, or joint
-    names.
+    Tables may form one source if no two of them state the same quantity of joints, or joint names.
     """
     (node,) = own.tables
     if depth >= _MAX_TABLE_DEPTH:
@@ -457,8 +456,8 @@ def _list_table_statements(
     """Yield statements for the numbers under known keys, such as a joint's gain.
 
     If the tables list joint names (``order``), numbers of other names are left out. ``motors`` are
-    the motor indices of the joints. With ``is_standing_table``, gains are for standing up, and are
-    skipped.
+    the motor indices of the joints. With ``is_standing_table``, gains, efforts and default angles
+    are for standing up, and are skipped.
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
