@@ -114,7 +114,7 @@ def _run_rules(
 ) -> Audit:
     """Run the checks of the rules for the format of a model, and collect the findings.
 
-    ``theirs`` is {rule id: additional check} of the reader of another format, such as USD.
+    ``theirs`` is {rule id: additional check} of the reader of a further format, such as USD.
     """
     findings, run = [], []
     for rule in RULES.values():

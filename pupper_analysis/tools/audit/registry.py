@@ -54,7 +54,7 @@ class Rule:
 
 
 def _read_catalogue() -> dict[str, Rule]:
-    """Read {id: rule} of the catalogue, and of ``rules.toml`` of each format of another package."""
+    """Read {id: rule} of the catalogue, and of ``rules.toml`` of further formats, such as USD."""
     own = Path(__file__).parent / "rules/catalogue.toml"
     entries = tomllib.loads(own.read_text(encoding="utf-8"))
     for format in formats().values():
@@ -203,7 +203,7 @@ class Audit(Tabular):
             file and line.
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
-        notes: Messages about elements that were left out when the file was read.
+        notes: Messages from reading the file, for example about elements that were left out.
         floating: True if the base counts as free, for example if a URDF or MJCF contains a free
             joint, or if two or more limbs are attached to the base.
     """

@@ -81,7 +81,7 @@ def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Actua
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find joint actuators (`list_drives`) without effect: the gain or the gear ratio is 0."""
+    """Find joint actuators (`list_drives`) whose control has no effect: gain or gear ratio is 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)

@@ -133,7 +133,7 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 def find_mesh_problem(path: Path) -> Diagnostic | None:
     """Check whether a file is a valid mesh, and return the reason if not.
 
-    STL and OBJ files of usual size are parsed; other formats are hardly checked.
+    STL and OBJ files up to `MAX_READ_MESH_BYTES` are parsed; other formats are hardly checked.
 
     Returns:
         Message of the error; None if no error was found.
@@ -173,8 +173,8 @@ not tuned."""
 def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
     """Read a URDF, and turn its COLLADA meshes to their up axis if only then the links fit.
 
-    RViz, MoveIt and Pinocchio do not turn meshes, and most published files are right without. A
-    link fits if its shapes are close to the next joints.
+    RViz, MoveIt and Pinocchio do not turn meshes. A link fits if its shapes are close to the next
+    joints.
     """
     as_read = read_urdf_model(file)
     names = list_turned_links(file)

@@ -205,7 +205,7 @@ def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 MIN_CHAIN_HINGES, AXIS_ATOL = 5, 1e-3
 """Bounds of `axis_sign_odd`: smallest number of hinges of a serial chain, and largest norm of the
-sum of two unit axes that count as opposite. Chosen, not tuned: 0 of 170 public URDFs fire."""
+sum of two unit axes that count as opposite. Chosen, not tuned."""
 
 
 # Rules about the limits of joints.
@@ -440,9 +440,8 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 MAX_JOINT_SPEED = 105.0
-"""Largest finite velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Motors of
-legs with their gears usually reach up to about 45 rad/s, drives of wheels about 100. Chosen, not
-tuned."""
+"""Largest finite velocity limit of a hinge that is not reported [rad/s], about 1000 rpm. Chosen,
+not tuned."""
 
 
 @rule
@@ -469,8 +468,7 @@ def velocity_implausible(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 MIN_MOTOR_ACCELERATION = 10.0
 """Smallest ratio of effort and armature [rad/s^2] that is not reported: the acceleration of the
-rotor alone. Motors of published robots usually reach 100 or more; below 10, a motor needs seconds
-to reach its speed. Chosen, not tuned."""
+rotor alone. Chosen, not tuned."""
 
 
 @rule

@@ -373,7 +373,7 @@ def get_com_tolerance(com: Array) -> float:
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
     """Yield (mirror plane, link, partner) of left-right pairs of links that are not displaced.
 
-    Pairs with displaced child links, and links of negligible mass, are left out.
+    Pairs with displaced child links, or with a first link of negligible mass, are left out.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -623,8 +623,7 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 
 MIN_EQUAL_SENSES = 2
 """Smallest number of left-right pairs of hinges with the same axis sense with which a single pair
-with another sense is reported. Chosen, not tuned: 66 published robots with pairs have no single
-exception; iCub has two in 34 pairs."""
+with another sense is reported. Chosen, not tuned."""
 
 
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
@@ -680,8 +679,8 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 def _compare_senses(first: Joint, second: Joint, mirror: MirrorPlane | None) -> float:
     """Return 1 if the axes of two joints have the same sense, -1 if opposite, 0 if not parallel.
 
-    ``mirror`` is None for a robot whose left and right axes are usually parallel. With a plane, the
-    axis of a joint on the other side is mirrored.
+    ``mirror`` is None for a robot whose left and right axes are parallel. With a plane, the axis of
+    a joint on the other side is mirrored.
     """
     cosine = float(first.axis @ second.axis)
     if mirror is not None:

@@ -135,8 +135,7 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
     The centre may be away from the line by the half width plus 10 % of the distance between the
-    joints, and displaced along the line by 40 %. In 119 published shapes the largest values are 3 %
-    and 20 %.
+    joints, and displaced along the line by 40 %.
     """
     for body in robot.links.values():
         ends = [
@@ -220,8 +219,9 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
     The foot's sphere is the nearest collision sphere that moves with the frame; spheres with "foot"
-    in the name of sphere or link have precedence. The severity is NOTE if the frame is inside the
-    sphere, which some models use for a flat sole.
+    in the name of sphere or link have precedence. Frames farther than five radii from the centre
+    are skipped. The severity is NOTE if the frame is inside the sphere, which some models use for a
+    flat sole.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -408,7 +408,7 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find the only drawn moving link of a URDF without collision shapes.
 
     Collision shapes of fixed links may count, and light rotors and light links between others need
-    no collision shapes. No link of 170 public URDFs is such an exception.
+    no collision shapes.
     """
     collides: dict[str, bool] = {}
     for body in robot.links.values():
@@ -658,8 +658,8 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
 
 
 IMPOSSIBLE_SIZE_RATIO = 10.0
-"""Ratio between a too large density and its bound, or between the extent of a robot and its lower
-or upper bound, from which the severity is ERROR instead of WARNING. Chosen, not tuned.
+"""Ratio between a too large density and `MAX_DENSITY`, or between the extent of a robot and its
+lower or upper bound, from which the severity is ERROR instead of WARNING. Chosen, not tuned.
 """
 
 

@@ -219,8 +219,7 @@ def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MAX_SHANK_ANGLE = np.deg2rad(60.0)
 """Largest angle [rad] between the shank and the vertical at which the lowest points of the shank's
-convex hull and of the foot are compared. Chosen: quadrupeds stand with shanks inclined by up to 50
-degrees."""
+convex hull and of the foot are compared. Chosen, not tuned."""
 
 MIN_HULL_DEPTH = 1e-3
 """Depth [m] of the convex hull of a mesh below the lowest point of the foot's sphere, above which
@@ -357,7 +356,8 @@ def _has_leg_joint(model: mujoco.MjModel, body: int) -> bool:
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find floating robots of which no shape can touch the ground, or whose contacts are disabled.
 
-    In a file without ground, a plane with MuJoCo's default contact bits is assumed.
+    In a file without ground, a plane with MuJoCo's default contact bits is assumed. Models with
+    contact pairs, for example, are skipped.
     """
     model = robot.mj_model
     if (

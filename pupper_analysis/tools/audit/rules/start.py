@@ -296,8 +296,7 @@ MIN_FEET = 2
 tuned."""
 
 MAX_LEG_JOINTS = 4
-"""Largest number of hinges of a leg for which all combinations of opposite signs of the joint
-angles
+"""Largest number of hinges of a leg for which combinations of opposite signs of the joint angles
 are tried. Chosen, to bound the time.
 """
 
