@@ -40,8 +40,8 @@ def command(
 
     Each changed number is shown with the lines in both files and the effect on the dynamics, then
     the change in total mass; with -v, the change in the torques that hold the links in the air.
-    Moved text, moved link frames and other ways to write the same robot are not changes. OLD or NEW
-    may be REVISION:PATH, a file in git's history, or the name of a variant.
+    Moved text and other ways to write the same numbers are not changes. OLD or NEW may be
+    REVISION:PATH, a file in git's history, or the name of a variant.
 
     \b
     Examples:

@@ -147,10 +147,11 @@ def diff_models(
 ) -> ModelDiff:
     """List the changes between two versions of a model (two URDFs or two MJCFs), with effects.
 
-    Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
-    Collision shapes are compared by surface. The comparison of MJCFs includes contact parameters,
-    pairs, options, flags, keyframes, motors, tendons and equalities. Compiler settings are compared
-    if there is another change, or an effect in a simulation. Visual shapes and sensors are ignored.
+    Another frame of a moving link, or another position of a hinge along the axis, is no change of
+    joints and masses. Collision shapes are compared by surface, in the frames of the links. The
+    comparison of MJCFs includes contact parameters, pairs, options, flags, keyframes, motors,
+    tendons and equalities. Compiler settings are compared if there is another change, or an effect
+    in a simulation. Visual shapes and sensors are ignored.
 
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
