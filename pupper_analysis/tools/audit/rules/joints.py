@@ -520,7 +520,8 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits of hinges [N m] that are probably placeholders.
 
     For example, such limits are too large for the mass of the two bodies that the joint connects,
-    for the armature, or for the mass of the robot (`placeholder_efforts`).
+    for the armature, or for the mass of the robot (`placeholder_efforts`). Robots with placeholder
+    masses are skipped.
     """
     if list_placeholder_masses(robot):
         return

@@ -488,9 +488,9 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
-    An inertia is a finding if at least two links have this inertia, and the three moments are the
-    same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power of ten
-    (1, 0.1, 0.01 ... kg), and common to all moving links with a stated mass, at least three.
+    An inertia is a finding if at least two moving links have this inertia, and the three moments
+    are the same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power
+    of ten (1, 0.1, 0.01 ... kg), and common to all moving links with a stated mass, at least three.
     """
     balls: dict[float, list[str]] = {}
     for body, inertial in _list_moving_inertials(robot):
