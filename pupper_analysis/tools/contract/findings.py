@@ -630,7 +630,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield disagreements for sources with another joint order than the first source.
 
     The joint order is that of the policy's arrays. If both sources map joints to motors, each may
-    use any order.
+    use any order. Sources with other joints are skipped.
     """
     feeding = [
         placed_source

@@ -1379,7 +1379,7 @@ def _list_identities(values: list[LocatedValue]) -> Iterator[int]:
 
 
 def _walk_block(statement: ast.AST) -> Iterator[ast.AST]:
-    """Yield the statements in a block, without the bodies of functions and classes."""
+    """Yield the statements in a block, without the bodies of functions and classes in the block."""
     for child in ast.iter_child_nodes(statement):
         if isinstance(child, ast.stmt):
             yield child

@@ -405,7 +405,7 @@ def compute_median_density(robot: RobotModel, name: str) -> float | None:
 
 @rule
 def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find the only drawn moving link of a URDF without collision shapes.
+    """Find the only moving link of a URDF with visual shapes, but without collision shapes.
 
     Collision shapes of fixed links may count, and light rotors and light links between others need
     no collision shapes.
@@ -471,8 +471,7 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     The gap [m] between the bounding boxes of the collision and visual shapes along the axes of the
     link is compared with `POSITION_TOLERANCE` and a fraction of the extent. If the size of a shape
     is unknown, origins of equal meshes are compared instead. A gap that several limbs have in
-    common may be intended, and is not reported: the hips of Go1 collide where the thighs draw the
-    shoulder.
+    common may be intended, and is then not reported.
     """
     gaps = {name: _measure_collision_gap(robot, body) for name, body in robot.links.items()}
     gaps = {name: gap for name, gap in gaps.items() if gap > 0}
@@ -483,9 +482,10 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_intended_gaps(robot: UrdfModel, gaps: Mapping[str, float]) -> set[str]:
-    """Return links of several limbs with about the same gap, if most next links draw the shapes.
+    """Return links of several limbs with about the same gap, which is probably intended.
 
-    ``gaps`` is {link: gap between collision and visual shapes [m]}.
+    Most of the links must fulfil `_is_drawn_by_next_link`. ``gaps`` is {link: gap between collision
+    and visual shapes [m]}.
     """
     kinds: dict[str, list[str]] = {}
     for name in gaps:
@@ -531,7 +531,7 @@ def _measure_box_gap(first: Array, second: Array) -> float:
 
 
 def _is_drawn_by_next_link(robot: UrdfModel, body: Link) -> bool:
-    """Return True if a link has collision shapes at the joint of a moving child that draws them.
+    """Return True if a link's collision shapes are at the joint and shapes of a moving child.
 
     The bounding box of the collision shapes, along the axes of the link at zero angles, contains
     the joint, and overlaps the visual shapes of the child.

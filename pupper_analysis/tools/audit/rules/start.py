@@ -394,8 +394,9 @@ _SOLVER_PACKAGES = ("clarabel", "placo")
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe from which the robot does not stand in a simulation of the unmodified file.
 
-    The simulation is the one on which command ``stand`` bases its verdict (`OwnRun`). If no legged
-    robot can be loaded from the file, for example without feet, a simpler criterion applies.
+    The simulation is the run of the unmodified file that the command ``stand`` also evaluates
+    (`OwnRun`). If no legged robot can be loaded from the file, for example without feet, a simpler
+    criterion applies.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
