@@ -593,8 +593,7 @@ _REPEAT_PATTERN = re.compile(r"[+*{?]")
 
 _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
-matched. With 5, matching a name of n letters takes up to about n^5 / 120 attempts. Chosen, not
-tuned.
+matched, to bound the time. Chosen, not tuned.
 """
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
 """Quantifier (other than ``?``) that follows a quantifier or a group. A regular expression with
