@@ -403,7 +403,7 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
     """Yield a note on the bodies of a USD file that have neither a mass nor collision shapes.
 
     Raises:
-        ModelError: If another body lacks a stated mass, CoM or inertia: engines would derive the
+        ModelError: If another body lacks a stated mass, CoM or inertia: engines may derive the
             missing property from shapes.
     """
     by_shapes = [
