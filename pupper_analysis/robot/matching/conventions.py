@@ -113,7 +113,7 @@ def _is_base_frame_confirmed(
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
-    if len(names) > 1 or all(body.mass for body in bodies):
+    if len(names) != 1 or all(body.mass for body in bodies):
         return True
     first_joint, second_joint = (tree.joints[name] for tree in (first, second) for name in names)
     # Limits move with the zero. A range of a full turn or more gives no information.

@@ -679,6 +679,14 @@ def test_robot_without_joints_is_compared(tmp_path: Path) -> None:
     assert "joint positions" not in diff.deviations
 
 
+def test_robots_of_one_link_without_mass_are_compared(tmp_path: Path) -> None:
+    """Neither a mass nor a joint confirms the base frame."""
+    for name in ("old.urdf", "new.urdf"):
+        (tmp_path / name).write_text('<robot name="r"><link name="a"/></robot>')
+    diff = pa.diff_models(tmp_path / "old.urdf", tmp_path / "new.urdf")
+    assert list_changes(diff) == []
+
+
 def test_rotated_link_frames_are_no_change(tmp_path: Path) -> None:
     """The frames of all links are turned at random; the robot is the same."""
     text = mjcf_text(ROBOT)
