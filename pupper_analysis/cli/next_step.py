@@ -47,6 +47,9 @@ _WORDS_FOR_FIXED_BASE = {
 }
 """{command about stands: words with which the command accepts a fixed base}."""
 
+_PAGE_OPTIONS = ("--no-browser", "--host", "--port", "--stance", "--language")
+"""Options of the page of ``live``, which have no effect with ``--mujoco``."""
+
 _COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
 """Commands to which a next step passes a typed file of another format than URDF and MJCF."""
 
@@ -184,7 +187,10 @@ def complete_fixed_base_command(running_command: str) -> str:
         running_command: Name of the refused command.
     """
     words = _WORDS_FOR_FIXED_BASE.get(running_command)
-    return complete_command(NextStep("hold") if words is None else NextStep(running_command, words))
+    if words is None:
+        return complete_command(NextStep("hold"))
+    omitted = _PAGE_OPTIONS if running_command == "live" else ()
+    return complete_command(NextStep(running_command, words, omitted=omitted))
 
 
 def complete_relaxed_command(error: StanceUnreachableError) -> str:

@@ -169,7 +169,7 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
          "heat {path} --motor mit-mini-cheetah --contact base=weld"),
         ("gains --payload 1kg --delay 1ms",
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
-        ("live --no-browser", "live {path} --no-browser --mujoco"),
+        ("live --no-browser", "live {path} --mujoco"),
         ("fit --stands none.csv --weight 1kg", "hold {path}"),
     ],
 )  # fmt: skip
