@@ -12,13 +12,13 @@ import ctypes
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from enum import IntEnum
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
@@ -66,18 +66,66 @@ controls the visibility. ``surfacevel`` is not copied, because it is expressed i
 geom."""
 
 
+def add_geom(body: mujoco.MjsBody, **attributes: Any) -> mujoco.MjsGeom:
+    """Add a geom to a body; its pose and shape do not depend on the MJCF's default class.
+
+    Without attributes, the geom is at the origin of the body, with the axes of the body. Other
+    attributes, such as contact parameters and colour, are those of the default class.
+
+    Args:
+        body: Body.
+        **attributes: {attribute of ``MjsGeom``: value}.
+    """
+    geom, default_geom = body.add_geom(), mujoco.MjSpec().default.geom
+    for word in (*_POSE_WORDS, "type", "size", "meshname", "hfieldname", "fitscale"):
+        setattr(geom, word, getattr(default_geom, word))
+    return _set_attributes(geom, attributes)
+
+
+def add_site(body: mujoco.MjsBody, **attributes: Any) -> mujoco.MjsSite:
+    """Add a site to a body; its pose does not depend on the MJCF's default class.
+
+    Without attributes, the site is at the origin of the body, with the axes of the body.
+
+    Args:
+        body: Body.
+        **attributes: {attribute of ``MjsSite``: value}.
+    """
+    site, default_site = body.add_site(), mujoco.MjSpec().default.site
+    for word in _POSE_WORDS:
+        setattr(site, word, getattr(default_site, word))
+    return _set_attributes(site, attributes)
+
+
+_POSE_WORDS: Final = "pos", "quat", "fromto"
+"""Attributes of a geom or site that specify its pose, together with ``alt``: other forms of the
+orientation, such as ``euler``, which MuJoCo prefers to ``quat``."""
+
+
+def _set_attributes(element: _Placed, attributes: Mapping[str, Any]) -> _Placed:
+    """Set attributes of a geom or site, without another form of the orientation than ``quat``."""
+    element.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    for word, value in attributes.items():
+        setattr(element, word, value)
+    return element
+
+
+_Placed = TypeVar("_Placed", mujoco.MjsGeom, mujoco.MjsSite)
+"""Type of an element of a body that has a pose."""
+
+
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
-    """Add a plane to a body, with MuJoCo's contact defaults except ``conaffinity``.
+    """Add a plane to a body at its z = 0, with MuJoCo's contact defaults except ``conaffinity``.
 
     The contact defaults of the MJCF are not used, because they are intended for the robot. The
-    plane is at z = 0 of the body, unless the MJCF has another default of ``pos`` or ``quat``.
+    material and the colour are the defaults of the MJCF.
 
     Args:
         body: World, or a body that is fixed to the world.
         name: Name of the plane.
         bits: ``conaffinity`` of the plane.
     """
-    plane, default_geom = body.add_geom(name=name), mujoco.MjSpec().default.geom
+    plane, default_geom = add_geom(body, name=name), mujoco.MjSpec().default.geom
     for word in (*GEOM_CONTACT_WORDS, "surfacevel"):
         setattr(plane, word, getattr(default_geom, word))
     plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits

@@ -29,7 +29,14 @@ from pupper_analysis.models.attributes import (
     AttributeValue,
     JointAttribute,
 )
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane, compile_spec
+from pupper_analysis.models.mjcf import (
+    GEOM_CONTACT_WORDS,
+    JointKind,
+    add_geom,
+    add_plane,
+    add_site,
+    compile_spec,
+)
 from pupper_analysis.models.xml import make_unique_name
 
 _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
@@ -290,7 +297,7 @@ class SpecTree:
             site: Name of the site.
         """
         if self.spec.site(site) is None:
-            self.spec.body(body).add_site(name=site)
+            add_site(self.spec.body(body), name=site)
         for kind in IMU_SENSORS:
             sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}")
             object_type = mujoco.mjtObj.mjOBJ_SITE
@@ -439,7 +446,8 @@ class SpecTree:
                 of the MJCF.
         """
         model_geom = None if like is None else self.spec.geom(like)
-        ball = self.spec.body(body).add_geom(
+        ball = add_geom(
+            self.spec.body(body),
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=(radius, 0.0, 0.0),

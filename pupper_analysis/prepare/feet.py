@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.additions import Addition, Ball, DisabledContacts
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind, compile_spec
+from pupper_analysis.models.mjcf import JointKind, add_site, compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import make_unique_name, to_text
 from pupper_analysis.prepare.contact_points import (
@@ -373,7 +373,7 @@ def add_contact_frames(
             frame = make_unique_name(f"{name} (contact)", site_names)
             # The site is on the body of the geom: MuJoCo's contact depends on this body's inertia.
             geom_body = int(model.geom_bodyid[point.geom])
-            bodies[model.body(geom_body).name].add_site(name=frame, pos=point.center)
+            add_site(bodies[model.body(geom_body).name], name=frame, pos=point.center)
             world = data.xpos[geom_body] + data.xmat[geom_body].reshape(3, 3) @ point.center
             world = _map_to_urdf(robot, config, data, foot.body, world)
             made_frames.add(frame)

@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, add_geom, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 _LEVEL_ATOL = 1e-9
@@ -171,7 +171,7 @@ def _level_floor(
         height=Quantity(heights[chosen], "m") if raised else None,
         both=tilted and raised,
     )
-    old, new = floors[0], spec.worldbody.add_geom()
+    old, new = floors[0], add_geom(spec.worldbody)
     for word in (*GEOM_CONTACT_WORDS, "type", "size", "material", "rgba"):
         setattr(new, word, getattr(old, word))
     name = old.name

@@ -20,7 +20,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, add_geom, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters, ground_geom, list_contact_bodies
@@ -250,7 +250,8 @@ def _add_ground(
     exclusive_bits = _separate_from_floor(robot, spec, floor, steps, exclusive_feet)
     max_priority = max(int(geom.priority) for geom in spec.geoms)
     for foot, step in steps.items():
-        box = spec.worldbody.add_geom(
+        box = add_geom(
+            spec.worldbody,
             name=f"{_STEP_PREFIX}_{foot}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER if step.round else mujoco.mjtGeom.mjGEOM_BOX,
             size=np.take(step.half, (0, 2, 2)) if step.round else step.half,
@@ -265,7 +266,8 @@ def _add_ground(
             box.contype, box.conaffinity = 0, exclusive_bits.get(foot, 0)
         if foot in soles:
             box.contype, box.conaffinity = 0, floor.conaffinity
-            top = spec.worldbody.add_geom(
+            top = add_geom(
+                spec.worldbody,
                 name=f"{_TOP_PREFIX}_{foot}",
                 type=mujoco.mjtGeom.mjGEOM_PLANE,
                 size=(*step.half[:2], 0.01),

@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.additions import Addition, Ball, DisabledContacts
-from pupper_analysis.models.mjcf import has_free_joint
+from pupper_analysis.models.mjcf import add_site, has_free_joint
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import (
@@ -227,7 +227,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
             frame += "_"
         body, place = tool.locate_in_mjcf(robot)
         urdf.add_link(frame, tool.link, f"to {frame}", tool.offset)
-        mjcf.spec.body(body).add_site(name=frame, pos=place)
+        add_site(mjcf.spec.body(body), name=frame, pos=place)
         carrier = model.frames[model.getFrameId(tool.link, pin.FrameType.BODY)]
         placement = carrier.placement * pin.SE3(np.eye(3), tool.offset)
         parent = carrier.parentJoint

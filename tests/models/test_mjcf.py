@@ -4,6 +4,7 @@ name.
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,14 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import add_plane, compile_spec, find_invalid_number, to_xml
+from pupper_analysis.models.mjcf import (
+    add_geom,
+    add_plane,
+    add_site,
+    compile_spec,
+    find_invalid_number,
+    to_xml,
+)
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.convert.load import load_robot
@@ -186,6 +194,33 @@ def test_added_plane_has_no_contact_parameters_of_the_default_class() -> None:
     floor = model.geom("floor").id
     assert model.geom_adhesion[floor] == 0.0
     assert not model.geom_surfacevel[floor].any()
+
+
+@pytest.mark.parametrize(
+    "default", ['pos="0 0 0.5" quat="0 1 0 0"', 'euler="90 0 0"', 'type="mesh" mesh="block"']
+)
+def test_added_elements_do_not_inherit_pose_and_shape(default: str) -> None:
+    """Reference: the requested pose, also after the spec is written and read again."""
+    site = "" if "mesh" in default else f"<site {default}/>"
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><asset><mesh name="block" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset><default>'
+        f'<geom {default}/>{site}</default><worldbody><body name="trunk"><freejoint/><geom '
+        'type="mesh" mesh="block"/></body></worldbody></mujoco>'
+    )
+    add_plane(spec.worldbody, "floor")
+    box, turn = mujoco.mjtGeom.mjGEOM_BOX, (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+    add_geom(spec.worldbody, name="step", type=box, size=(1, 2, 3), pos=(0, 0, 2), quat=turn)
+    add_site(spec.body("trunk"), name="imu")
+    models = [compile_spec(spec.copy(), Path("default.xml"))]
+    if site:  # in an MJCF, a geom cannot be without the mesh of its class
+        models.append(mujoco.MjModel.from_xml_string(to_xml(spec)))
+    for model in models:
+        floor, step, imu = model.geom("floor"), model.geom("step"), model.site("imu")
+        assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
+        assert (floor.pos.tolist(), floor.quat.tolist()) == ([0, 0, 0], [1, 0, 0, 0])
+        assert (imu.pos.tolist(), imu.quat.tolist()) == ([0, 0, 0], [1, 0, 0, 0])
+        assert (step.pos.tolist(), step.size.tolist()) == ([0, 0, 2], [1, 2, 3])
+        np.testing.assert_allclose(step.quat, turn, atol=1e-15)
 
 
 def test_added_ball_has_the_adhesion_of_its_model_geom() -> None:

@@ -60,6 +60,19 @@ def test_a_plane_at_zero_is_not_changed(tmp_path: Path) -> None:
     assert spec.to_xml() == before
 
 
+def test_a_levelled_plane_is_at_zero_if_the_default_class_raises_geoms() -> None:
+    """Reference: the plane of an MJCF without default class, after it is levelled."""
+    plane = PLANE + ' pos="0 0 0.2" euler="0 0 0"/>'
+    default = '<default><geom pos="0 0 0.5" euler="90 0 0"/></default>'
+    planes = []
+    for text in ("", default):
+        spec = mujoco.MjSpec.from_string(f"<mujoco>{text}<worldbody>{plane}</worldbody></mujoco>")
+        assert [note.code for note in level_ground(spec)] == [LEVEL]
+        planes.append(spec.compile().geom("ground"))
+    for plane in planes:
+        assert (plane.pos.tolist(), plane.quat.tolist()) == ([0, 0, 0], [1, 0, 0, 0])
+
+
 def test_a_table_is_not_part_of_the_centre_of_mass(tmp_path: Path) -> None:
     """The URDF has no table; with its 5 kg, the MJCF's centre of mass was another one."""
     table = '<body name="table" pos="1 0 0.1"><geom type="box" size="1 1 0.01" mass="5"/></body>'

@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from pupper_analysis.base.array_types import Array, Pixels
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.models.mjcf import JointKind, compile_spec
+from pupper_analysis.models.mjcf import JointKind, add_geom, compile_spec
 from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     Skeleton,
@@ -196,7 +196,8 @@ def _compile_model(tile: Tile) -> mujoco.MjModel:
     for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
         spec.delete(element)
     low, high = tile.ground[0], tile.ground[2]
-    spec.worldbody.add_geom(
+    add_geom(
+        spec.worldbody,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         pos=(low + high) / 2,
         size=(*(high - low)[:2] / 2, 1.0),
