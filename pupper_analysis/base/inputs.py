@@ -126,6 +126,19 @@ def is_input(path: Path) -> bool:
         return False
 
 
+def path_exists(path: Path | str) -> bool:
+    """Return True if a path exists; False for an invalid path, such as one that is too long.
+
+    ``Path.exists`` raises an OSError for a path that is too long.
+    """
+    return os.path.exists(path)  # noqa: PTH110
+
+
+def is_folder(path: Path | str) -> bool:
+    """Return True if a path is an existing folder; False for an invalid path, too."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
 def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
     """Read an input file of limited size, and register the file as an input of the run (`runs`).
 

@@ -459,9 +459,16 @@ def _refuse_other_dashes(
             wanted = _DASHED_NUMBER.sub(r"\1-", word)
         elif word[:1] in _DASHES and f"--{word.lstrip(f'-{_DASHES}').partition('=')[0]}" in options:
             wanted = f"--{word.lstrip(f'-{_DASHES}')}"
-        if wanted and not Path(word).exists():
+        if wanted and not _is_path(word):
             problem = diagnose("dash-is-no-hyphen", given=word, wanted=wanted)
             raise click.UsageError(str(problem), context)
+
+
+def _is_path(word: str) -> bool:
+    """Return True if a word is an existing path. The module is imported only for suspect words."""
+    from pupper_analysis.base.inputs import path_exists
+
+    return path_exists(word)
 
 
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
@@ -472,7 +479,7 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
     known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
     known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
     for number, unit in pairwise(words):
-        if unit.lower() in known and not Path(unit).exists():
+        if unit.lower() in known and not _is_path(unit):
             with suppress(ValueError):
                 value = number.rpartition("=")[2]
                 float(value)
@@ -505,7 +512,7 @@ def _refuse_separate_values(
         if not equals:
             value, others = (*others, "")[0], others[1:]
         numbers = [
-            *takewhile(lambda one: _NUMBER_WORD.fullmatch(one) and not Path(one).exists(), others)
+            *takewhile(lambda one: _NUMBER_WORD.fullmatch(one) and not _is_path(one), others)
         ]
         form = forms.get(option, "")
         assigned = value.rpartition("=")[2]
@@ -1317,12 +1324,14 @@ def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
     Raises:
         ConfigurationError: If a text has another form, or a folder does not exist.
     """
+    from pupper_analysis.base.inputs import is_folder
+
     folders = {
         name: Path(value)
         for name, value in (parse_assignment("package", text) for text in packages)
     }
     for name, folder in folders.items():
-        if not folder.is_dir():
+        if not is_folder(folder):
             message = diagnose("package-is-no-folder", package=name, folder=folder)
             raise ConfigurationError("package", message)
     return folders

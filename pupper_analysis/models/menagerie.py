@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.models.places import one_line
 
 MENAGERIE_FOLDER: Final = "mujoco_menagerie"
@@ -40,21 +41,13 @@ def is_menagerie_name(word: str) -> bool:
     must contain an underscore, and the installed package or a clone must contain the robot.
     """
     parts = Path(word).parts
-    if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
+    if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or path_exists(word):
         return False
     if parts[0] == MENAGERIE_FOLDER:
         return len(parts) > 1
     if len(parts) > 2 or "_" not in parts[0] or not _ROBOT_NAME_PATTERN.fullmatch(parts[0]):
         return False
     return parts[0] in list_menagerie_robots()
-
-
-def _exists(word: str) -> bool:
-    """Return True if a text is an existing path; False for a text that is no valid path."""
-    try:
-        return Path(word).exists()
-    except (OSError, ValueError):  # no path: for example a zero byte
-        return False
 
 
 def find_menagerie_file(word: str) -> Path:

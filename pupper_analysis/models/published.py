@@ -21,6 +21,7 @@ from typing import Any, Final
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.inputs import is_input, path_exists
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.menagerie import (
     MENAGERIE_FOLDER,
@@ -209,10 +210,7 @@ def _is_description(word: str) -> bool:
     """
     if word.startswith(DESCRIPTION_PREFIX) or _BARE_DESCRIPTION.fullmatch(word) is None:
         return word.startswith(DESCRIPTION_PREFIX)
-    try:
-        return not Path(word).exists()
-    except OSError:  # a name that is too long
-        return True
+    return not path_exists(word)
 
 
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
@@ -386,7 +384,7 @@ def expand_xacro(
     xacro = import_source("xacro", "xacro")
     if xacro is None:
         raise make_file_error(Place(path), diagnose("xacro-not-installed"))
-    if not path.is_file():
+    if not is_input(path):
         raise make_file_error(Place(path), diagnose("file-not-read", message="no such file"))
     given = dict(arguments or {})
     # xacro appends the included files of each expansion to a global list.

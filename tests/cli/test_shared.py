@@ -6,7 +6,13 @@ import math
 
 import pytest
 
-from pupper_analysis.cli.shared import parse_point, parse_quantity, parse_xacro_args
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.cli.shared import (
+    parse_packages,
+    parse_point,
+    parse_quantity,
+    parse_xacro_args,
+)
 from tests.support.commands import run_command
 
 
@@ -43,6 +49,33 @@ def test_only_the_first_separator_of_a_xacro_argument_is_replaced() -> None:
 def test_a_quantity_with_another_unit_is_refused(kind: str, text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         parse_quantity(kind, text)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("heat", "v3", "--motor", "a" * 300),
+        ("diff", "a" * 300, "b.urdf"),
+        ("contract", "v3", "a" * 300),
+        ("check", "a" * 300),
+        ("stand", "v3", "--payload-at", "1", "1" * 300),
+        ("stand", "v3", "\N{EN DASH}" + "1" * 300),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_word_that_is_too_long_for_a_file_is_refused_as_another_word(
+    words: tuple[str, ...], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The operating system refuses to search for a file with such a name."""
+    status, _, errors = run_command(capfd, *words)
+    assert status == 2
+    assert errors.startswith("error: ")
+    assert "unexpected" not in errors
+
+
+def test_a_package_with_a_folder_name_that_is_too_long_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="package"):
+        parse_packages((f"a={'a' * 300}",))
 
 
 def test_unknown_option_suggests_the_option_with_its_words(

@@ -14,7 +14,7 @@ from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
-from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input, read_toml
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, path_exists, read_input, read_toml
 from pupper_analysis.models.motors.motor import NUMBER_KINDS, Motor
 from pupper_analysis.models.motors.units import UNIT_KINDS, parse_motor_quantity
 
@@ -60,7 +60,7 @@ def find_motor(name: str) -> Motor:
     if name in list_motors():
         return read_motor(Path(str(_DATA_FOLDER / f"{name}.toml")))
     path = Path(name)
-    if not name or (not path.exists() and not path.suffix):
+    if not name or (not path_exists(path) and not path.suffix):
         raise UnknownNameError("motors", "motor", name, list_motors())
     return read_bam_parameters(path) if path.suffix.lower() == ".json" else read_motor(path)
 

@@ -120,13 +120,14 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
+    from pupper_analysis.base.inputs import is_folder
     from pupper_analysis.tools.check.config import find_config
 
     if config is not None and folder is not None:
         raise ConfigurationError("--config", diagnose("config-and-folder", folder=folder))
     if config is not None:
         return config
-    if folder is not None and not folder.is_dir():
+    if folder is not None and not is_folder(folder):
         raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
     try:
         return find_config(folder)
@@ -146,11 +147,12 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
+    from pupper_analysis.base.inputs import is_folder
     from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
     path, names = write_config(folder)
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")

@@ -26,6 +26,7 @@ from pupper_analysis.base.inputs import (
     CONFIG_NAME,
     GENERATED_FOLDERS,
     MAX_TEXT_BYTES,
+    is_folder,
     is_input,
     read_input,
     read_toml,
@@ -386,7 +387,7 @@ class _ConfigReader:
             ModelError: If there is no such file (or, for a tool, folder).
         """
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
-        if not (is_input(path) or (key not in _PAIR_KEYS and (path.is_dir() or source.is_file()))):
+        if not is_input(path) and (key in _PAIR_KEYS or not (is_folder(path) or is_input(source))):
             message = diagnose("pair-file-missing", key=key, file=text)
             raise self.make_error(self.locate_key(key), message)
         return path
@@ -399,7 +400,7 @@ class _ConfigReader:
         Raises:
             ModelError: If there is no such folder.
         """
-        if not (self.folder / folder).is_dir():
+        if not is_folder(self.folder / folder):
             raise self.make_value_error(
                 self.locate_key("packages", name), folder, _TABLE_VALUES["packages"].valid
             )

@@ -19,7 +19,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vector, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, is_input, read_input
 from pupper_analysis.base.kinds import OutputKind
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
@@ -199,7 +199,7 @@ def make_error_remark(
     """
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
-    known = Path(file if line.isdecimal() else place).is_file()
+    known = is_input(Path(file if line.isdecimal() else place))
     return make_remark(
         check,
         pair.name,

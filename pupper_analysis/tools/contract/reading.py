@@ -13,7 +13,13 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
-from pupper_analysis.base.inputs import GENERATED_FOLDERS, MAX_FILE_BYTES, check_input
+from pupper_analysis.base.inputs import (
+    GENERATED_FOLDERS,
+    MAX_FILE_BYTES,
+    check_input,
+    is_folder,
+    path_exists,
+)
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import JointSource, Request, Role, load_readers
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
@@ -88,10 +94,10 @@ def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[
     folders, files = [], list[tuple[Path, str]]()
     for source in sources:
         path, name = Path(source), ""
-        if not path.exists() and ":" in path.name:
+        if not path_exists(path) and ":" in path.name:
             file, _, name = str(source).rpartition(":")
             path = Path(file)
-        if path.is_dir():
+        if is_folder(path):
             folders.append(path)
         else:
             files.append((path, name))

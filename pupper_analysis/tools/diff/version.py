@@ -23,6 +23,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.models.efforts import null_efforts
 from pupper_analysis.models.git import (
     SAFE_ENVIRONMENT,
@@ -308,7 +309,7 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
     revision, separator, inside = text.partition(":")
     # An existing path takes precedence; "C:\\robot.urdf" is a path as well.
     if (
-        Path(text).exists()
+        path_exists(text)
         or is_published_name(text)
         or is_uri(text)
         or not separator

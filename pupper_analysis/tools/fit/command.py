@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import click
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.inputs import describe_missing_file
+from pupper_analysis.base.inputs import describe_missing_file, path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.next_step import complete_command
@@ -288,8 +287,7 @@ def _check_planned_file(path: Path, robot: Robot, plan: Path) -> None:
         plan: Output of the command that the error prints.
     """
     robot.check_floating()
-    # Path.exists raises an error for a name that is too long.
-    if not os.path.exists(path):  # noqa: PTH110
+    if not path_exists(path):
         error = InputError(path, describe_missing_file(path))
         words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
         step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))

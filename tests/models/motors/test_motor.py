@@ -226,6 +226,13 @@ def test_largest_torque_without_efficiency_is_at_most_that_of_a_gear_without_los
     assert replace(bare, peak_torque=10.0).largest_torque == (10.0, "peak_torque")
 
 
+def test_a_name_that_is_too_long_for_a_file_is_an_unknown_motor() -> None:
+    with pytest.raises(UnknownNameError, match="no motor 'aaa"):
+        find_motor("a" * 300)
+    with pytest.raises(ModelError, match="too long"):
+        find_motor("a" * 300 + ".toml")
+
+
 def test_ten_motors_have_a_source_and_numbers_without_contradiction() -> None:
     motors = [find_motor(name) for name in list_motors()]
     assert len(motors) >= 10

@@ -31,6 +31,7 @@ from pupper_analysis.base.files import (
     write_all,
 )
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
@@ -183,7 +184,7 @@ def record_stands(
     """
     path = Path(output)
     with closing(bridge):
-        if path.exists() and Path(plan).exists() and path.samefile(plan):
+        if path_exists(path) and path_exists(plan) and path.samefile(plan):
             raise ConfigurationError("output", diagnose("recording-into-the-plan"))
         with _lock_output(path):
             return _record_missing_stands(robot, plan, path, bridge, operator)
