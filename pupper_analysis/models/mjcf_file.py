@@ -101,7 +101,7 @@ def leave_out_missing(
 def _find_missing_files(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return {mesh: file} and {texture: one of its files} for elements with missing files."""
+    """Return {mesh: file} and {texture: first missing file} for elements with missing files."""
     folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
@@ -122,9 +122,10 @@ def _find_missing_files(
         if is_missing(mesh.file, mesh.compiler.meshdir)
     }
     textures = {
-        t.name: next(filter(None, (t.file, *t.cubefiles)))
-        for t in spec.textures
-        if any(is_missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
+        texture.name: file
+        for texture in spec.textures
+        for file in reversed((texture.file, *texture.cubefiles))  # the first overwrites the others
+        if is_missing(file, texture.compiler.texturedir)
     }
     return meshes, textures
 
@@ -731,7 +732,7 @@ class MjcfFile:
 
     @property
     def missing_files(self) -> tuple[str, ...]:
-        """Names of the missing mesh files, and of a file of each texture with a missing file."""
+        """Names of the missing mesh files, and of the first missing file of each texture."""
         return self._list_missing_values("files")
 
     @property

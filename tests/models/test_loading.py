@@ -564,6 +564,16 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     assert "m.xml:10: MuJoCo cannot compile the MJCF: " in get_refusal(lambda: read_mjcf(path))
 
 
+def test_note_names_the_missing_file_of_a_cube_texture(tmp_path: Path) -> None:
+    """Faces of the cube, in MuJoCo's order: right, left, up, down, front, back."""
+    (tmp_path / "there.png").write_bytes(b"")
+    cube = '<texture name="c" type="cube" fileright="there.png" fileleft="gone.png"/>'
+    path = write(tmp_path, m=format_mjcf(f"<asset>{cube}</asset>"))
+    file = read_mjcf(path)
+    assert file.missing_files == ("gone.png",)
+    assert file.model.ntex == 0
+
+
 DANGLING = {
     "gyro": '<sensor><gyro site="nix"/></sensor>',
     "joint sensor": '<sensor><jointpos joint="nix"/></sensor>',
