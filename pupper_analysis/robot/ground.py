@@ -126,13 +126,14 @@ class Ground:
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None for a foot without an entry in ``heights`` and ``planes``.
+            "wall of left_palm". None for a foot without a step (or with a step of height 0) and
+            without a separate plane.
         """
         if foot in self._planes:
             plane = self._planes[foot]
             kind = "bar" if getattr(plane, "bar", None) is not None else plane.kind
             return describe_surface(kind, foot)
-        return describe_surface("step", foot) if foot in self.heights else None
+        return describe_surface("step", foot) if self.heights.get(foot) else None
 
     def normal(self, foot: str | None = None) -> Array:
         """Return the unit normal of the ground under a foot, shape (3,), in the world frame.

@@ -212,6 +212,14 @@ def test_messages_name_the_surface_that_a_part_touches(
     assert str(touched) == f"{kind} of FR"
 
 
+def test_foot_on_a_step_of_height_zero_touches_no_step() -> None:
+    """Reference: the ground is level, and has no box for the foot in MuJoCo."""
+    ground = pa.Ground(heights={"FR": 0.0, "FL": 0.02})
+    assert ground.describe_surface("FR") is None
+    assert list(ground.steps({"FR": np.zeros(3), "FL": np.zeros(3)})) == ["FL"]
+    assert str(ground.describe_surface("FL")) == "step of FL"
+
+
 def test_part_in_the_floor_beside_a_step_touches_no_step() -> None:
     """Reference: the floor is the only geom in MuJoCo's contacts of the part."""
     robot = load("v3")
