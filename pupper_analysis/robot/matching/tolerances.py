@@ -6,6 +6,7 @@ rounding errors. ``with_values`` replaces single tolerances.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
@@ -18,7 +19,7 @@ from pupper_analysis.base.errors import ConfigurationError
 class Tolerances:
     """Largest accepted differences between two files of a robot, one number per kind of value.
 
-    The defaults accept files written with 5 to 6 digits.
+    The defaults accept files written with 5 to 6 digits. Each tolerance is positive and finite.
 
     Attributes:
         mass: Mass, relative.
@@ -55,7 +56,7 @@ class Tolerances:
         check_fields(self)
         for kind in fields(self):
             value = getattr(self, kind.name)
-            if not value > 0:
+            if not 0 < value < math.inf:
                 message = diagnose("tolerance-not-positive", kind=kind.name, value=value)
                 raise ConfigurationError("tolerance", message)
 
@@ -80,7 +81,7 @@ class Tolerances:
 
         Raises:
             ConfigurationError: If a kind is unknown (the message lists the valid kinds), or a value
-                is no positive number.
+                is no positive finite number.
         """
         valid = [kind.name for kind in fields(self)]
         for kind in changes:

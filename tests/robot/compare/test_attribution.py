@@ -453,9 +453,9 @@ def test_unknown_tolerance_is_refused_with_the_valid_names() -> None:
         Tolerances().with_values({"masses": 1.0})
 
 
-@pytest.mark.parametrize("value", [0.0, -1e-3, math.nan])
-def test_tolerance_that_is_not_positive_is_refused(value: float) -> None:
-    with pytest.raises(ConfigurationError, match="is not positive"):
+@pytest.mark.parametrize("value", [0.0, -1e-3, math.nan, math.inf])
+def test_tolerance_that_is_not_positive_and_finite_is_refused(value: float) -> None:
+    with pytest.raises(ConfigurationError, match=r"mass=.* is not positive and finite"):
         Tolerances().with_values({"mass": value})
 
 
