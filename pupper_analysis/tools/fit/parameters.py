@@ -242,7 +242,8 @@ def apply_priors(
         priors: Priors that replace the defaults.
 
     Raises:
-        ConfigurationError: If a prior matches no possible parameter.
+        ConfigurationError: If a prior matches no possible parameter, or a prior with a positive
+            share applies to a parameter with the stated value 0.
     """
     candidates, prior_list, used = list(stated), tuple(priors), set()
     subjects_by_kind: dict[str, dict[str, None]] = {}
@@ -254,11 +255,22 @@ def apply_priors(
     parameters = []
     for kind, subject, component, value in candidates:
         default = PARAMETER_KINDS[kind]
-        width = max(default.share * abs(value), default.width)
+        width, last_prior = max(default.share * abs(value), default.width), None
         for prior, subjects in zip(prior_list, selected, strict=True):
             if prior.kind == kind and subject in subjects:
-                width = prior.compute_std(value)
+                width, last_prior = prior.compute_std(value), prior
                 used.add(prior)
+        if value == 0 and last_prior is not None and last_prior.share > 0:
+            parameter = Parameter(kind, subject, component, 0.0, 0.0)
+            finding = diagnose(
+                "prior-share-of-zero",
+                parameter=parameter.name,
+                share=100 * last_prior.share,
+                prior=f"{kind}:{subject}",
+                example=default.width or 1.0,
+                unit="" if default.unit == "1" else default.unit,
+            )
+            raise ConfigurationError("prior", finding)
         if width > 0:
             parameters.append(Parameter(kind, subject, component, float(value), float(width)))
     for prior in prior_list:

@@ -10,6 +10,7 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.tools.fit.parameters import (
+    PARAMETER_KINDS,
     Prior,
     apply_priors,
     parse_prior,
@@ -55,6 +56,20 @@ def test_last_matching_prior_counts_and_unmatched_prior_is_refused() -> None:
     ]
     with pytest.raises(ConfigurationError, match="tail"):
         apply_priors(stated, [parse_prior("mass:tail=1g")])
+
+
+def test_share_of_a_stated_value_of_zero_is_refused_with_an_absolute_prior() -> None:
+    """The prior in the message is accepted, and has the default standard deviation."""
+    stated = [("load", "scale", "", 0.0), ("com", "base", "x", 0.1), ("com", "base", "y", 0.0)]
+    for given in ("load=50%", "com=20%"):
+        with pytest.raises(ConfigurationError, match="absolute standard deviation") as caught:
+            apply_priors(stated, [parse_prior(given)])
+        typed = str(caught.value).partition("for example ")[2].partition(",")[0]
+        prior = parse_prior(typed)
+        assert prior.width == PARAMETER_KINDS[prior.kind].width
+        priors = [parse_prior(given), prior]
+        assert len(apply_priors(stated, priors)) == 3
+    assert [one.name for one in apply_priors(stated, [parse_prior("com=0%")])] == ["load scale"]
 
 
 def test_prior_of_a_subject_with_brackets_concerns_this_subject() -> None:
