@@ -465,6 +465,10 @@ def tracked_intervals(
     if measured is not None and not any(name in measured for name in quantities):
         problem = diagnose("fit-of-other-quantities", measured=tuple(measured))
         raise ConfigurationError("vary", problem)
+    for name, (low, high) in (measured or {}).items():
+        if low > high:
+            problem = diagnose("interval-ends", name=name, low=low, high=high)
+            raise ConfigurationError("measured", problem)
     stage = prepare_stage(robot, policy)
     outcomes: dict[tuple[str, float, int], Tracking] = {}
 
@@ -557,8 +561,8 @@ def read_measured_intervals(
         {quantity: (lower end, upper end)}, not empty.
 
     Raises:
-        ModelError: If the file cannot be read, or contains no quantity that can be varied, for
-            example.
+        ModelError: If the file cannot be read, contains no quantity that can be varied, or contains
+            an interval whose lower end is above the upper end, for example.
     """
     try:
         data = orjson.loads(read_input(Path(path), MAX_TEXT_BYTES))
@@ -574,6 +578,10 @@ def read_measured_intervals(
             nominal, low, high = (float(estimate[name]) for name in ("stated", "low", "high"))
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(path, diagnose("no-fit")) from error
+        if not all(isinstance(text, str) for text in (kind, subject, component)):
+            raise ModelError(path, diagnose("no-fit"))
+        if low > high:
+            raise ModelError(path, diagnose("interval-ends", name=kind, low=low, high=high))
         if kind not in QUANTITY_OF_FIT_KIND or not all(map(math.isfinite, (nominal, low, high))):
             continue
         if kind in ("mass", "com") and (subject not in bases or component not in ("", "x")):

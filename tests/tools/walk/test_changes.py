@@ -360,7 +360,24 @@ def test_interval_of_a_fit_is_compared_with_the_tracked_interval(still: Policy) 
     assert not held.passed
 
 
-@pytest.mark.parametrize("text", ["{}", "[", '{"estimates": [1]}', '{"parameters": [{}]}'])
+_VALID_ROW = row("mass", "base_link", 2.0, 1.8, 2.4)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("{}", "[", '{"estimates": [1]}', '{"parameters": [{}]}'),
+        *(
+            json.dumps({"estimates": [_VALID_ROW, _VALID_ROW | change]})
+            for change in (
+                {"kind": ["mass"]},
+                {"subject": ["base_link"]},
+                {"component": []},
+                {"low": 2.4, "high": 1.8},
+            )
+        ),
+    ],
+)
 def test_invalid_fit_file_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text(text, encoding="utf-8")
@@ -368,6 +385,12 @@ def test_invalid_fit_file_is_refused_in_one_line(text: str, tmp_path: Path) -> N
         read_measured_intervals(path, load("v3"))
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_measured_interval_with_exchanged_ends_is_refused(still: Policy) -> None:
+    """Otherwise (1.5, 0.5) would be inside a tracked interval from 0.9 to 1.6."""
+    with pytest.raises(ConfigurationError, match=r"lower end 1\.5 is above the upper end 0\.5"):
+        tracked_intervals(load("v3"), still, quantities=("kp",), measured={"kp": (1.5, 0.5)})
 
 
 def rank_trot_orders(policy: Policy) -> Orders:
