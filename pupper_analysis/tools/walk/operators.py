@@ -229,30 +229,39 @@ def _find_axis(value: Array, axis: int) -> int:
     return 1
 
 
+def _find_slices(
+    attributes: Mapping[str, Any], bounds: Sequence[Array | None]
+) -> list[tuple[int, int, int, int]]:
+    """Return (start, end, axis, step) of each sliced axis of the ONNX operator Slice.
+
+    ``bounds`` are the inputs of the node. Before opset 10, the bounds are attributes.
+    """
+    names = ("starts", "ends", "axes", "steps")
+    stated = {name: attributes[name] for name in names if name in attributes}
+    given = dict[str, list[int]]()
+    for name, bound in zip(names, bounds, strict=False):
+        if bound is not None:  # an end may be the largest integer
+            numbers = np.clip(np.ravel(bound), -MAX_WEIGHTS, MAX_WEIGHTS)
+            given[name] = numbers.astype(int).tolist()
+    parts = {"axes": list(range(len((stated | given)["starts"])))} | stated | given
+    steps = parts.get("steps", [1] * len(parts["starts"]))
+    return list(zip(parts["starts"], parts["ends"], parts["axes"], steps, strict=True))
+
+
 def _make_slice(attributes: dict[str, Any], _: int) -> Operation:
     """Create the ONNX operation Slice, with bounds as inputs or, before opset 10, attributes."""
 
     def apply(value: Array, *bounds: Array | None) -> Any:
-        names = ("starts", "ends", "axes", "steps")
-        stated = {name: attributes[name] for name in names if name in attributes}
-        given = dict[str, list[int]]()
-        for name, bound in zip(names, bounds, strict=False):
-            if bound is not None:  # an end may be the largest integer
-                numbers = np.clip(np.ravel(bound), -MAX_WEIGHTS, MAX_WEIGHTS)
-                given[name] = numbers.astype(int).tolist()
-        parts = {"axes": list(range(len((stated | given)["starts"])))} | stated | given
-        steps = parts.get("steps", [1] * len(parts["starts"]))
         result: Any = value
-        for start, end, axis, step in zip(
-            parts["starts"], parts["ends"], parts["axes"], steps, strict=True
-        ):
+        slices = _find_slices(attributes, bounds)
+        for start, end, axis, step in slices:
             if axis == 0 and value.ndim > 1 and start == 0 and end >= 1 and step == 1:
                 continue  # the whole observation
             where = [slice(None)] * value.ndim
             where[_find_axis(value, axis)] = slice(start, end, step)
             result = result[tuple(where)]
         if not result.size:
-            raise ValueError(parts)
+            raise ValueError(slices)
         return result
 
     return apply
@@ -275,7 +284,8 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
     """Create the ONNX operation Reshape, for arrays whose first axis is the axis of the runs.
 
     A stated shape of three axes (any, c, n), without 0 for c and n, becomes (runs, c, n). Any other
-    shape becomes (runs, 1, elements). An array with fewer than three axes is returned unchanged.
+    shape becomes (runs, 1, elements). An array with fewer than three axes, such as a list of sizes,
+    is returned unchanged.
     """
 
     def apply(value: Array, sizes: Array | None = None) -> Array:
@@ -359,6 +369,73 @@ def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation
         return operation(*(next(given) if name else None for name in names))
 
     return apply
+
+
+def _reshape_constant(attributes: dict[str, Any], _: int) -> Operation:
+    """Create the ONNX operation Reshape of a constant; a size of 0 keeps the size of the axis."""
+
+    def apply(value: Array, sizes: Array | None = None) -> Array:
+        shape = attributes["shape"] if sizes is None else np.ravel(sizes).astype(int).tolist()
+        if not attributes.get("allowzero"):
+            shape = [size or value.shape[axis] for axis, size in enumerate(shape)]
+        return value.reshape(shape)
+
+    return apply
+
+
+def _flatten_constant(attributes: dict[str, Any], _: int) -> Operation:
+    """Create the ONNX operation Flatten of a constant: a matrix, split before an axis."""
+    axis = attributes.get("axis", 1)
+    return lambda value: value.reshape(int(np.prod(value.shape[:axis])), -1)
+
+
+def _squeeze_constant(attributes: dict[str, Any], _: int) -> Operation:
+    """Create the ONNX operation Squeeze of a constant; without axes, all axes of size 1."""
+
+    def apply(value: Array, axes: Array | None = None) -> Array:
+        given = attributes.get("axes") if axes is None else np.ravel(axes).astype(int).tolist()
+        return np.squeeze(value, None if given is None else tuple(given))
+
+    return apply
+
+
+def _unsqueeze_constant(attributes: dict[str, Any], _: int) -> Operation:
+    """Create the ONNX operation Unsqueeze of a constant."""
+
+    def apply(value: Array, axes: Array | None = None) -> Array:
+        given = attributes["axes"] if axes is None else np.ravel(axes).astype(int).tolist()
+        return np.expand_dims(value, tuple(given))
+
+    return apply
+
+
+def _slice_constant(attributes: dict[str, Any], _: int) -> Operation:
+    """Create the ONNX operation Slice of a constant."""
+
+    def apply(value: Array, *bounds: Array | None) -> Array:
+        for start, end, axis, step in _find_slices(attributes, bounds):
+            where = [slice(None)] * value.ndim
+            where[axis] = slice(start, end, step)
+            value = value[tuple(where)]
+        return value
+
+    return apply
+
+
+CONSTANT_OPERATION_MAKERS: dict[str, Make] = {
+    "Reshape": _reshape_constant,
+    "Flatten": _flatten_constant,
+    "Squeeze": _squeeze_constant,
+    "Unsqueeze": _unsqueeze_constant,
+    "Slice": _slice_constant,
+    "Transpose": lambda given, _: lambda value: np.transpose(value, given.get("perm")),
+    "Concat": lambda given, _: lambda *values: np.concatenate(values, given["axis"]),
+    "Gather": lambda given, _: (
+        lambda value, indices: np.take(value, indices.astype(int), given.get("axis", 0))
+    ),
+}
+"""{ONNX operator: function that makes the operation for constants, which have no axis of runs}. For
+operators that are not listed, the operation of `OPERATION_MAKERS` is used."""
 
 
 def _ignore_attributes(operation: Operation) -> Make:

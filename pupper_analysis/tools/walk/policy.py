@@ -56,6 +56,7 @@ from pupper_analysis.tools.walk.contract import (
 )
 from pupper_analysis.tools.walk.network import (
     ACTIVATIONS,
+    MAX_VALUE_SIZE,
     MAX_WEIGHTS,
     Network,
     NetworkOperation,
@@ -65,6 +66,7 @@ from pupper_analysis.tools.walk.network import (
     lstm,
 )
 from pupper_analysis.tools.walk.operators import (
+    CONSTANT_OPERATION_MAKERS,
     IDENTITY_OPERATORS,
     OPERATION_MAKERS,
     skip_missing_inputs,
@@ -447,19 +449,46 @@ def _build_node(
     if kind == "Constant" and value is not None:
         constants[outputs[0]] = np.asarray(value, dtype=np.float64)
         return NetworkOperation(name, lambda value: value, (outputs[0],), outputs)
-    make_operation = OPERATION_MAKERS.get(kind)
+    is_constant = all(message in constants for message in inputs if message)
+    make_constant = CONSTANT_OPERATION_MAKERS.get(kind) if is_constant else None
+    make_operation = make_constant or OPERATION_MAKERS.get(kind)
     operation = None if make_operation is None else make_operation(attributes, len(outputs))
     if operation is None:
         problem = diagnose("layer-unknown", layer=f"{name}: {kind}", known=sorted(OPERATION_MAKERS))
         raise ModelError(path, problem)
-    if kind in IDENTITY_OPERATORS:
-        return NetworkOperation(name, operation, inputs[:1], outputs[:1])
-    if kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
+    if kind in IDENTITY_OPERATORS and make_constant is None:
+        inputs, outputs = inputs[:1], outputs[:1]
+    elif kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
         inputs = tuple(message for index, message in enumerate(inputs) if index != 4)
-        return NetworkOperation(name, operation, inputs, outputs)
-    return NetworkOperation(
-        name, skip_missing_inputs(operation, inputs), tuple(filter(None, inputs)), outputs
-    )
+    else:
+        operation = skip_missing_inputs(operation, inputs)
+        inputs = tuple(filter(None, inputs))
+    built = NetworkOperation(name, operation, inputs, outputs)
+    return _fold_constants(built, constants) if is_constant else built
+
+
+def _fold_constants(built: NetworkOperation, constants: dict[str, Array]) -> NetworkOperation:
+    """Evaluate an operation of constants, and add the results to ``constants``, in place.
+
+    Returns an operation that returns the results. An operation that fails, or whose result is too
+    large or not finite, is returned unchanged: `assemble_network` refuses the first two.
+    """
+    values = [constants[name] for name in built.inputs]
+    try:
+        with np.errstate(all="ignore"):
+            results = built.apply(*values)
+    except (ValueError, IndexError, TypeError):
+        return built
+    results = results if isinstance(results, tuple) else (results,)
+    largest = max([MAX_VALUE_SIZE, *(value.size for value in values)])
+    if any(np.size(result) > largest or not np.isfinite(result).all() for result in results):
+        return built
+    constants |= {
+        name: np.asarray(result, dtype=np.float64)
+        for name, result in zip(built.outputs, results, strict=False)
+    }
+    outputs = built.outputs[: len(results)]
+    return NetworkOperation(built.name, lambda *values: values, outputs, outputs)
 
 
 _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}

@@ -267,6 +267,44 @@ def test_operators_of_exported_policies_equal_onnxruntime(kind: str, tmp_path: P
         assert np.array_equal(alone[0], found[number])
 
 
+CONSTANTS: dict[str, tuple[list[bytes], tuple[int, ...]]] = {
+    "Reshape": ([made.node("Reshape", ("v", "columns"), ("c",))], (6,)),
+    "Reshape of rows": ([made.node("Reshape", ("v", "keep"), ("c",))], (6, 1, 2)),
+    "Reshape of a product": (
+        [made.node("Neg", ("v",), ("n",)), made.node("Reshape", ("n", "columns"), ("c",))], (12,)),
+    "Unsqueeze": ([made.node("Unsqueeze", ("v", "one"), ("c",))], (6,)),
+    "Squeeze": ([made.node("Squeeze", ("v", "one"), ("c",))], (6, 1, 3)),
+    "Flatten": ([made.node("Flatten", ("v",), ("c",), axis=1)], (6, 2, 2)),
+    "Transpose": ([made.node("Transpose", ("v",), ("c",), perm=[1, 0])], (2, 6)),
+    "Slice": ([made.node("Slice", ("v", "one", "seven", "zero"), ("c",))], (8, 3)),
+    "Concat": ([made.node("Concat", ("v", "v"), ("c",), axis=0)], (3, 2)),
+    "Gather": ([made.node("Gather", ("v", "rows"), ("c",), axis=0)], (4, 2)),
+}  # fmt: skip
+"""{operator: nodes that make a matrix ``c`` (6, n) of a constant ``v``, and the shape of ``v``}."""
+
+
+@pytest.mark.parametrize("kind", CONSTANTS)
+def test_operators_of_constants_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
+    """References: onnxruntime. A constant has no axis of runs."""
+    runtime = pytest.importorskip("onnxruntime")
+    nodes, shape = CONSTANTS[kind]
+    tensors = [
+        made.tensor("v", np.random.default_rng(5).normal(size=shape)),
+        *(made.integers("columns", 6, -1), made.integers("keep", 0, -1)),
+        *(made.integers("zero", 0), made.integers("one", 1), made.integers("seven", 7)),
+        made.integers("rows", 3, 0, 2, 2, 1, 0),
+    ]
+    ends = [made.node("MatMul", ("obs", "c"), ("p",)),
+            made.node("ReduceSum", ("p", "one"), ("s",)),
+            made.node("Concat", ("p", "s"), ("y",), axis=1)]  # fmt: skip
+    data = made.onnx([*nodes, *ends], tensors, [made.value("obs", 1, 6)], [made.value("y")])
+    given = rows(4, 6, seed=8).astype(np.float32)
+    session = runtime.InferenceSession(data)
+    expected = [session.run(None, {"obs": row[None]})[0][0] for row in given]
+    found = read_graph(data, tmp_path).forward(given.astype(float))[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=ALIKE)
+
+
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
