@@ -223,7 +223,7 @@ def assemble_network(
 ) -> Network:
     """Build a network from operations, and validate the sizes by an evaluation.
 
-    The network is evaluated with an observation of zeros.
+    The network is evaluated with an observation of zeros, for one run and for two runs.
 
     Args:
         path: The file, for messages.
@@ -247,34 +247,35 @@ def assemble_network(
         if not np.isfinite(weights).all():
             count = int((~np.isfinite(weights)).sum())
             raise ModelError(path, diagnose("weights-not-finite", layer=name, count=count))
-    values: dict[str, Any] = dict(constants)
-    values[ends[0]] = np.zeros((1, 1, inputs))
-    values |= {name: np.zeros((1, 1, size)) for name, _, size in memory}
-    for node in nodes:
-        missing = [name for name in node.inputs if name not in values]
-        if missing:
-            raise ModelError(
-                path, diagnose("layer-input-missing", layer=node.name, name=missing[0])
-            )
-        try:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                results = node.apply(*(values[name] for name in node.inputs))
-        except (ValueError, IndexError, TypeError) as error:
-            sizes = [tuple(np.shape(values[name])) for name in node.inputs]
-            problem = diagnose("layer-sizes", layer=node.name, sizes=str(sizes))
-            raise ModelError(path, problem) from error
-        results = results if isinstance(results, tuple) else (results,)
-        sizes = [tuple(np.shape(value)) for value in results]
-        largest = max((np.size(values[name]) for name in node.inputs), default=0)
-        if max(map(np.size, results)) > max(MAX_VALUE_SIZE, largest):
-            raise ModelError(path, diagnose("layer-sizes", layer=node.name, sizes=str(sizes)))
-        values |= dict(zip(node.outputs, results, strict=False))
-    if ends[1] not in values:
-        raise ModelError(path, diagnose("layer-input-missing", layer="output", name=ends[1]))
-    action_shape = np.shape(values[ends[1]])
-    if len(action_shape) != 3 or action_shape[:2] != (1, 1) or not action_shape[2]:
-        raise ModelError(path, diagnose("layer-sizes", layer=ends[1], sizes=str(action_shape)))
-    for name, following, size in memory:
-        if following not in values or np.shape(values[following]) != (1, 1, size):
-            raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(size)))
+    for runs in (1, 2):  # two runs: an operation must not mix the values of runs
+        values: dict[str, Any] = dict(constants)
+        values[ends[0]] = np.zeros((runs, 1, inputs))
+        values |= {name: np.zeros((runs, 1, size)) for name, _, size in memory}
+        for node in nodes:
+            missing = [name for name in node.inputs if name not in values]
+            if missing:
+                raise ModelError(
+                    path, diagnose("layer-input-missing", layer=node.name, name=missing[0])
+                )
+            try:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    results = node.apply(*(values[name] for name in node.inputs))
+            except (ValueError, IndexError, TypeError) as error:
+                sizes = [tuple(np.shape(values[name])) for name in node.inputs]
+                problem = diagnose("layer-sizes", layer=node.name, sizes=str(sizes))
+                raise ModelError(path, problem) from error
+            results = results if isinstance(results, tuple) else (results,)
+            sizes = [tuple(np.shape(value)) for value in results]
+            largest = max((np.size(values[name]) for name in node.inputs), default=0)
+            if max(map(np.size, results)) > max(MAX_VALUE_SIZE, largest):
+                raise ModelError(path, diagnose("layer-sizes", layer=node.name, sizes=str(sizes)))
+            values |= dict(zip(node.outputs, results, strict=False))
+        if ends[1] not in values:
+            raise ModelError(path, diagnose("layer-input-missing", layer="output", name=ends[1]))
+        action_shape = np.shape(values[ends[1]])
+        if len(action_shape) != 3 or action_shape[:2] != (runs, 1) or not action_shape[2]:
+            raise ModelError(path, diagnose("layer-sizes", layer=ends[1], sizes=str(action_shape)))
+        for name, following, size in memory:
+            if following not in values or np.shape(values[following]) != (runs, 1, size):
+                raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(size)))
     return Network(tuple(nodes), dict(constants), *ends, tuple(memory), inputs, action_shape[2])

@@ -336,6 +336,15 @@ def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
     return apply
 
 
+def _multiply_matrices(first: Array, second: Array) -> Any:
+    """Return the matrix product. A product with a vector keeps the axis of runs, with size 1."""
+    if first.ndim == 1 and second.ndim > 2:
+        first = first[None, :]
+    if second.ndim == 1 and first.ndim > 2:
+        second = second[:, None]
+    return np.matmul(first, second)
+
+
 def _expand(value: Array, sizes: Array) -> Array:
     """Broadcast an array to the common shape of the array and ``sizes`` (ONNX operator Expand)."""
     shape: Sequence[int] = np.ravel(sizes).astype(int).tolist()
@@ -454,7 +463,7 @@ OPERATION_MAKERS: dict[str, Make] = {
     "Sub": _ignore_attributes(np.subtract),
     "Mul": _ignore_attributes(np.multiply),
     "Div": _ignore_attributes(np.divide),
-    "MatMul": _ignore_attributes(np.matmul),
+    "MatMul": _ignore_attributes(_multiply_matrices),
     "Neg": _ignore_attributes(np.negative),
     "Exp": _ignore_attributes(np.exp),
     "Sqrt": _ignore_attributes(np.sqrt),

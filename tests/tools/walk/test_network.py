@@ -16,7 +16,13 @@ import pytest
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
 from pupper_analysis.tools.walk import policy
-from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
+from pupper_analysis.tools.walk.network import (
+    ACTIVATIONS,
+    Network,
+    NetworkOperation,
+    assemble_network,
+    gru,
+)
 from pupper_analysis.tools.walk.operators import OPERATION_MAKERS
 from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made
@@ -187,6 +193,9 @@ def single_operators() -> dict[str, bytes]:
         made_of[kind] = [made.node(kind, ("obs",), ("y",), axes=[-1])], []
     made_of["ReduceSum"] = (
         [made.node("ReduceSum", ("obs", "axis"), ("y",))], [made.integers("axis", 1)])  # fmt: skip
+    made_of["MatMul with a vector"] = (
+        [made.node("MatMul", ("obs", "v"), ("p",)), made.node("Add", ("obs", "p"), ("y",))],
+        [vector])  # fmt: skip
     made_of["Slice"] = (
         [made.node("Slice", ("obs", "from", "to", "axis", "step"), ("y",))],
         [made.integers("from", -1), made.integers("to", -(2**63)), made.integers("axis", 1),
@@ -324,6 +333,15 @@ def test_operators_across_runs_are_refused(
     ends = [made.value("obs", 1, 6)], [made.value("y", 1, 6)]
     with pytest.raises(ModelError, match=message):
         read_graph(made.onnx(nodes, [made.integers("i", 0)], *ends), tmp_path)
+
+
+def test_network_that_mixes_the_values_of_runs_is_refused(tmp_path: Path) -> None:
+    """The second axis of the action is 1 for one run, and 2 for two runs."""
+    path, weights = tmp_path / "made.onnx", {"v": np.ones(6)}
+    product = NetworkOperation("product", np.matmul, ("obs", "v"), ("p",))
+    total = NetworkOperation("sum", np.add, ("obs", "p"), ("y",))
+    with pytest.raises(ModelError, match=r"y: sizes do not fit: \(2, 2, 6\)"):
+        assemble_network(path, [product, total], weights, ("obs", "y"), [], 6)
 
 
 def test_action_among_several_outputs_is_selected_by_name(tmp_path: Path) -> None:
