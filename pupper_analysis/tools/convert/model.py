@@ -97,7 +97,7 @@ def convert_model(
         source: Path of the URDF or MJCF, name of a published robot, variant, or a robot in memory,
             as for ``load_robot``. Of a variant, the model in the other format than ``output`` is
             converted. If the source is an MJCF, ``feet``, ``fixed_base``, ``armature``,
-            ``repair_inertia`` and ``copy_meshes`` must not be passed.
+            ``repair_inertia``, ``copy_meshes`` and ``xacro`` must not be passed.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
@@ -119,7 +119,7 @@ def convert_model(
 
     Raises:
         ConfigurationError: If an argument is out of range. Also if ``source`` is an MJCF, and an
-            argument is passed that only concerns new MJCFs.
+            argument is passed that only concerns URDFs as sources.
         VariantError: If ``source`` is probably a misspelled variant name.
         ModelError: For example, if the source cannot be read, the other format cannot represent the
             robot, or the URDF has no joint of ``armature``.
@@ -149,7 +149,9 @@ def convert_model(
         made = diagnose("output-named-otherwise", source=name, ending=wanted, mjcf=wanted == ".xml")
         raise OutputError(output, made)
     options = MjcfOptions(feet, fixed_base, armature, repair_inertia, copy_meshes)
-    draft = _draft_other_format(file, output, options, name)
+    if isinstance(file, MjcfFile):
+        _refuse_urdf_options(options, name, xacro=xacro)
+    draft = _draft_other_format(file, output, options)
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
@@ -227,16 +229,15 @@ def _name_source(source: str | Path | ModelObject | VariantSpec) -> str:
 
 
 def _draft_other_format(
-    file: UrdfFile | MjcfFile, output: Path, options: MjcfOptions, name: str
+    file: UrdfFile | MjcfFile, output: Path, options: MjcfOptions
 ) -> ConversionDraft:
     """Draft the MJCF of a URDF, or the URDF of an MJCF; nothing is written.
 
-    ``options`` are those of a new MJCF; ``name`` is the name of the source, for errors.
+    ``options`` are those of a new MJCF.
     """
     if isinstance(file, UrdfFile):
         check_armatures(file, dict(options.armature or {}))
         return draft_mjcf(file, output, options)
-    _refuse_mjcf_options(options, name)
     draft = draft_urdf(file, output)
     if draft.failure is None:
         check_simulable(file)
@@ -311,8 +312,10 @@ def _list_armatures(model: pin.Model) -> dict[str, float]:
     }
 
 
-def _refuse_mjcf_options(options: MjcfOptions, source: str) -> None:
-    """Raise an error if an option that only concerns new MJCFs is passed for a new URDF."""
+def _refuse_urdf_options(options: MjcfOptions, source: str, *, xacro: bool) -> None:
+    """Raise an error if an option that only concerns URDFs as sources is passed for an MJCF."""
+    if xacro:
+        raise ConfigurationError("xacro", diagnose("not-of-an-mjcf", source=source))
     for field in fields(options):
         if getattr(options, field.name) != field.default:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))

@@ -357,7 +357,7 @@ def test_invalid_arguments_and_existing_files_are_refused(tmp_path: Path) -> Non
     urdf, output, mjcf = (tmp_path / name for name in ("arm.urdf", "arm.xml", "machine.xml"))
     urdf.write_text(urdf_text(arm(), ()))
     mjcf.write_text(mjcf_text(arm(), free=False))
-    for name, value in (("fixed_base", True), ("feet", ["rod"])):
+    for name, value in (("fixed_base", True), ("feet", ["rod"]), ("xacro", True)):
         with pytest.raises(pa.ConfigurationError, match=f"{name}: .* is an MJCF"):
             pa.convert_model(mjcf, tmp_path / "new.urdf", **{name: value})  # type: ignore[arg-type]
     output.write_text("mine")
