@@ -5,7 +5,8 @@ with reduced coordinates. The transforms of the prims are not used, since the pr
 of the robot at unknown joint positions.
 
 Engines compute missing mass properties from the collision shapes, with the density of water if no
-density is stated. This module does not: the inertial of such a body is None.
+density is stated. Without collision shapes, engines use defaults. This module does neither: the
+inertial of such a body is None.
 """
 
 from __future__ import annotations
@@ -297,13 +298,17 @@ moments of inertia, which USD stores in single precision."""
 
 
 class MassOrigin(StrEnum):
-    """Origin of a body's mass in a USD file: stated, or derived from shapes."""
+    """Origin of a body's mass properties in a USD file: stated, derived from shapes, or default."""
 
     STATED = "stated"
     """Mass, CoM and inertia are stated, or the mass is negative."""
     SHAPES = "shapes"
-    """Mass, CoM or inertia is missing. If there are shapes, engines derive the missing properties
-    from the shapes. A missing mass is derived from stated masses or densities of the shapes.
+    """Mass, CoM or inertia is missing, and engines derive the missing properties from the collision
+    shapes. A missing mass is derived from stated masses or densities of the shapes.
+    """
+    DEFAULT = "default"
+    """The mass is stated, CoM or inertia is missing, and the body has no collision shapes. Engines
+    use defaults: UsdPhysics the CoM (0, 0, 0), and the inertia of a ball of radius 10 cm.
     """
     WATER = "water"
     """The body has no stated mass, and a shape has neither a stated mass nor a stated density.
@@ -363,8 +368,8 @@ def read_body_mass(
         com = np.zeros(3) if com is None else com * placement.scale
         tensor = np.zeros((3, 3)) if tensor is None else tensor
         return BodyMass(Inertial(mass, com, tensor, True, rounding), MassOrigin.STATED)
-    if not mass and not shapes:
-        return BodyMass(None, MassOrigin.UNKNOWN, lacks)
+    if not shapes:
+        return BodyMass(None, MassOrigin.DEFAULT if mass else MassOrigin.UNKNOWN, lacks)
     has_water = not mass and not all(_has_shape_mass(body, shape) for shape in shapes)
     return BodyMass(None, MassOrigin.WATER if has_water else MassOrigin.SHAPES, lacks)
 

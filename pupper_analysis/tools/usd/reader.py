@@ -406,14 +406,16 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
         ModelError: If another body lacks a stated mass, CoM or inertia: engines may derive the
             missing property from shapes.
     """
-    by_shapes = [
-        name
-        for name, body_mass in model.body_masses.items()
-        if body_mass.origin in (MassOrigin.WATER, MassOrigin.SHAPES)
-    ]
-    if by_shapes:
-        place = model.file.place("body", by_shapes[0])
-        raise make_file_error(place, diagnose("usd-weighed-by-shapes", names=by_shapes))
+    for code, origins in (
+        ("usd-weighed-by-shapes", (MassOrigin.WATER, MassOrigin.SHAPES)),
+        ("usd-inertia-by-default", (MassOrigin.DEFAULT,)),
+    ):
+        names = [
+            name for name, body_mass in model.body_masses.items() if body_mass.origin in origins
+        ]
+        if names:
+            place = model.file.place("body", names[0])
+            raise make_file_error(place, diagnose(code, names=names))
     unknown = [name for name, body_mass in model.body_masses.items() if body_mass.inertial is None]
     if unknown:
         yield diagnose("usd-masses-unknown", names=unknown)
@@ -453,14 +455,19 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Yield findings for bodies without mass, CoM or inertia, which engines may derive from shapes.
 
-    The severity is WARNING if only the CoM is missing.
+    The severity is WARNING if only the CoM is missing, or if engines use defaults, because there
+    are no shapes.
     """
     for name, body_mass in robot.body_masses.items():
-        if body_mass.origin is MassOrigin.SHAPES:
+        if body_mass.origin in (MassOrigin.SHAPES, MassOrigin.DEFAULT):
+            has_shapes = body_mass.origin is MassOrigin.SHAPES
             message = diagnose(
-                "inertia-unstated", lacks=[Term(property_name) for property_name in body_mass.lacks]
+                "inertia-unstated",
+                lacks=[Term(property_name) for property_name in body_mass.lacks],
+                shapes=has_shapes,
             )
-            severity = Severity.WARNING if body_mass.lacks == ("com",) else None
+            is_com = body_mass.lacks == ("com",)
+            severity = Severity.WARNING if is_com or not has_shapes else None
             yield CheckFinding(robot.link_tag, name, message, severity=severity)
 
 

@@ -97,7 +97,9 @@ NEXT = 'def Xform "shank"'
         ((MASS,), "float physics:mass = 2\n", MassOrigin.SHAPES),
         ((MASS,), "bool physics:collisionEnabled = 0\n", MassOrigin.UNKNOWN),
         ((COM,), "", MassOrigin.SHAPES),
-        ((INERTIA,), None, MassOrigin.SHAPES),
+        ((INERTIA,), "", MassOrigin.SHAPES),
+        ((INERTIA,), None, MassOrigin.DEFAULT),
+        ((COM,), None, MassOrigin.DEFAULT),
     ],
 )
 def test_usd_mass_is_stated_or_unknown(

@@ -8,6 +8,10 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
+from pxr import Usd, UsdGeom, UsdPhysics
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.audit.audit import RULES, audit_model
 from pupper_analysis.tools.usd.reader import CHECKS
 from tests.support.commands import answer
@@ -47,6 +51,29 @@ def test_an_unstated_com_is_not_at_the_origin(tmp_path: Path) -> None:
     )
     assert (found.prim, str(found.severity)) == (BASE, "warning")
     assert "missing: com" in str(found.diagnostic)
+
+
+def test_missing_inertia_without_shapes_is_a_default_of_the_engine(tmp_path: Path) -> None:
+    """Reference: UsdPhysics computes 2/5 m r^2 with r = 0.1 m for the same body."""
+    path = usd.write(tmp_path, ("float3 physics:diagonalInertia = (30000, 26000, 5000)\n", "\n"))
+    (found,) = (
+        finding for finding in audit_model(path).findings if finding.rule == "inertia-unstated"
+    )
+    assert (found.prim, str(found.severity)) == (THIGH, "warning")
+    message = str(found.diagnostic)
+    assert "missing: inertia; there is no collision shape" in message
+    assert "a ball of radius 10 cm" in message
+    with pytest.raises(ModelError, match="there are no collision shapes"):
+        pa.compare_models(usd.write_urdf(tmp_path), path, configurations=2)
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    body = stage.DefinePrim("/body", "Xform")
+    UsdPhysics.MassAPI.Apply(body).CreateMassAttr(0.5)
+    _, moments, com, _ = UsdPhysics.RigidBodyAPI.Apply(body).ComputeMassProperties(
+        lambda _: UsdPhysics.RigidBodyAPI.MassInformation()
+    )
+    assert list(moments) == pytest.approx([0.4 * 0.5 * 0.1**2] * 3)
+    assert list(com) == [0.0, 0.0, 0.0]
 
 
 def test_every_rule_of_usd_has_a_test() -> None:
