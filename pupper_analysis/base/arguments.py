@@ -80,7 +80,7 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Convert an argument to a new array of floats of any shape; reject other types than numbers.
 
     Infinite values and NaN are accepted. Texts, Booleans and complex numbers are rejected, also as
-    single elements of a list: NumPy would convert them silently. Masked arrays with a masked
+    single elements of a sequence: NumPy would convert them silently. Masked arrays with a masked
     element are also rejected.
 
     Raises:
@@ -125,12 +125,15 @@ def _is_real_number(value: object) -> bool:
 
 
 def _contains_boolean(values: object) -> bool:
-    """Return True for a Boolean or an array of Booleans, also inside nested lists and tuples."""
-    if isinstance(values, list | tuple):
-        return any(map(_contains_boolean, values))
+    """Return True for a Boolean or an array of Booleans, also inside nested sequences."""
     if isinstance(values, np.ndarray):
         return bool(values.dtype.kind == "b")
-    return isinstance(values, _BOOLEAN_TYPES)
+    elements = np.array(values, dtype=object)  # NumPy finds the sequences, and keeps the elements
+    return any(
+        isinstance(element, _BOOLEAN_TYPES)
+        or (isinstance(element, np.ndarray) and _contains_boolean(element))  # of shape ()
+        for element in elements.flat
+    )
 
 
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections import UserList, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from fractions import Fraction
@@ -351,7 +352,11 @@ def test_a_name_with_brackets_is_selected_by_its_exact_name(
 
 @pytest.mark.parametrize(
     "given",
-    [[True, 1.0], (2, False), [[0.5, 1.0], [True, 1.0]], [np.True_, 1.0], [np.array([True]), [1]]],
+    [
+        *([True, 1.0], (2, False), [[0.5, 1.0], [True, 1.0]], [np.True_, 1.0]),
+        *([np.array([True]), [1]], [np.array(True), 1.0]),
+        *(deque([True, 1.0]), [deque([True]), [1.0]], UserList([0.5, False])),
+    ],
     ids=repr,
 )
 def test_a_boolean_among_numbers_is_no_number(given: Any) -> None:
