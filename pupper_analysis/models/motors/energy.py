@@ -55,8 +55,10 @@ class MotorEnergy(Result):
 
     @property
     def power(self) -> float | None:
-        """Mean electrical power [W]; None if unknown."""
-        return None if self.electrical is None else self.electrical / self.duration
+        """Mean electrical power [W]; None if the energy is unknown, or for a motion of 0 s."""
+        if self.electrical is None or not self.duration:
+            return None
+        return self.electrical / self.duration
 
 
 def compute_motor_energy(

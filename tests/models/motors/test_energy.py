@@ -46,6 +46,11 @@ def test_energy_agrees_with_the_voltage_and_current_of_a_dcmotor() -> None:
     assert energy.friction == pytest.approx(0.0, abs=1e-9)
 
 
+def test_mean_power_of_a_motion_without_steps_is_none() -> None:
+    energy = compute_motor_energy({"a": MOTOR}, ["a"], np.zeros((0, 1)), np.zeros((1, 1)), 0.1)
+    assert (energy.duration, energy.electrical, energy.power) == (0.0, 0.0, None)
+
+
 def test_gear_with_losses_takes_energy_in_both_directions() -> None:
     """Reference: by hand. 80 % of the rotor's power reach the load, and 80 % of the load's power
     reach the rotor of a motor that brakes. 1 s at 3 N m and 2 rad/s: 6 J of work."""
