@@ -102,7 +102,13 @@ class Plane:
         return self
 
     def with_parameter(self, number: float) -> Plane:
-        """Return the parallel plane whose ``parameter`` is ``number`` [m]."""
+        """Return the parallel plane whose ``parameter`` is ``number`` [m].
+
+        Raises:
+            ConfigurationError: If ``number`` is not a finite number, or moves the plane beyond
+                `MAX_LENGTH`.
+        """
+        number = check_finite("plane.parameter", number)
         offset, displacement = (
             self._parameter_sign * number,
             self._parameter_sign * (number - self.parameter),
@@ -320,11 +326,12 @@ class Contact:
                 slope [rad], or the ``parameter`` of another plane [m].
 
         Raises:
-            ConfigurationError: If a number is not valid, for example a slope angle above pi.
+            ConfigurationError: If the count of the numbers is wrong, or a number is not valid, for
+                example a slope angle above pi.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
-        return self.with_plane_parameter(*numbers)
+        return self.with_plane_parameter(float(check_vector("parameters", numbers, 1)[0]))
 
     def with_plane_parameter(self, number: float) -> Contact:
         """Return a copy of this contact in which the ``parameter`` of the plane is ``number``.

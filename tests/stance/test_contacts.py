@@ -480,6 +480,11 @@ def plane(**more: object) -> pa.Contact:
             ),
             "has a place",
         ),
+        (lambda: plane().with_parameters((1, 2)), r"parameters: shape \(2,\) is wrong"),
+        (lambda: plane().with_parameters(()), r"parameters: shape \(0,\) is wrong"),
+        (lambda: plane().with_parameters((True,)), "parameters: .* bool"),
+        (lambda: pa.Contact(pa.Slope(0.1)).with_parameters(0.2), "parameters: shape"),  # type: ignore[arg-type]
+        (lambda: plane().with_plane_parameter("a"), r"plane\.parameter: 'a'"),  # type: ignore[arg-type]
     ],
 )
 def test_invalid_contact_is_refused_in_one_line(make: object, match: str) -> None:
