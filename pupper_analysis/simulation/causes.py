@@ -171,11 +171,11 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
 def compute_creep_speeds(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, float]:
-    """Compute the creep speed of each loaded contact point: |f_t| / c [m/s].
+    """Compute the creep speed of the contact points in a stand: |f_t| / c [m/s].
 
     Creep is the slow slip that MuJoCo's regularised friction permits. f_t is the tangential force
     [N] in ``prediction``. c is the viscosity [N s/m] of the friction (`GroundLaw`) at the depth of
-    the point in the stand. MuJoCo's no-slip solver, which prevents creep, is not considered.
+    the point in the stand.
 
     Returns:
         {contact point: creep speed [m/s]}; infinite if the viscosity is zero.

@@ -11,7 +11,7 @@ which acts after the delay. `find_worst_mode` returns the mode of the closed loo
 fastest; `survives_simulation` simulates the same controller in MuJoCo, with all friction.
 
 The linear model has no dry friction of joints and tendons. This friction holds a joint at rest like
-a large damper, so that each gain appears stable; a moving joint lacks this damping.
+a large damper, so that unstable gains may appear stable; a moving joint lacks this damping.
 """
 
 from __future__ import annotations
@@ -76,8 +76,7 @@ v3: the modes differ by 1e-6 (relative) from those with a step of 1e-7."""
 
 _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
 """Initial displacement [rad, m] or velocity [rad/s, m/s] of the joint that moves most, in a
-simulation that starts with a deviation along a mode. Chosen: dry friction does not hold this
-displacement, and no foot slips."""
+simulation that starts with a deviation along a mode. Chosen, not tuned."""
 
 _REST_SPEED = 0.01
 """Upper bound of the joint velocities [rad/s, m/s] with which a robot counts as at rest at the end
@@ -257,8 +256,7 @@ class ControlledStand:
         """Find the mode of the closed control loop with the largest growth rate.
 
         The state of the closed loop consists of the state of the robot (qpos, qvel, act) and of
-        previous commands. A mode without dynamics, such as a translation on frictionless ground,
-        has a growth rate of about zero.
+        previous commands.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].

@@ -53,7 +53,7 @@ moves a foot by 80 um. A foot with 1/10,000 of the weight is 10 um deep."""
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
 """Upper bounds of the initial deviation along modes that grow only without dry friction
 (``Mode.without_dry_friction``): of a position [rad, m] and of a velocity [rad/s, m/s]. Dry friction
-would stop a small nudge along these modes. Chosen larger than the deviation that dry friction
+may stop a small nudge along these modes. Chosen larger than the deviation that dry friction
 holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION

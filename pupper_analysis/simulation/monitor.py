@@ -266,7 +266,7 @@ class ContactSampler:
     def find_ground_bodies(self, state: Array) -> set[str]:
         """Return the names of bodies that touch the ground with geoms that belong to no foot.
 
-        No forces are computed. ``state`` is an mjSTATE_FULLPHYSICS.
+        ``state`` is an mjSTATE_FULLPHYSICS.
         """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         mujoco.mj_kinematics(self._model, self.data)

@@ -39,8 +39,8 @@ Chosen, not tuned.
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""MuJoCo's types of actuator dynamics for servos with ``timeconst``. The activation follows the
-command, clipped to ``ctrlrange``, as a first-order filter.
+"""MuJoCo's types of first-order actuator dynamics, for example of servos with ``timeconst``. The
+activation follows the command, clipped to ``ctrlrange``.
 """
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -129,11 +129,10 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Compute the state (mjSTATE_FULLPHYSICS) of a stand, lowered until contacts carry the weight.
 
-    Feet that just touch soft ground usually carry nothing. The base is lowered along the ground
-    normal, with constant joint positions, until the forces along this direction balance. The
-    simulation then starts near equilibrium, not with a fall of some millimetres. A stand that is
-    held otherwise, for example by a fixed base, is not lowered. Velocities are zero. ``torques`` of
-    the motors, shape (nu,) [N m, N], balance the stand.
+    The base is lowered along the ground normal, with constant joint positions, until the forces
+    along this direction balance. A stand that is held otherwise, for example by a fixed base, is
+    not lowered. Velocities are zero. ``torques`` of the motors, shape (nu,) [N m, N], balance the
+    stand.
     """
     model = drive.model
     data = mujoco.MjData(model)
@@ -229,8 +228,7 @@ def roll_out(
 ) -> Array:
     """Simulate a model from several initial states, in one thread per element of ``workers``.
 
-    MuJoCo's warnings about diverging simulations are suppressed, and no log file is written:
-    ``monitor`` detects divergence.
+    MuJoCo's warnings about diverging simulations are suppressed; ``monitor`` detects divergence.
 
     Args:
         model: MuJoCo model.
@@ -268,7 +266,7 @@ def simulate_commands(
         start: Initial state (mjSTATE_FULLPHYSICS).
         ctrl: Actuator commands in each step, shape (n, model.nu).
         data: MuJoCo data for the simulation. The data are changed, and do not change the result.
-            Default: new data. To allocate the data of a quadruped takes as long as tens of steps.
+            Default: new data.
 
     Returns:
         States after each step, shape (n, size).
@@ -283,8 +281,8 @@ def simulate_in_intervals(
 ) -> Iterator[Array]:
     """Simulate a model with a constant command, and yield the states of each interval.
 
-    The states equal those of a single simulation (`simulate_commands`) to the last bit, since each
-    interval starts with the solver's result of the interval before.
+    The states equal those of a single simulation (`simulate_commands`), since each interval starts
+    with the solver's result of the interval before.
 
     Args:
         model: MuJoCo model.

@@ -49,8 +49,7 @@ tuned."""
 
 _STABLE_RATIO = 1.1
 """Lower bound [1] of the stiffness, divided by the minimum stiffness of the stand, with which the
-maximum damping is computed. Softer servos get this stiffness. Reason: below the minimum stiffness a
-stand buckles with any damping. Chosen, not tuned."""
+maximum damping is computed. Softer servos get this stiffness. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -323,10 +322,10 @@ def find_soft_servos(
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Find the largest factor on the damping gains with which a stand is stable; None if unknown.
+    """Find the largest factor on the damping gains with which a stand is stable.
 
     ``least`` is the smallest factor on the stiffness with which the stand does not buckle. The
-    result is infinite without a bound.
+    result is infinite without a bound, and None without damping or if no factor is stable.
     """
     if not kd.any():
         return None

@@ -79,8 +79,8 @@ Chosen: 5 % of the nudge remains after three time constants.
 """
 
 _MIN_NUDGE_TIME = 1.5
-"""Shortest simulated time after a nudge [s]. Measured: a robot whose stand does not survive a nudge
-of 1 mm/s leaves the stand within a second."""
+"""Shortest simulated time after a nudge [s]. Measured: robots whose stand did not survive a nudge
+of 1 mm/s left the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
 """Lower bound [1] of the ratio (simulated time after a nudge) / (doubling time of a growing mode)
@@ -184,8 +184,7 @@ def calms_after_base_nudges(
     `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. The simulations last at most 6
     s (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no failure.
 
-    This test finds chatter that `comes_to_rest` may miss. The larger nudge may lift a sole, which
-    then chatters without end.
+    This test finds chatter that `comes_to_rest` may miss: the larger nudge may lift a sole.
 
     Args:
         robot: Robot, with a free base.
@@ -346,7 +345,7 @@ def _max_horizontal_norm(displacements: Array) -> float:
 
 
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
-    """Compute target minus mean position of each loaded contact point, shape (points, 3) [m].
+    """Compute target minus mean position of the stance feet's contact points, (points, 3) [m].
 
     Positions are sphere centres in the world frame.
     """

@@ -118,8 +118,8 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speed [m/s, rad/s] of a robot at rest, in judgements of simulated motion. Feet
-usually creep more slowly. Chosen, not tuned.
+"""Upper bound of the speed [m/s, rad/s] of a robot at rest, in judgements of simulated motion.
+Chosen, not tuned.
 """
 
 
@@ -290,8 +290,7 @@ Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
 """Upper bound [1] of the ratio (speed in the last third of the time after a nudge) / (speed of the
-nudge), with which the motion counts as decayed. Contacts and the constraint solver cause motion of
-this size. Chosen, not tuned."""
+nudge), with which the motion counts as decayed. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +330,7 @@ class Nudge(Result):
     def stays(self) -> bool:
         """Whether all joints moved by less than `MAX_JOINT_DISPLACEMENT` after the nudge.
 
-        Creep, the slow motion before the nudge, is subtracted.
+        Creep, the slow motion before the nudge, is subtracted if it was measured.
         """
         return self.farthest < MAX_JOINT_DISPLACEMENT
 

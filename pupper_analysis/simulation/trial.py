@@ -48,9 +48,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 BASE_NUDGE_SPEED = 0.01
 """Initial speed of the base [m/s] in a nudged simulation. For a horizontal nudge the speed is
 multiplied by `_HORIZONTAL_FACTOR`. For a yaw rotation the angular speed is (this speed) / (CoM
-height). A nudge is needed since a robot leaves an unstable equilibrium only after a perturbation. A
-stand that is a few percent inside its limits of stability survives this speed. Chosen, not
-tuned."""
+height). Chosen, not tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
@@ -63,8 +61,8 @@ survives two neighbouring nudges is assumed to survive smaller nudges between th
 
 MAX_JOINT_DEVIATION = 0.1
 """Upper bound of the deviation of a joint from the stand after a nudge [rad, m]. If a joint
-deviates more, the stand has buckled. Measured: joints of robots that buckle finally deviate by 0.3
-rad and more."""
+deviates more, the stand has buckled. Chosen below the deviations of robots that have buckled, for
+example 0.3 rad."""
 
 MAX_FOOT_SLIP = 5e-3
 """Upper bound of the displacement of a contact point after a nudge [m], perpendicular to the
@@ -73,8 +71,7 @@ foot has slid. Chosen larger than the displacement of rolling feet, 1 mm."""
 
 MAX_FOOT_LIFT = 2e-3
 """Upper bound of the rise of a contact point along the lift-off direction after a nudge [m]. If a
-foot without ground contact rises more, the foot has lifted. A foot with little load usually rises
-less. Chosen, not tuned."""
+foot without ground contact rises more, the foot has lifted. Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
 """Bounds with which `is_near_limit` decides. A stand beyond a bound requires nudged simulations.
@@ -93,7 +90,7 @@ feet with only 1/10,000 of the weight. Chosen, not tuned.
 """
 
 _MIN_SATURATION_DEVIATION = 1e-3
-"""Deviation of a joint [rad, m] below which a small nudge saturates the motor, which then has no
+"""Deviation of a joint [rad, m] below which a small nudge may saturate the motor, which then has no
 stiffness: (distance of the static torque from the nearer effort limit) / kp. Measured on a
 quadruped with 8.4 kg: with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the
 robot; at 7e-5 rad it does not.
@@ -118,9 +115,8 @@ the part beyond the range of the motion so far. Chosen as a hundredth of `MAX_JO
 """
 
 _SPEED_FACTOR = 1.5
-"""Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
-remaining time of a nudged simulation: an oscillation may be slower while the speed is measured.
-Chosen, not tuned.
+"""Safety factor [1] on measured speeds, in the upper bound of the motion in the remaining time of a
+nudged simulation: an oscillation may be slower while the speed is measured. Chosen, not tuned.
 """
 
 _PREDICTION_FACTOR = 1.25
@@ -204,13 +200,12 @@ def simulate_nudges(
     The nudges are: `BASE_NUDGE_SPEED` up and down; a slightly larger speed in eight horizontal
     directions (`_HORIZONTAL_FACTOR`); a rotation about the base's z axis in both senses.
 
-    The model is simulated with the dry friction of joints and contacts. A stand that only dry
-    friction holds may not be detected here; ``growth.confirm_growth`` tests this with a larger
-    nudge.
+    A stand that only dry friction holds may survive; ``growth.confirm_growth`` tests such stands
+    with a larger nudge.
 
     A simulation ends early at a failure, or if no failure is expected in the remaining time.
-    A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is
-    back on the ground at the end.
+    A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift during the
+    simulation.
 
     Args:
         robot: Robot, with the payload and a free base.
@@ -219,7 +214,7 @@ def simulate_nudges(
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
         until_failure: Whether all simulations end once the earliest failure is known. If True,
-            ``failed_nudges`` is a lower bound. A later divergence, with time 0, is then not found.
+            ``failed_nudges`` is a lower bound.
 
     Returns:
         Whether the stand survives all nudges; otherwise the earliest failure, with its time [s].
@@ -355,11 +350,10 @@ def is_near_limit(
 ) -> bool:
     """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
-    A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
-    forces by about one percent. The CoM margin, the utilisation of motors and friction, the loads
-    of feet, the saturation of servos and the joint positions are compared with bounds, for example
-    `_MIN_MARGIN_RATIO`. The result is False without a CoM margin, and for a base that no nudge
-    moves.
+    A nudge with speed v moves a CoM at height h by about v sqrt(h/g). The CoM margin, the
+    utilisation of motors and friction, the loads of feet, the saturation of servos and the joint
+    positions are compared with bounds, for example `_MIN_MARGIN_RATIO`. The result is False without
+    a CoM margin, and for a base that no nudge moves.
 
     Args:
         robot: Robot, with the payload.
@@ -406,8 +400,8 @@ def saturates_after_nudge(robot: Robot, statics: GravityCompensation, kp: ArrayL
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint positions, shape (nu,) [rad, m], beyond which a stand fails.
 
-    A limit is infinite if the joint rests on it in the stand: a nudge presses such a joint by
-    microradians into MuJoCo's soft limit. Both limits of a joint without a range are infinite.
+    A limit is infinite if the joint rests on it in the stand: a nudge presses such a joint into
+    MuJoCo's soft limit. Both limits of a joint without a range are infinite.
     """
     angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
@@ -574,9 +568,7 @@ class _NudgedEvaluation:
         state: Last simulated state (mjSTATE_FULLPHYSICS), shape (size,).
         failure: First failure; None without a failure so far.
         saturated: First saturation of a motor; None if no motor has saturated. A saturation becomes
-            the failure if a motor is saturated at the end, or if another failure follows. Shaking,
-            divergence, and a contact point with little load that is lifted at the end, have their
-            own failure.
+            the failure if a motor is saturated at the end, or before a failure of `_find_failure`.
         is_decided: Whether the simulation needs no more steps.
         shaking: Speeds since the nudge.
     """
@@ -626,7 +618,7 @@ class _NudgedEvaluation:
     def _find_failure(self, samples: Array) -> _Event | None:
         """Return the first failure in successive states, shape (n, size); None without a failure.
 
-        The saturation of a motor before a failure is the cause, and is returned instead.
+        If a motor saturated before or with the failure, the first saturation is returned instead.
         """
         conditions = self._conditions
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
@@ -777,7 +769,7 @@ def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float)
     """Return the failure "shaking" if a robot shakes without decay at the end of a simulation.
 
     The speeds are compared in three windows at the end of the simulated time ``elapsed`` [s]. A
-    window is a quarter of this time, rounded down to whole seconds, at least 1 s. None without such
+    window is about a quarter of this time, in whole seconds, at least 1 s. None without such
     shaking.
     """
     window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))

@@ -139,8 +139,7 @@ tuned."""
 
 SETTLED_DRIFT = 5e-4
 """Bound of the magnitude of the base's mean vertical velocity in the last second before the nudge
-[m/s]. If the bound is reached, `verify_stand` reports that the robot does not stand still. Chosen,
-not tuned."""
+[m/s] of a robot that stands still. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the samples of the base height in the result of `verify_stand` [s]. Chosen, not
@@ -287,8 +286,8 @@ def verify_stand(
 
     The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
     MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
-    stand for rigid ground tilts by milliradians and the loads change by percents. Use
-    ``solve_stand_on_soft_ground`` for a stand that holds as predicted.
+    stand for rigid ground tilts, and the loads change. Use ``solve_stand_on_soft_ground`` for a
+    stand that holds as predicted.
 
     Args:
         robot: Robot.

@@ -77,8 +77,7 @@ bounds. Chosen, not tuned.
 class LinearisedResiduals:
     """Sums over whitened residuals r + A dx of measurements, for Gauss-Newton steps.
 
-    The residuals are linearised about a parameter vector. Whitened residuals have unit covariance
-    at the true parameters, if the noise model is right.
+    The residuals are linearised about a parameter vector, and divided by their noise (whitened).
 
     Attributes:
         information: Sum of A^T A, shape (n, n).

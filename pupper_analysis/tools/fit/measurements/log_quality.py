@@ -61,7 +61,7 @@ default prior of offsets (2 deg).
 
 _MAX_OPPOSED_CORRELATION = -0.7
 """Correlation of the commands and positions of a joint below which one of the signs is considered
-wrong. A delay of a quarter period gives 0, and servos are not slower. Chosen, not tuned.
+wrong. A delay of a quarter period gives 0. Chosen, not tuned.
 """
 
 _MIN_OWN_CORRELATION = 0.5
@@ -83,7 +83,7 @@ median interval. Above the bound, the intervals are uneven. Measured with a late
 
 _MAX_INTERVAL = 0.1
 """Largest median sampling interval [s] of a log. A slower log is refused, since servos respond
-faster; a step at 2 Hz would have five samples. Chosen, not tuned.
+faster; a motion at 2 Hz would have five samples per period. Chosen, not tuned.
 """
 
 

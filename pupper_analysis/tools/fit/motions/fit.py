@@ -407,9 +407,9 @@ def measure_repeatability(runs: Sequence[LogSegment]) -> float:
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
     """Estimate the standard deviation [rad, m] of a joint's encoder noise from third differences.
 
-    For white noise of variance s^2, the variance of third differences is 20 s^2. Motions of some Hz
-    contribute little. The median is used, since joints jump for a moment after a new command. The
-    result is at least the rounding noise of the encoder step. NaN without differences.
+    For white noise of variance s^2, the variance of third differences is 20 s^2. The median is
+    used, since joints jump for a moment after a new command. The result is at least the rounding
+    noise of the encoder step. NaN without differences.
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]

@@ -60,8 +60,7 @@ tuned.
 
 _TORQUE_STD_RATIO = 1e-4
 """Assumed standard deviation of the difference between servo torque and kp times servo error, as a
-fraction of robot weight times `Robot.stand_height`. A leg joint carries about a tenth of weight
-times height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
+fraction of robot weight times `Robot.stand_height`. Chosen, not tuned.
 """
 
 _UNKNOWN_TORQUE_STD_RATIO = 1e3
@@ -823,7 +822,7 @@ class GravityRegressor:
 
 _MAX_UNKNOWN_STEPS = 20
 """Upper bound of the Newton steps for a stand's own unknowns (base tilt and height, contact forces)
-in an evaluation. Chosen, not tuned: two steps are usually sufficient."""
+in an evaluation. Chosen, not tuned."""
 
 _UNKNOWN_CHI2_TOLERANCE = 1e-4
 """Upper bound of the change of chi2 between two Newton steps for the own unknowns of a stand, at

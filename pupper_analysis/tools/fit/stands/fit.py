@@ -183,9 +183,8 @@ def check_scale(
 ) -> Iterator[Diagnostic]:
     """Yield a failure if mean kp, total mass and load are jointly improbable, given the files.
 
-    Measured joint positions determine the ratio of kp to mass, and the weight on a scale determines
-    both. A wrong weight changes all parameters a little, so that no single parameter is far from
-    the stated value. The load is the force on the feet in excess of the weight of the masses.
+    A wrong weight on the scale changes many parameters a little, so that they are tested together.
+    The load is the force on the feet in excess of the weight of the masses.
 
     Args:
         robot: Robot.
@@ -785,7 +784,7 @@ servo. Chosen, not tuned."""
 
 _MAX_FRICTION_PASSES = 5
 """Upper bound of the number of repeated fits, in which the noise of friction follows from the dead
-band of the previous fit. Chosen, not tuned: two to four are usually sufficient.
+band of the previous fit. Chosen, not tuned.
 """
 
 

@@ -55,7 +55,7 @@ _MAX_STANDS = 1000
 """Upper bound of the number of planned stands. Chosen, not tuned: more than a day of work."""
 
 _CANDIDATES_PER_STAND = 6
-"""Requested number of random candidates per planned stand. More candidates hardly improve the plan.
+"""Requested number of random candidates per planned stand. Chosen, not tuned.
 """
 
 
@@ -377,7 +377,7 @@ def choose_stands(
 
 _MAX_EXCHANGE_ROUNDS = 5
 """Upper bound of the rounds in which each chosen stand may be exchanged for a more informative
-candidate. Chosen, not tuned: two or three rounds are usually sufficient."""
+candidate. Chosen, not tuned."""
 
 
 def _log_determinant(information: Array) -> float:
@@ -430,8 +430,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
 # Random stands that the servos hold in spite of uncertain parameters.
 
 _TRIES_PER_STAND = 8
-"""Upper bound of random stand tasks per requested stand. Chosen, not tuned: usually one of two to
-four tasks has a stand."""
+"""Upper bound of random stand tasks per requested stand. Chosen, not tuned."""
 
 _MAX_FAILED_TRIES = 24
 """Number of random stand tasks after which the search ends if none of the tasks gave a stand. Each
@@ -441,8 +440,8 @@ the range is 2 %: nearly the default stand. Chosen, not tuned.
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of the random values, after a refused and after an accepted stand. The range
-is at most 1. With these factors, about 47 % of the stands are accepted, for robots with large and
-with small workspaces. Chosen, not tuned.
+is at most 1. With these factors, about 47 % of the stands are accepted while the range is below 1.
+Chosen, not tuned.
 """
 
 _MAX_UTILISATION = 0.6
