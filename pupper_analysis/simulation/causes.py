@@ -141,9 +141,7 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     Chatter is reported if the standard deviation of the total vertical force on the feet exceeds 5
     % of the weight (`_MAX_FORCE_VARIATION`) over the last states (`_CHATTER_STATES`).
 
-    A possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
-    resolves the edges of the cone to a limited accuracy. Another cause is stiff ground, which
-    amplifies the error of each step.
+    A possible cause is a pyramidal friction cone with an ``impratio`` above 1.
 
     Args:
         robot: Robot.

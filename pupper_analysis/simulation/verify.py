@@ -160,9 +160,9 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     """Simulation of a stand compared with the prediction, with the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge (a small velocity of all
-    coordinates). Predictions are Pinocchio's, from the URDF. For a robot with a fixed base, heights
-    and tilts of the base are 0. The lift-off direction of a foot is upward, or the normal of the
-    foot's separate plane, such as a wall.
+    coordinates). Predictions are Pinocchio's. For a robot without a free base, heights and tilts of
+    the base are 0. The lift-off direction of a foot is upward, or the normal of the foot's separate
+    plane, such as a wall.
 
     Attributes:
         passed: Whether the stand is verified.
@@ -206,8 +206,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         mujoco_residual: Largest magnitude in g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
         stability: Growing modes and stability margin of the settled state; of the initial state if
-            the robot fell before the nudge; of a repeated, shorter simulation if the settled state
-            is not at rest.
+            the robot fell before the nudge; of a repeated simulation if the settled state is not at
+            rest.
         nudge: Response to the nudge; None if the robot was not nudged.
         time: (n,) times of the height samples (s).
         height: (n,) base heights at ``time`` (m).

@@ -296,8 +296,7 @@ def _check_planned_file(path: Path, robot: Robot, plan: Path) -> None:
 
 
 _PROPOSED_STANDS = 6
-"""Number of stands in the proposed command that plans stands. Chosen, not tuned: with fewer stands
-most parameters keep their prior standard deviation."""
+"""Number of stands in the proposed command that plans stands. Chosen, not tuned."""
 
 
 def _read_measurements(

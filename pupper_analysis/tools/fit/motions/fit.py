@@ -465,9 +465,8 @@ Chosen, not tuned.
 """
 
 _FINE_STEP_FACTOR = 4
-"""Factor on the number of simulation steps for predictions. The error of dry friction decreases
-quadratically with the step. Derivatives do not need this factor: they are accurate to about 1 %.
-Chosen, not tuned."""
+"""Factor on the number of simulation steps for predictions, compared with derivatives. Chosen, not
+tuned."""
 
 
 class MotionResiduals:

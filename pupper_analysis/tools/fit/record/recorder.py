@@ -46,8 +46,8 @@ from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 
 MAX_JOINT_SPEED = 0.5
-"""Upper bound of the commanded joint speed [rad/s, m/s] in ramps. With this speed, a robot moves
-from one stand of a plan to the next in about two seconds. Chosen, not tuned.
+"""Upper bound of the commanded joint speed [rad/s, m/s] in ramps. With this speed, Pupper v3 moves
+from one stand of a plan to the next in a few seconds. Chosen, not tuned.
 """
 
 _COMMAND_INTERVAL = 0.02
@@ -56,12 +56,12 @@ tuned."""
 
 _MAX_POSITION_AGE = 0.3
 """Largest accepted age of a measured position, and longest wait for such a position [s]. Older
-positions mean lost messages or a stopped controller. Chosen, not tuned.
+positions may be due to lost messages or a stopped controller. Chosen, not tuned.
 """
 
 _MAX_TRACKING_ERROR = 0.5
-"""Largest accepted difference [rad, m] between measured position and command. A larger difference
-means a servo without torque, and the recording ends. Chosen, not tuned.
+"""Largest accepted difference [rad, m] between measured position and command. With a larger
+difference, for example of a servo without torque, the recording ends. Chosen, not tuned.
 """
 
 _MIN_COMMANDED_TRAVEL = 0.25
@@ -77,9 +77,8 @@ tuned.
 """
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Lower bound of (measured travel / commanded travel) of a joint whose servo certainly works:
-gravity and other servos do not move a joint that far. If the servo fails later, the rows recorded
-since that time are withdrawn. Chosen, not tuned.
+"""Lower bound of (measured travel / commanded travel) of a joint whose servo counts as working. If
+the servo fails later, the rows recorded since that time are withdrawn. Chosen, not tuned.
 """
 
 _REST_RANGE = 1e-3
@@ -100,7 +99,7 @@ the mean of both readings.
 
 _RETURN_SECONDS = 2.0
 """Shortest duration [s] of the ramp back to the planned command after an approach (`LEAD_RATIOS`).
-The joints follow this slow ramp without oscillation. Chosen, not tuned.
+Chosen, not tuned.
 """
 
 _REST_TIMEOUT = 20.0

@@ -33,7 +33,7 @@ _SPIN_INTERVAL = 0.02
 
 _DISCOVERY_TIMEOUT = 5.0
 """Time limit [s] for opening the bridge: all joints have a position, and a node subscribes to the
-commands. ROS nodes on the same machine discover each other within 0.1 to 1 s. Chosen, not tuned.
+commands. Chosen, not tuned.
 """
 
 

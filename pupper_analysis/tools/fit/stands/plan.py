@@ -440,8 +440,7 @@ the range is 2 %: nearly the default stand. Chosen, not tuned.
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of the random values, after a refused and after an accepted stand. The range
-is at most 1. With these factors, about 47 % of the stands are accepted while the range is below 1.
-Chosen, not tuned.
+is at most 1. The range stays about constant if 47 % of the stands are accepted. Chosen, not tuned.
 """
 
 _MAX_UTILISATION = 0.6
@@ -469,8 +468,7 @@ _LIFTED_PROBABILITY = 0.4
 Chosen, not tuned."""
 
 _MAX_REQUIRED_CLEARANCE = 0.005
-"""Upper bound of the clearance [m] between links that planned stands require. Chosen, not tuned: an
-encoder offset of 3 deg displaces the knees of v3 by about this distance.
+"""Upper bound of the clearance [m] between links that planned stands require. Chosen, not tuned.
 """
 
 _CLEARANCE_FRACTION = 0.5
