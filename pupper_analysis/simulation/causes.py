@@ -45,8 +45,8 @@ of a loaded contact. Chosen, not tuned.
 
 _SOLVER_NOISE_RATIO = 0.2
 """Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge) of motion
-that counts as an error of the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's
-default settings, robots at rest move at 0.02 to 0.12 of the nudge without end.
+that counts as an error of the constraint solver. Chosen above the motion of some robots at rest
+with the solvers CG and PGS, 0.02 to 0.12 of the nudge.
 """
 
 

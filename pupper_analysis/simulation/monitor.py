@@ -393,8 +393,7 @@ changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of the weight.
 
 _EQUAL_SPEED_ATOL = 1e-5
 """Tolerance of velocities [m/s, rad/s] with which two states count as equal in `record_contacts`.
-Chosen: MuJoCo's default contact damps with 100 N per m/s and kg. For v3, a speed at the tolerance
-changes a contact force by 3 mN."""
+Chosen: for v3, a vertical base velocity at the tolerance changes a contact force by 0.4 mN."""
 
 LIGHT_FOOT_LOAD = 5e-3
 """Upper bound [1] of the ratio (load of a foot) / (load of all feet) with which the foot counts as

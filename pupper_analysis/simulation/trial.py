@@ -67,7 +67,7 @@ example 0.3 rad."""
 MAX_FOOT_SLIP = 5e-3
 """Upper bound of the displacement of a contact point after a nudge [m], perpendicular to the
 lift-off direction (`Stand.lift_directions`) and without creep. If the displacement is larger, the
-foot has slid. Chosen larger than the displacement of rolling feet, 1 mm."""
+foot has slid. Chosen larger than the displacement of rolling feet."""
 
 MAX_FOOT_LIFT = 2e-3
 """Upper bound of the rise of a contact point along the lift-off direction after a nudge [m]. If a

@@ -48,9 +48,8 @@ tuned.
 _MAX_SWAPPED_CORRELATION = -0.1
 """Upper bound of two correlations if commands and positions are swapped: of the servo error
 (command - position) with the changes of the position between samples, and with the changes of the
-command. A servo supplies the energy that friction dissipates, so a correlation is usually positive
-in correct columns. Measured in simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the
-columns are swapped.
+command. A servo supplies the energy that friction dissipates. Measured in simulated and public
+logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are swapped.
 """
 
 _OFFSET_ALLOWANCE = 0.1

@@ -449,8 +449,8 @@ values have, for example, 0.24 % (Pupper v3) and 0.56 % (Go1).
 
 _MIN_FRICTION_RATIO = 2e-3
 """Lower bound of plausible dry friction: mean over the joints, divided by weight times height.
-Smaller frictions are scaled up. Chosen above the ratios of 0.03 to 0.09 % in files of Spot,
-HyQReal2 and Pegasus that contain the 0.2 N m of Go1.
+Smaller frictions are scaled up. Chosen above the ratios in files that contain the 0.2 N m of Go1
+for larger robots: for example, 0.04 % for HyQReal2 and Pegasus.
 """
 
 _MAX_PULL_RATIO = 0.02
