@@ -181,8 +181,9 @@ def calms_after_base_nudges(
     """Return True if a robot stays in the stand after six base nudges, without lasting shaking.
 
     Each simulation starts in the stand, with feed-forward torques. The base has the velocity
-    `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. The simulations last at most 6
-    s (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no failure.
+    `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. The simulations last at most
+    about 6 s (`_MAX_BASE_NUDGE_TIME`). Shaking that has not ended by then, but decays, is no
+    failure.
 
     This test finds chatter that `comes_to_rest` may miss: the larger nudge may lift a sole.
 

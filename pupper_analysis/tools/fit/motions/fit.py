@@ -56,7 +56,7 @@ motion. Chosen, not tuned.
 _MAX_JOINT_NOISE_RATIO = 10.0
 """Largest accepted ratio of RMS position error to encoder noise of a single joint. If the ratio is
 larger, the fit fails. Measured: clock jitter of a tenth of the sampling interval gives a ratio of
-3. A joint that touches something, or with the column of another joint, gives hundreds.
+3.
 """
 
 
@@ -322,7 +322,7 @@ def _report_notes(
 _MIN_REPLAY_CORRELATION = 0.95
 """Correlation of the commands of two runs above which both count as the same motion. A held-out
 motion that repeats a fitted motion does not test the fit. Measured: at least 0.99 in repeated logs,
-and hardly 0.5 in other motions of the same joints.
+and about 0.5 or less in other motions of the same joints.
 """
 
 

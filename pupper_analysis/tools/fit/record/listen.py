@@ -51,7 +51,7 @@ class Listener(Protocol):
 
         The signals are ``observations``, ``actions``, and the following optional signals:
 
-        - ``positions``, ``velocities`` and ``targets``: in actuator order [rad, rad/s]
+        - ``positions``, ``velocities`` and ``targets``: in actuator order [rad, m], [rad/s, m/s]
         - ``commands``: forward and left velocity [m/s], turning rate [rad/s]
         - ``angular_velocity``: in the base frame [rad/s]
         - ``quaternion``: (w, x, y, z)
