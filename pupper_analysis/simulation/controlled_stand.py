@@ -117,8 +117,8 @@ stable gains. The smallest exponent is -p. See `MAX_FACTOR`."""
 
 MAX_FACTOR = 2.0**MAX_POWER
 """Largest factor [1] with which the gains are multiplied in the search for stable gains: 4096. The
-smallest factor is the inverse. Chosen larger than the range of the kp that the tools add to robots,
-5 to 2000 N m/rad."""
+smallest factor is the inverse. Chosen larger than the range of kp of common robots, for example 5
+to 2000 N m/rad."""
 
 FACTOR_TOLERANCE = 0.005
 """Relative tolerance [1] of the bisection for the largest stable factor on the gains of the linear
@@ -399,8 +399,8 @@ def find_largest_damping_factor(
 ) -> float:
     """Find the largest factor on the damping gains with which a controlled stand is stable.
 
-    The search starts at the tried power of 2 nearest to 1 with which the stand is stable, doubles
-    the factor until the stand is unstable, and bisects the last interval.
+    The largest factor of the first stable range above the stable power of 2 nearest to 1 is found
+    by bisection.
 
     Args:
         loop: Controlled stand.

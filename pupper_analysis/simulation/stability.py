@@ -235,8 +235,8 @@ def _find_modes(
     """Simulate a state for ``settle`` [s]; return the modes, also modes without light contacts.
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
-    Measured for Pupper v3 with 2 kg and one foot on a slope of 10 deg: the foot with 2e-4 of the
-    load hid a mode with a doubling time of 4.3 s. MuJoCo's simulation shows this mode after 12 s.
+    On Pupper v3 with 2 kg and one foot on a slope, such a foot hid a growing mode that MuJoCo's
+    simulation shows.
 
     Returns:
         Spectrum, and the state of the spectrum.

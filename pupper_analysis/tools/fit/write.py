@@ -166,9 +166,9 @@ def draw_samples(
     All parameters of a robot are drawn jointly. Independent draws would give robots that the
     measurements exclude: measurements determine, for example, the total mass, but hardly the
     distribution of the mass over the links. Robots with a very small mass or kp are rejected.
-    Masses are normally distributed: log-normal masses would bias the total mass (in a fit of v3
-    2.957 instead of 2.787 kg). A CoM deviation is divided by the drawn factor on the body's mass,
-    because gravity depends on mass times CoM position.
+    Masses are normally distributed: log-normal masses would bias the total mass. A CoM deviation is
+    divided by the drawn factor on the body's mass, because gravity depends on mass times CoM
+    position.
 
     Args:
         posterior: Distribution of the parameters.

@@ -516,9 +516,8 @@ class MotionResiduals:
 
         The measurements determine the ratios of parameters to kp, and the prior alone their common
         factor. The squared deviations z_i^2 from the stated values, in prior widths, favour small
-        factors. For v3, these squares shifted the factor by -7 %, at a standard deviation of 3 %.
-        The term -2 sum_i z_i^2 ln(kp / stated kp) removes the squares of parameters that the
-        measurements determine.
+        factors. The term -2 sum_i z_i^2 ln(kp / stated kp) removes the squares of parameters that
+        the measurements determine.
         """
         kp = np.maximum(moments, _MIN_KP_FRACTION * self.table.stated)[self._kp_columns]
         weights = self._square_deviations[self._scaled_columns]

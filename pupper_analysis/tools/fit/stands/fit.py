@@ -1098,8 +1098,7 @@ class LogCoordinates:
     Stands determine the ratio of kp to mass. With logarithms, a factor on all kp and masses and the
     inverse factor are equally probable. With normal priors, a robot with too small kp and masses
     would be more probable than a robot with too large ones. The reason: if twelve kp that differ by
-    a tenth are halved, the differences are halved as well. With such priors, the most probable
-    robot was 13 % too light.
+    a tenth are halved, the differences are halved as well.
 
     The coordinate is y = x0 + x0 log(x / x0), with the stated value x0. The coordinate has the
     parameter's unit, and agrees with x to first order about x0, so that the prior width is
