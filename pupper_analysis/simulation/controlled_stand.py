@@ -399,9 +399,6 @@ def find_largest_damping_factor(
 ) -> float:
     """Find the largest factor on the damping gains with which a controlled stand is stable.
 
-    The largest factor of the first stable range above the stable power of 2 nearest to 1 is found
-    by bisection.
-
     Args:
         loop: Controlled stand.
         kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
