@@ -580,7 +580,7 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def widen_format(form: str, values: Iterable[float]) -> str:
-    """Return a fixed-point format with at least two significant digits for the largest number.
+    """Return a fixed-point format with at least two significant digits for the largest magnitude.
 
     The format has the decimals of ``form``, such as ``"+.4f"``, or more, up to nine
     (`_MAX_DECIMALS`). Reason: torques of a robot of a few grams may be 1e-3 N m, and ``".2f"``
@@ -594,7 +594,7 @@ def widen_format(form: str, values: Iterable[float]) -> str:
 
 _MAX_DECIMALS = 9
 """Largest number of decimals of a fixed-point format with more digits for small values [1]. Chosen,
-not tuned: smaller torques than 1e-8 N m are rounding errors."""
+not tuned."""
 
 
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:

@@ -39,7 +39,7 @@ class Fix:
     """Change of a file that removes a finding.
 
     Attributes:
-        description: New values and the reason, in a single sentence.
+        description: New values and the reason.
         file: File to be changed.
         splices: Start byte, number of bytes and new text of each changed part.
     """
@@ -59,9 +59,9 @@ class Annotation:
 
     Attributes:
         level: ``error``, ``warning`` or ``notice``.
-        title: Name of the subject. ``kind``, file and title together identify the annotation. The
-            identity does not depend on the line or on numbers in the message.
-        message: A single sentence.
+        title: Name of the subject. In SARIF, ``kind``, file and title identify the finding in later
+            runs.
+        message: Text of the finding.
         place: ``file:line``, ``file:<element>``, ``file``, or None.
         rule: Identifier of the kind of finding; the title is used if empty.
         about: Short description of the rule; ``kind`` is used if empty.

@@ -56,8 +56,8 @@ character, GitHub does not convert these texts to a mention of a user or to a li
 def write_markdown(report: Report) -> str:
     """Convert a report to Markdown for a comment: the overview, then the documents.
 
-    With an overview, the tables and other blocks of the documents are omitted. A long text is
-    shortened to about `MAX_COMMENT_LENGTH` characters.
+    With an overview, the tables and other blocks of the documents are omitted. If the text is
+    longer than `MAX_COMMENT_LENGTH` characters, the overview and all blocks are omitted.
     """
     parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:

@@ -75,8 +75,7 @@ _MAX_PIXELS = 300_000_000
 """Largest number of pixels of all frames together: 0.9 GB in memory. Chosen, not tuned."""
 
 _DRAWING_TIMEOUT = 300.0
-"""Time [s] after which a drawing process is ended. A frame takes about 0.1 s without a graphics
-card. Chosen, not tuned.
+"""Time [s] after which a drawing process is ended. Chosen, not tuned.
 """
 
 _OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
@@ -419,8 +418,7 @@ def draw_views(
         cameras: Cameras, shape (n, 6): looked-at point [m], distance [m], azimuth and elevation
             [deg] in MuJoCo's convention.
         size: Width and height [pixel].
-        shadows: Whether to draw shadows and reflections. Without a graphics card, a frame then
-            takes six times as long.
+        shadows: Whether to draw shadows and reflections.
 
     Returns:
         Pixels, shape (n, height, width, 3).

@@ -31,8 +31,8 @@ _MAX_GRID_CELLS = 512
 `_simplify_mesh` reduces the mesh. Chosen, not tuned.
 """
 _MIN_MESH_FACES = 100
-"""Upper bound of the number of triangles at which a mesh is not simplified (`_simplify_mesh`).
-Chosen, not tuned."""
+"""Largest number of triangles of a mesh that is never simplified (`_simplify_mesh`). Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)

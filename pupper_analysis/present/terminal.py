@@ -45,8 +45,7 @@ MAX_SHORT_FINDINGS = 8
 tuned."""
 
 MAX_SHORT_NOTES = 4
-"""Largest number of lines of notes that the short view (without ``-v``) prints. Chosen, not
-tuned."""
+"""Largest number of notes that the short view (without ``-v``) prints. Chosen, not tuned."""
 
 _MIN_TERMINAL_WIDTH = 40
 """Smallest width [characters] for which text is laid out. On a narrower terminal this width is
@@ -118,8 +117,8 @@ def print_report(
         everything: Whether to print all documents in full, with details and all notes (option
             ``-v``).
         next_command: Command line to run after the report; empty for none.
-        hidden_notes: Number of notes on the robot that the caller does not print. A report with a
-            single document in the short view states the number; other reports ignore it.
+        hidden_notes: Number of notes on the robot that the caller does not print, for the count of
+            omitted notes below a single document.
     """
     several = bool(report.overview) and not everything
     single = len(report.documents) == 1
@@ -274,10 +273,10 @@ def print_table(out: Console, table: Table) -> None:
 
 
 def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = False) -> None:
-    """Print notes in the given order; each note is a line.
+    """Print notes in the given order.
 
-    Unless ``everything``, at most `MAX_SHORT_NOTES` lines are printed: the first notes, and the
-    number of omitted notes.
+    Unless ``everything``, of more than `MAX_SHORT_NOTES` notes only the first are printed, and the
+    number of the omitted notes.
     """
     shown = notes
     if not everything and len(notes) > MAX_SHORT_NOTES:

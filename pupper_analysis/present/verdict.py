@@ -151,7 +151,7 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 def _disagrees(verdict: Verdict) -> bool:
-    """Return True if a simulated robot stands, but not in the predicted equilibrium."""
+    """Return True if the verdict is that the robot stands, but not in the predicted equilibrium."""
     if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
         run = None if verdict.published is None else verdict.published.worst
         return run is not None and not run.collapses
@@ -522,7 +522,6 @@ _CAUSES = (
     "tendon-holds-it",
 )
 """Codes of statements that explain a bad verdict, and follow directly after its first statement.
-For example, a range in the file that limits motors precedes the overloaded motors.
 """
 
 _CAUSE_MESSAGES = {

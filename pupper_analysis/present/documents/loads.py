@@ -58,8 +58,7 @@ def limit_cell(limit: float, form: str = "g") -> doc.Cell:
 def mass_text(mass: float) -> doc.Words:
     """Format the largest payload mass [kg], rounded down to 0.01 kg, below 0.1 kg to two digits.
 
-    A mass that is rounded up might be too heavy for the robot. NaN is formatted as "unknown",
-    infinity as "no limit".
+    NaN is formatted as "unknown", infinity as "no limit".
     """
     if math.isnan(mass):
         return text("limit-unknown")
@@ -71,10 +70,7 @@ def mass_text(mass: float) -> doc.Words:
 
 
 def round_mass_down(mass: float) -> float:
-    """Round a payload mass [kg] down to two significant digits; the mass must be positive.
-
-    A robot that carries the mass also carries the rounded mass.
-    """
+    """Round a payload mass [kg] down to two significant digits; the mass must be positive."""
     step = 10.0 ** (math.floor(math.log10(mass)) - 1)
     return _floor(mass / step) * step
 

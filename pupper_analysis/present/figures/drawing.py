@@ -99,8 +99,7 @@ _LETTER_HEIGHT = 12.0
 """Font size of the plots in HTML reports [CSS pixels]."""
 
 _NUM_COLUMNS = 2
-"""Default of the largest number of panels in a row of a figure. Chosen: with three, the labels are
-illegible.
+"""Default of the largest number of panels in a row of a figure. Chosen, not tuned.
 """
 
 

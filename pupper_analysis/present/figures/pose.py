@@ -51,12 +51,12 @@ of the cells per side. Chosen, not tuned.
 """
 _MAX_BASE_FACES = 2500
 """Number of triangles of the base's meshes above which the vertices are merged in a coarser grid,
-as far as `_COARSEST_CELLS` permits. Chosen for speed: the silhouettes of 2000 triangles take 0.1 s,
-those of Go2's 78,000 triangles 5 s.
+as far as `_COARSEST_CELLS` permits. Chosen, not tuned: it bounds the computing time of the
+silhouettes.
 """
 _MIN_DETAIL = 1 / 80
 """Largest width of the gaps and needles that a silhouette of meshes omits, divided by the longer
-side of the silhouette [1]. Chosen, not tuned: the merging of vertices causes such gaps and needles.
+side of the silhouette [1]. Chosen, not tuned.
 """
 
 _NUM_GLOBE_POINTS = 200
@@ -130,7 +130,7 @@ class Skeleton:
             body.
         base: Geoms of the base, and of the bodies without joints on the base.
         has_visuals: True if ``base`` contains visual geoms (groups 0 to 2). False: the base has no
-            such geoms, and ``base`` contains its other geoms, usually collision geoms.
+            such geoms, and ``base`` contains its other geoms.
     """
 
     legs: dict[str, Array]
@@ -240,8 +240,7 @@ _PROJECTIONS = (
 """Projection matrix and title of each panel. Seen from above, +x is up and +y is left."""
 
 _CAPTION_LETTERS, _MAX_CAPTION_ROWS = 110, 6
-"""Largest numbers of characters in a row of the caption, and of rows. Chosen: 120 characters may be
-wider than the figure, and six rows leave about half of the height to the panels."""
+"""Largest numbers of characters in a row of the caption, and of rows. Chosen, not tuned."""
 _TITLE_LETTERS, _TITLE_ROW_HEIGHT = 80, 0.045
 """Largest number of characters in a row of the title, and height of a row relative to the figure
 [1]. Chosen for the bold font of the title."""

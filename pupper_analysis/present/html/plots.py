@@ -41,7 +41,7 @@ top and bottom."""
 
 MAX_LINE_POINTS = 160
 """Largest number of points of a line, in addition to the marked point. This is one point per four
-pixels of the plot's width, about the accuracy of a mouse pointer. Chosen, not tuned.
+pixels of the plot's width. Chosen, not tuned.
 """
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28

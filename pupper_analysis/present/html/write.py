@@ -68,13 +68,12 @@ if TYPE_CHECKING:
     import jinja2
 
 MAX_FACES = 12_000
-"""Approximate upper bound of the triangles of all meshes of a robot. The triangles need about 150
-kB of the file, so that a report of six robots is below 3 MB.
+"""Approximate upper bound of the number of triangles of all meshes of a robot, which limits the
+size of the file. Chosen, not tuned.
 """
 
 MAX_FRAMES = 80
-"""Largest number of configurations of a motion, about the resolution of the slider. Chosen, not
-tuned."""
+"""Largest number of configurations of a motion. Chosen, not tuned."""
 
 
 @singledispatch
