@@ -131,10 +131,10 @@ class FootJacobian(Result):
     Attributes:
         foot: Foot with the contact point.
         joints: Joints of the leg.
-        matrix: Velocity of the contact sphere's centre per joint velocity, shape (3, n) (m/rad), in
-            world axes.
+        matrix: Velocity of the contact sphere's centre per joint velocity, shape (3, n) (m/rad, or
+            m/m for a slide), in world axes.
         singular_values: Singular values of the matrix, shape (min(3, n),), in descending order
-            (m/rad).
+            (m/rad and m/m mixed).
         condition: Ratio of the largest to the smallest singular value: 1 if the Jacobian is
             isotropic, infinity if it is singular or the leg has no joints.
     """
@@ -165,8 +165,7 @@ class Analysis(Result):
         joints: Summary of each joint, in actuator order.
         notes: Assumptions on loading.
         stand: Stand on MuJoCo's soft ground, with the penetration of the feet in ``depths``. It is
-            the stand on rigid ground in two cases: the stand on soft ground is out of reach, or the
-            depths of a robot with closed loops do not converge.
+            the stand on rigid ground, for example, if the stand on soft ground is out of reach.
         statics: Torques and contact forces of the stand, with minimum tangential forces.
         min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
         hanging_torques: Motor torques in the same configuration if the base is held and the feet
@@ -324,8 +323,8 @@ def _list_link_masses(robot: Robot) -> dict[str, float]:
 
 
 _MAX_LEG_JOINTS = 3
-"""Largest number of joints of a leg whose last joint counts as the knee. Chosen, not tuned: legs
-with more joints, such as those of bipeds, have ankles."""
+"""Largest number of joints of a leg whose last joint counts as the knee. Chosen, not tuned: longer
+legs may have ankles."""
 
 
 def measure_leg_lengths(robot: Robot) -> tuple[float | None, float | None]:

@@ -36,14 +36,12 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 NUM_COLUMNS = 2
-"""Largest number of panels in a row of a figure. With three panels, the labels are illegible at the
-width of a printed page.
+"""Largest number of panels in a row of a figure. Chosen, not tuned.
 """
 
 MIN_SHOWN_DEVIATION = 1e-4
 """Height deviation [mm] at the lower end of the colour scale of the heat maps. All smaller
-deviations have the same colour, since a tenth of a micrometre is far below the resolution of a
-robot's sensors. Chosen, not tuned.
+deviations have the same colour. Chosen, not tuned.
 """
 
 MIN_SHOWN_LOSS = 0.1
@@ -283,8 +281,8 @@ def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
 
 
 _LETTER_WIDTH = 0.72
-"""Assumed mean width of a character in the names of the feet, in parts of the font size. Chosen:
-capitals of DejaVu Sans in bold have 0.75."""
+"""Assumed mean width of a character in the names of the feet, in parts of the font size. Chosen,
+not tuned."""
 
 
 def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:

@@ -530,7 +530,7 @@ def _get_verdict_key(verified: bool, stands_without: bool) -> str:
 
 
 def _compute_ratio(length: float | None, reference: float | None) -> float | None:
-    """Return ``length`` / ``reference``; None if a value is None, or the reference is zero."""
+    """Return a length or mass divided by the reference; None if a value is unknown, for example."""
     return length / reference if length is not None and reference else None
 
 

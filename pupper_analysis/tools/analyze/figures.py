@@ -79,7 +79,7 @@ class Tile:
 
     Attributes:
         robot: Robot.
-        qpos: Configuration in MuJoCo's coordinates, shape (nq,).
+        qpos: Configuration, shape (nq,), with the joints in actuator order.
         lines: Skeleton in this configuration.
         ground: Corners of the drawn piece of ground, shape (4, 3) [m], in the world frame.
         left: Left edge of the tile in the picture [pixels].
@@ -126,8 +126,9 @@ def project_points(points: Array) -> Array:
 def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
     """Assign a tile of the picture to each robot, in rows, all at the same scale.
 
-    ``poses`` contains pairs of a robot and its configuration in MuJoCo's coordinates, shape (nq,).
-    ``width`` is that of the picture [pixels], ``columns`` the number of tiles in a row.
+    ``poses`` contains pairs of a robot and its configuration, shape (nq,), with the joints in
+    actuator order. ``width`` is that of the picture [pixels], ``columns`` the number of tiles in a
+    row.
     """
     lines = [compute_skeleton(robot, qpos) for robot, qpos in poses]
     grounds = []
