@@ -42,7 +42,7 @@ class BestStance(Result):
             of the base from the centre of the displaced feet; roll, pitch, yaw; displacement
             (``FR x``, ``FR y`` ...) of each free foot from the position in the initial task.
         bounds: Lower and upper bound of each coordinate in the search [m or rad].
-        evaluations: Number of evaluated stances.
+        evaluations: Number of stances that the search tried.
     """
 
     objective: Objective
@@ -93,8 +93,7 @@ def best_stance(
 
     For a payload, the search uses the first-order limit of `SmallPayload`; then `payload_limit`
     computes the limit. Buckling matters, because almost stretched legs need little torque but
-    buckle: on Pupper v3, the stance with the lowest utilisation carries about half the payload of
-    the nominal stand.
+    buckle.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.

