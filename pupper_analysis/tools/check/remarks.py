@@ -303,8 +303,7 @@ _HEADER_LINES: Final = _HEADER_TEXT.splitlines()
 
 _VALUE_RTOL: Final = 1e-6
 """Largest relative difference of two numbers with which a finding has the same value as in the
-baseline. `values_agree` defines the divisor. Values have 9 digits; rotated angles and inertias
-agree to about 12 digits on different machines."""
+baseline. `values_agree` defines the divisor. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
