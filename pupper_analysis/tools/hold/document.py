@@ -148,7 +148,7 @@ def _format_payload_limit(payload: float) -> doc.Words:
 
 
 def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
-    """Yield a line with the posture, its most utilised motor (if known), and the payload [kg]."""
+    """Yield a line with the posture, its most utilised motor (if known), and the payload limit."""
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(
@@ -375,7 +375,8 @@ def describe_hardest_motor(
 ) -> Iterable[doc.Words]:
     """Yield the text of the motor with the largest torque relative to its limit, if known.
 
-    ``limits`` contains the effort limits, shape (nu,) [N m, or N for a slide].
+    Nothing is yielded if a limit is zero. ``limits`` contains the effort limits, shape (nu,) [N m,
+    or N for a slide].
     """
     shares = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(shares)

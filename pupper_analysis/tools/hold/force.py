@@ -3,8 +3,8 @@
 The motors withstand an external force f on the tool if ``|l - J^T f| <= limits``. l is the static
 load, J the Jacobian of the tool, shape (3, nu), and ``limits`` are the effort limits. If the robot
 has loops or couplings, l and J^T f are the loads that these transfer to the motors. These forces
-form a convex polytope (`statics.polytope`). Each face is the limit of a single motor. `tool_force`
-returns the extent along the world axes, in three plane sections, and in the weakest direction.
+form a convex polytope (`statics.polytope`), which may be unbounded. `tool_force` returns the extent
+along the world axes, in three plane sections, and in the weakest direction.
 """
 
 from __future__ import annotations

@@ -118,8 +118,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
 
 _MAX_PAYLOAD_ROUNDS = 6
 """Maximum number of iterations of the payload limit over all postures. Each iteration searches the
-worst postures with a smaller payload. The number bounds the computing time; two or three iterations
-mostly suffice. Chosen, not tuned.
+worst postures with a smaller payload. The number bounds the computing time. Chosen, not tuned.
 """
 
 _PAYLOAD_RTOL = 1e-4
@@ -142,8 +141,8 @@ class ToolPayload(Result):
     Attributes:
         mass: Largest mass that the motors hold in the posture (kg). 0 if the static load alone
             exceeds a limit, or if a motor that may bear the mass has a limit of zero. Otherwise,
-            NaN if a motor that bears the mass has an unknown limit. Infinite if no motor bears the
-            mass.
+            NaN if a motor that bears the mass has an unknown limit. Infinite, for example, if no
+            motor bears the mass.
         joint: Joint of the motor that limits the mass in the posture; "" if this mass is infinite
             or NaN.
         servos: Largest mass that the servos hold in the posture if effort limits are ignored (kg).

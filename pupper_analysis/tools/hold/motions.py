@@ -1,8 +1,8 @@
 """Motions of a robot with a fixed base with closed loops and joint couplings.
 
 `JointMotions` defines a motion per independent joint. With a linear coupling, the dependent joints
-move in proportion to the independent joint. In a loop, they move so that the loop stays closed
-(Newton iterations). Searches over postures and samples of random postures use these motions.
+move in proportion to the independent joint. In a loop, they move so that the loop stays closed.
+Searches over postures and samples of random postures use these motions.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ all dependent joints move in proportion. Chosen, not tuned.
 
 _NUM_LOOP_SAMPLES = 25
 """Number of positions of an independent joint at which a loop is closed, if the loop has one
-independent joint. The number bounds the computing time: closing a loop takes about 15 ms. Chosen,
-not tuned.
+independent joint. The number bounds the computing time. Chosen, not tuned.
 """
 
 _NUM_COMBINED_SAMPLES = 9

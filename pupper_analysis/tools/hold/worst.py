@@ -33,8 +33,8 @@ from pupper_analysis.statics.equilibrium import compute_utilisation
 from pupper_analysis.tools.hold.motions import JointMotions
 
 _NUM_AGREEING_SEARCHES = 3
-"""Number of searches from different postures that must end at the same largest torque of a motor.
-No further search starts after that. Chosen, not tuned.
+"""Number of agreeing searches after which no search from a further start posture follows: they end
+at the same largest torque of a motor in a direction. Chosen, not tuned.
 """
 
 _SAME_TORQUE_RTOL = 1e-9
@@ -42,8 +42,8 @@ _SAME_TORQUE_RTOL = 1e-9
 maximum. Chosen, not tuned."""
 
 _MAX_SWEEPS = 30
-"""Maximum number of sweeps of a search; in a sweep, each joint is moved to the largest torque in
-turn. Chosen, not tuned."""
+"""Maximum number of sweeps of a search; in a sweep, one joint after another is moved to the largest
+torque. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
 """Relative increase of the torque in a sweep over all joints [1] at or below which a search for the
@@ -58,8 +58,8 @@ that an error of x changes it by 1e-12 A / 2.
 """
 
 _UNDEFINED_TORQUE = 1e300
-"""Value larger than any torque [N m, N]. If a loop cannot be closed in a posture, or is singular,
-the torque is the negative of this value, so that the search avoids the posture."""
+"""Value larger than any torque [N m, N]. In a search, its negative replaces the torque in a posture
+in which a loop cannot be closed, or is singular, so that the search avoids the posture."""
 
 _MIN_LOAD_FRACTION = 1e-12
 """Smallest motor torque per load of a joint [1, m or 1/m] with which the motor bears the load. A
@@ -274,8 +274,8 @@ def _find_last_defined(function: Callable[[float], float], start: float, end: fl
 
 
 _NUM_RANDOM_STARTS = 12
-"""Number of random start postures of the searches of a motor, besides the given posture. Chosen,
-not tuned."""
+"""Largest number of random start postures of the searches of a motor in a direction, besides the
+`_NUM_POOL_STARTS` selected ones. Chosen, not tuned."""
 
 _NUM_POOL_POSTURES = 500
 """Number of random postures from which start postures are selected, if a robot has closed loops
@@ -304,7 +304,7 @@ class WorstPostures(Tabular):
         limits: (nu,) effort limits (N m or N); infinite if the limit is unknown.
         utilisation: (nu,) |torque| / limit. 0 without torque. If there is a torque, NaN for an
             unknown limit; infinite for a limit of zero if the torque is above rounding.
-        endless: Reason for unbounded torques; None if all are bounded.
+        endless: Reason why torques may be unbounded; None without such a reason.
     """
 
     joint_names: tuple[str, ...]
@@ -398,7 +398,7 @@ def worst_postures(
 def _explain_unbounded_torque(
     robot: Robot, motions: JointMotions, stiffness: Array
 ) -> Diagnostic | None:
-    """Return the reason for unbounded torques; None if all torques are bounded.
+    """Return a reason why torques may be unbounded; None without such a reason.
 
     ``stiffness`` is the spring stiffness of each joint, shape (nu,) [N m/rad, N/m].
     """
