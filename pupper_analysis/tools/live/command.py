@@ -280,7 +280,7 @@ def restore_garbage_collection() -> None:
     """Set the thresholds `PYTHON_THRESHOLDS` of garbage collection, and exempt all present objects.
 
     Commands postpone collections because commands end soon (``cli.GC_THRESHOLDS``). A page runs for
-    hours, and the PlaCo robots are in reference cycles: 60 KB per action were not released.
+    hours, and the PlaCo robots are in reference cycles.
     """
     gc.collect()
     gc.freeze()  # loaded objects are permanent: exclude them from collections

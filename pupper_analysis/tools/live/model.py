@@ -107,7 +107,7 @@ class PageSolver:
 def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
     """Return an error that explains why a stance is out of reach, with the nearest stance if found.
 
-    Takes a second or more. None if the stance is reachable.
+    None if the stance is reachable.
     """
     assert answer.robot is not None
     try:
@@ -136,7 +136,7 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
     """Predict the verdict of a stance without simulation; None without a stand in balance.
 
-    ``closely`` includes the stability of the linearised dynamics, which takes about 0.1 s.
+    ``closely`` includes the stability of the linearised dynamics, if the robot has servos.
     """
     if answer.robot is None or answer.statics is None:
         return None

@@ -50,7 +50,7 @@ _COMMAND_AXES = ("forward", "left", "turning")
 
 PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
               "right": (0.0, -1.0)}  # fmt: skip
-"""Direction of each push (x, y) in the world frame. The robot starts facing along x."""
+"""Direction of each push (x, y) in the world frame, named for a robot that faces along x."""
 
 
 class WalkSession:
@@ -200,7 +200,7 @@ def walking_document(
 ) -> doc.Document:
     """Create the report of the latest walking: actual and commanded speeds, motor torques.
 
-    ``window`` contains at most the last second, ``duration`` is the simulated time since the start
+    ``window`` contains about the last second, ``duration`` is the simulated time since the start
     [s].
     """
     tracking, torques = (

@@ -83,8 +83,7 @@ class Drop:
 def simulate_drop(robot: Robot) -> Drop:
     """Simulate a drop with the servos at the joint positions of the start pose (``Robot.home``).
 
-    The simulation lasts `DROP_SECONDS`, and starts in the state of `make_home_data` (v3: 0.28 m
-    high).
+    The simulation lasts `DROP_SECONDS`, and starts in the state of `make_home_data`.
     """
     data = make_home_data(robot)
     model = robot.mj_model
