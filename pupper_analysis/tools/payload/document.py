@@ -145,7 +145,7 @@ def _describe_conditions(limit: PayloadLimit) -> doc.Text:
 def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
     """Return the text of the failure that limits the payload, and of a larger bound.
 
-    None if the limit is unknown.
+    None if the payload depends on unknown torque limits.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None

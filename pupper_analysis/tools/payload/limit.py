@@ -131,20 +131,21 @@ nudges. Chosen, not tuned.
 """
 
 FAILING_RATIO = 1.03
-"""Ratio [1] of the first simulated payload to the payload bound of the servos. If the robot holds
-this payload in simulation, the bound was too small and is raised. Chosen, not tuned.
+"""Ratio [1] of the payload that `_raise_servo_bound` simulates first to the payload bound of the
+servos. If the robot holds this payload in simulation, the bound was too small and is raised.
+Chosen, not tuned.
 """
 
 SIMULATION_RTOL = 0.02
 """Relative tolerance [1] of the bisections in which simulations decide whether a payload holds;
-also the relative distance from the servo bound to the first larger mass that is simulated. Chosen,
-not tuned.
+also the relative distance from the servo bound to a larger mass at which `_confirm_servo_bound`
+evaluates the stability. Chosen, not tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
-``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it; ``BOUND_RTOL``
-applies to the other bounds. Chosen, not tuned.
+``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it. `SIMULATION_RTOL`
+applies to bounds that simulations correct. Chosen, not tuned.
 """
 
 _FIRST_DISTANCE_RATIO = 0.98
@@ -349,7 +350,7 @@ def payload_limit(
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         commands_alone: Whether to compute also ``mass_by_commands_alone``, the payload without
-            feed-forward torques, if this is smaller. Requires about seven more simulations.
+            feed-forward torques, if this is smaller. Requires further simulations.
 
     Returns:
         The limit with bounds and assumptions.
