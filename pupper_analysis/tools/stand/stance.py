@@ -66,8 +66,7 @@ class Stance(Tabular):
         limit_origins: (nu,) origin of each limit: statement in a file, or request; None without a
             limit.
         stand: Stand to which all other results refer, on MuJoCo's soft ground. The ground is rigid,
-            with ``depths`` of 0, if the legs are too short, or if the depths of soft loops do not
-            converge.
+            with ``depths`` of 0, for example, if the legs are too short for soft ground.
         statics: Motor torques and contact forces with minimum tangential forces.
         min_max_torque: Motor torques and contact forces with the smallest peak motor utilisation.
         verification: Simulation with feed-forward.
@@ -178,7 +177,7 @@ def study_stance(
         stance: Stand task, or a stand that satisfies a task on rigid ground.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); default: values of the model.
-        stiffness: Also compute the minimum stiffness of the servos (a second or two).
+        stiffness: Also compute the minimum stiffness of the servos.
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
@@ -197,8 +196,7 @@ def study_stance(
 class SimulatedStance:
     """Stance with simulations and verdict, without bounds of the servo gains.
 
-    A search that tries several stances completes only the stance that it returns: for a stance that
-    fails, the bounds take most of the time of `study_stance`.
+    A search that tries several stances completes only the stance that it returns, to save time.
 
     Attributes:
         robot: Robot, with the contacts of the stand.
@@ -232,7 +230,7 @@ class SimulatedStance:
     def complete(self, *, stiffness: bool = False) -> Stance:
         """Create the complete result: add, for example, bounds of servo gains and forces of hands.
 
-        ``stiffness`` adds the minimum stiffness of the servos, which takes a second or two.
+        ``stiffness`` adds the minimum stiffness of the servos.
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stance.
