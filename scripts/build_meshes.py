@@ -47,7 +47,7 @@ class BoltCircle(NamedTuple):
     """Bolt holes in the face of a motor, around a shallow recess.
 
     Attributes:
-        number: How many bolts.
+        number: Number of bolts.
         circle: Radius of the circle on which their axes lie [m].
         recess: Radius of the recess, 0 for none [m].
     """
@@ -382,8 +382,8 @@ def rounded_bar(path: ArrayLike, across: np.ndarray) -> Trimesh:
     """Return a bar with round edges along a chain of points.
 
     Args:
-        path: A row (x, y, z, radius, half width) per point of the bar's middle [m]: the radius
-            is that of the edges, the half width is measured from edge to edge without it.
+        path: A row (x, y, z, radius, half width) per point of the bar's middle [m]: ``radius`` is
+            that of the edges, and the half width excludes this radius.
         across: Unit vector of the width.
     """
     middle, radius, half_width = np.split(np.asarray(path, dtype=float), [3, 4], axis=1)
