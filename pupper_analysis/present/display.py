@@ -13,7 +13,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 
 
 class DisplayError(PupperAnalysisError):
-    """No window can be opened or no picture drawn here; the message states the alternative."""
+    """No window can be opened, or no picture can be drawn."""
 
 
 def check_display() -> None:

@@ -500,7 +500,7 @@ class NextStep:
 class Document:
     """Content of a result to show: verdict, findings, tables, plots and notes.
 
-    The first three lines of a printed document are the answer:
+    The first three lines of a document in the short view are the answer:
 
     - Line 1 is the verdict with the requested number: the first failure or finding.
     - Line 2 is the limit or the cause: the second failure or finding.

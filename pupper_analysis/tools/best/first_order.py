@@ -2,9 +2,9 @@
 
 `SmallPayload.compute_rows` returns linear constraints on the payload mass, `largest_feasible_mass`
 the largest mass that satisfies the constraints. Torques and contact forces are extrapolated from
-two equilibria; the buckling masses follow from eigenvalues of the stiffness. The limit takes some
-milliseconds. It is used only as the objective of the search for the best stance; `payload_limit`
-computes the limit by simulation.
+two equilibria; the buckling masses follow from eigenvalues of the stiffness. The limit is used only
+as the objective of the search for the best stance; `payload_limit` computes the limit by
+simulation.
 """
 
 from __future__ import annotations

@@ -215,8 +215,8 @@ class GainStudy(Result):
         sag_failure: Reason why the robot does not stand with the present stiffness if there is no
             feed-forward. None if the robot stands, or if the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
-        damping_ratio: Smallest damping ratio of an oscillation at the present gains; 1 without an
-            oscillation, negative if an oscillation grows.
+        damping_ratio: Smallest damping ratio of the lasting oscillations at the present gains; 1
+            without oscillation, negative if an oscillation grows.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
         curve_dampings: Largest stable factor on the damping for each of ``curve_factors``, shape
             (n,); infinite without a bound, not a number if no tried damping is stable.

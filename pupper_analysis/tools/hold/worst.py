@@ -342,8 +342,7 @@ def worst_postures(
     alone, the torque over the angle q of an uncoupled hinge is a + b cos q + c sin q + k q, with a
     maximum in closed form. Searches start from ``posture`` and from random postures.
 
-    The result is not proven to be the global maximum. For seven arms and hands it was compared with
-    20,000 random postures each: no posture required a larger torque.
+    The result is not proven to be the global maximum.
 
     Args:
         robot: Robot with a fixed base.
