@@ -120,11 +120,7 @@ def sweep_gains(
     """Simulate a stand under a vertical force on the base, for each pair of kp and kd.
 
     The servos are commanded to the joint positions of the stand, without feed-forward. The force is
-    amplitude sin(2 pi frequency t). The default integrator treats kd implicitly; the Euler
-    integrator oscillates at high kd.
-
-    The result does not name a best pair. The base moves less with stiffer servos, but the
-    simulation has no delay and no noise, which limit the stiffness on a real robot.
+    amplitude sin(2 pi frequency t).
 
     Args:
         robot: Robot.
@@ -146,8 +142,6 @@ def sweep_gains(
             to another robot.
         ModelError: If a joint has no motor, or no position servo while kp and kd are not both
             passed, or if the ground cannot be added, for example.
-        StaticsInfeasibleError: If no contact forces balance the stand.
-        UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
     robot = with_stand_contacts(robot, stand)
     check_duration(duration)

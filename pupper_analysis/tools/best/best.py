@@ -254,14 +254,6 @@ def study_best(
     Raises:
         StanceUnreachableError: If the initial task is out of reach.
         StaticsInfeasibleError: If no contact forces balance the initial task.
-        ConfigurationError: If the task or another argument is invalid for the robot.
-        UnknownNameError: If the robot has no frame with the name in ``point``, or no foot, joint or
-            contact that the task names.
-        NotSettlingError: If the penetration depths of the feet do not converge.
-        ModelError: If the robot has no position servos while kp and kd are not both given, for
-            example.
-        NoEquilibriumError: If the objective is the payload, and the servos do not hold the initial
-            task.
     """
     search = _run_search(robot, objective, task, point, kp)
     best = _make_best_stance(search, search.best, point, kp, kd)

@@ -256,8 +256,6 @@ class StanceSearch:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
                 stand without payload.
             StaticsInfeasibleError: If no contact forces balance the stand, for example.
-            ConfigurationError: If a closed loop of the robot is open or singular in the stand, for
-                example.
         """
         slack = self.space.compute_slack(stand)
         scaled_objective, rows = self._compute_scaled_objective(stand, slack)

@@ -314,15 +314,10 @@ def study_gains(
             velocities are computed from differences of the readings. Default: no such bound.
 
     Raises:
-        StanceUnreachableError: If the stance is out of reach.
-        StaticsInfeasibleError: If no contact forces balance the stance.
-        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
-            converge.
         ConfigurationError: If an argument is out of range or invalid for the robot, or no tried
             gains are stable.
         ModelError: If a joint has no position servo while kp and kd are not both given, or the
             torque limit of a motor is smaller than the torque of the stand, for example.
-        UnknownNameError: If the task contains an unknown foot, joint or contact.
     """
     _check_resolution(error, encoder_bits)
     robot, stand = resolve_stance(robot, stance)

@@ -101,15 +101,8 @@ def simulate_payload(
         The outcome of the simulations.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the robot cannot stand.
-        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
-            given, or if the loaded model cannot be built, for example.
-        UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
-            robot does not have.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
-        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
-            converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
     trial = simulate_nudges(

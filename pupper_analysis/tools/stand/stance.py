@@ -182,12 +182,6 @@ def study_stance(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: the robot slides or tips.
-        NotSettlingError: If the penetration depths of a robot without loops and couplings do not
-            converge.
-        ConfigurationError: If the task, or another argument, is not valid for the robot.
-        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground or a contact cannot be added, for example.
-        UnknownNameError: If the task names a foot, joint or contact that the robot does not have.
     """
     return simulate_stance(robot, stance, kp=kp, kd=kd).complete(stiffness=stiffness)
 
