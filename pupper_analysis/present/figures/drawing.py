@@ -28,9 +28,9 @@ from pupper_analysis.present.document import Plot, Words, get_english
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
 FIGURE_DPI = 180
-"""Resolution of figures [pixels per inch]. Chosen, not tuned."""
+"""Resolution of figures in PNG files [pixels per inch]. Chosen, not tuned."""
 FONT_SIZE = 8
-"""Font size of figures [pt]. Chosen, not tuned."""
+"""Base font size of figures [pt]. Chosen, not tuned."""
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 BLUE_COLOUR = "#0072B2"
@@ -46,7 +46,7 @@ SKY_BLUE_COLOUR = "#56B4E9"
 BLACK_COLOUR = "#000000"
 """Black of Okabe and Ito's palette for colour-blind readers."""
 GREY_COLOUR = "#6B7280"
-"""Grey of axes, and of marks without another colour."""
+"""Grey of axes, and of lines without another colour."""
 
 GRID_COLOUR = "#E3E6EB"
 """Colour of grid lines."""
@@ -58,7 +58,7 @@ SERIES_COLOURS = (
     SKY_BLUE_COLOUR,
     BLACK_COLOUR,
 )
-"""Colours of the lines of a plot, in plotting order."""
+"""Colours of series, such as the lines of a plot or the legs of a robot, in plotting order."""
 
 _TITLE_PLACE = 0.006
 """Left end of the title of a figure [1], relative to the width of the figure. Chosen, not tuned."""
