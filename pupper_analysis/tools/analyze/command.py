@@ -83,8 +83,8 @@ def command(
     default all six), a URDF, an MJCF, or both: the URDF and then the MJCF. Define other
     variants with --base, --leg-scale and --torso-mass-scale.
 
-    The output is a verdict and two lines per robot, and a table that compares the robots. With -v,
-    everything is printed: the joints and their directions of rotation, masses and CoM, the
+    The output is a verdict and two lines per robot, and a table that compares several robots. With
+    -v, everything is printed: the joints and their directions of rotation, masses and CoM, the
     stand (PlaCo), foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand
     and the gain sweep (MuJoCo), and the cross-check of URDF and MJCF.
 

@@ -539,7 +539,7 @@ def _draw_latin_hypercube(size: int) -> Array:
     """Draw Latin hypercube samples in [0, 1), shape (`_SAMPLE_COUNT`, size), from a fixed seed.
 
     McKay, Beckman and Conover, "A comparison of three methods for selecting values of input
-    variables", 1979. SciPy's samplers are as good, but slow to import.
+    variables", 1979. SciPy's samplers are slow to import.
     """
     generator = np.random.default_rng(0)
     layers = np.array([generator.permutation(_SAMPLE_COUNT) for _ in range(size)]).T

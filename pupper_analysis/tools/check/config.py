@@ -378,7 +378,7 @@ class _ConfigReader:
         )
 
     def resolve_file(self, key: str, text: str) -> Path:
-        """Return the path of an existing file or folder that the configuration names.
+        """Convert a file name in the configuration to a path, and check that the file exists.
 
         Relative paths refer to the folder of the configuration. If ``key`` is the name of a tool,
         ``text`` may also be a folder, or ``FILE:NAME``.

@@ -63,8 +63,7 @@ def import_viser() -> Any:
 def find_free_port(host: str, port: int | None) -> int:
     """Return a port on which a server can listen: ``port``, or any free port for None and 0.
 
-    The check is necessary: viser would use the next port if the port is taken, and would wait
-    indefinitely for an unknown host.
+    The check is necessary, because viser would use another port if the port is taken.
 
     Raises:
         ConfigurationError: If the port is taken or not valid, or the host is not an address of this
