@@ -57,7 +57,8 @@ def write_markdown(report: Report) -> str:
     """Convert a report to Markdown for a comment: the overview, then the documents.
 
     With an overview, the tables and other blocks of the documents are omitted. If the text is
-    longer than `MAX_COMMENT_LENGTH` characters, the overview and all blocks are omitted.
+    longer than `MAX_COMMENT_LENGTH` characters, the overview and all blocks are omitted, and the
+    rest is cut if necessary.
     """
     parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:

@@ -75,8 +75,8 @@ def command(
     largest force at the tool that the motors withstand, each way.
 
     Joints not named by --joints have the position in a keyframe of the MJCF, or else the middle of
-    their range (0 without limits). Missing servos are added, which a note
-    reports, unless --as-is is given.
+    their range (0 without limits). Missing servos are added, which a note reports, unless --as-is
+    is given.
 
     \b
     Examples:
