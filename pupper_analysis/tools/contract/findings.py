@@ -409,6 +409,11 @@ def _compare_joint_quantity(
         yield from _group_by_values(quantity, kind, differing, is_range_difference)
 
 
+def _format_first_number(number: float, unit: str) -> str:
+    """Format the first of two numbers [``unit``]; without the unit, unless it is an angle."""
+    return format(Quantity(number, unit), "stated:.5g" if "rad" in unit.split() else ":.5g")
+
+
 def _group_by_values(
     quantity: str, kind: QuantityKind, differing: dict[str, FactPair], is_range_difference: bool
 ) -> Iterator[Disagreement]:
@@ -457,7 +462,7 @@ def _group_by_values(
             more=len(members) - 1 or None,
             one=Quantity(first_fact.number, kind.unit),
             two=Quantity(second_fact.number, kind.unit),
-            angle="rad" in kind.unit.split() or None,
+            shown=_format_first_number(first_fact.number, kind.unit),
             first=first_fact.source,
             second=second_fact.source,
             sign=mistake == "sign" or None,

@@ -399,6 +399,11 @@ def _add_loop_constraint(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> No
         equality.data[:3] = edge.frames[0].position
 
 
+def _list_bodies_by_origin(model: UsdModel, *origins: MassOrigin) -> list[str]:
+    """Return the names of the bodies whose mass properties have one of the origins."""
+    return [name for name, body_mass in model.body_masses.items() if body_mass.origin in origins]
+
+
 def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
     """Yield a note on the bodies of a USD file that have neither a mass nor collision shapes.
 
@@ -406,16 +411,13 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
         ModelError: If another body lacks a stated mass, CoM or inertia: engines may derive the
             missing property from shapes.
     """
-    for code, origins in (
-        ("usd-weighed-by-shapes", (MassOrigin.WATER, MassOrigin.SHAPES)),
-        ("usd-inertia-by-default", (MassOrigin.DEFAULT,)),
-    ):
-        names = [
-            name for name, body_mass in model.body_masses.items() if body_mass.origin in origins
-        ]
-        if names:
-            place = model.file.place("body", names[0])
-            raise make_file_error(place, diagnose(code, names=names))
+    by_shapes = _list_bodies_by_origin(model, MassOrigin.WATER, MassOrigin.SHAPES)
+    if by_shapes:
+        place = model.file.place("body", by_shapes[0])
+        raise make_file_error(place, diagnose("usd-weighed-by-shapes", names=by_shapes))
+    if by_default := _list_bodies_by_origin(model, MassOrigin.DEFAULT):
+        place = model.file.place("body", by_default[0])
+        raise make_file_error(place, diagnose("usd-inertia-by-default", names=by_default))
     unknown = [name for name, body_mass in model.body_masses.items() if body_mass.inertial is None]
     if unknown:
         yield diagnose("usd-masses-unknown", names=unknown)
