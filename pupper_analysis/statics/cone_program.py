@@ -33,7 +33,7 @@ Chosen, not tuned."""
 MAX_TOTAL_NORMAL_FORCE = 10.0
 """Upper bound of the sum of all normal forces, in units of the robot's weight, for example in the
 cone programs for the support region. Without the bound, forces between steep walls would balance
-any CoM position. Chosen: legs do not press harder."""
+any CoM position. Chosen, not tuned."""
 
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
@@ -42,14 +42,13 @@ solutions satisfy the true cones in spite of the solver's rounding. Chosen, not 
 
 _LARGE_FRICTION = 10.0
 """Friction coefficient above which the four rows of a friction cone are divided by the coefficient.
-Without this scaling, Clarabel fails for coefficients of 1,000 and more. Chosen far above the
-coefficients of real materials, so that usual cones stay unscaled."""
+Without this scaling, Clarabel may fail for large coefficients. Chosen far above the coefficients of
+real materials, so that usual cones stay unscaled."""
 
 
 _TANGENTIAL_WEIGHT = 1e3
 """Weight of tangential force components relative to normal components in `TangentialMetric`. Chosen
-so large that the normal forces matter only for a choice between solutions with equal tangential
-forces."""
+so large that the normal forces hardly affect the tangential forces."""
 
 
 _PEAK_SLACK = 1e-7
@@ -64,8 +63,8 @@ relative to the largest absolute value of the upper bounds. Chosen, not tuned.""
 
 _MIN_RECIPROCAL_CONDITION = 1e-8
 """Smallest reciprocal condition number with which the linear equations for the contact forces count
-as independent. Measured for four feet on level ground: 1e-4 with the weights of `TangentialMetric`,
-5e-2 without."""
+as independent. Measured for four feet on level ground: 1e-4 with the weights of
+`TangentialMetric`."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 """Normal of level ground in the world frame."""

@@ -72,8 +72,7 @@ class Contacts:
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
         """Compute the horizontal distance from the CoM to the edge of the support region.
 
-        The support region contains the horizontal CoM positions in which forces of these contacts
-        balance the weight within friction and grip limits (`support_corners`).
+        `support_corners` defines the support region of these contacts.
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
@@ -141,7 +140,8 @@ class Contacts:
         """Compute {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
         Columns of a weld are force [N] and moment [N m], those of a grip the force [N], in world
-        axes. The moment is about the origin of the base, or the centre of the foot or hand.
+        axes. The moment is about the origin of the base, or the sphere centre of the contact point
+        in ``fixed_parts``.
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()

@@ -67,8 +67,8 @@ def friction_utilisation_of(
         tiny: Tangential force [N] below which the utilisation is 0.
 
     Returns:
-        Utilisation [1]; negative if the contact pulls (negative normal force), infinite if the
-        normal force or the friction coefficient is zero.
+        Utilisation [1]. From ``tiny`` on, infinite if the normal force or the friction coefficient
+        is zero, otherwise negative if the contact pulls (negative normal force).
     """
     pressing, tangential = split_force(force, normal)
     if tangential < tiny:
@@ -150,11 +150,11 @@ class ForceDistribution(StrEnum):
 
     If a part is welded, contacts have no tangential force: the weld carries the rest of the load.
     The normal forces then minimise the sum of squared motor torques, or equal the prescribed
-    forces. If parts grip and no part is welded, the sum of all squared forces is minimised.
-    Contacts then have tangential forces only if balance requires tangential forces.
+    forces. If parts grip and no part is welded, contacts have tangential forces only if balance
+    requires tangential forces.
 
-    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. A simulator
-    with creeping friction does not sustain the tangential forces.
+    MIN_TORQUE minimises the sum of squared motor torques (for equal motors, the copper losses). A
+    simulator with creeping friction does not sustain the tangential forces.
 
     MIN_MAX_TORQUE minimises the largest motor utilisation (the largest torque if no motor has an
     effort limit), then the sum of squared utilisations. This criterion determines whether the
@@ -215,7 +215,8 @@ class GravityCompensation(Equilibrium):
             torque in base axes (N m). Zero with contacts, welds or grips; empty for a fixed base.
         weld_wrenches: {welded or gripping part: (6,)} force (N) and moment (N m), both in world
             axes. The moment is about the origin of the base's frame if the base is welded,
-            otherwise about the centre of the welded foot or hand. The moment of a grip is zero.
+            otherwise about the sphere centre of the part's first contact point. The moment of a
+            grip is zero.
         center_of_mass: (3,) position in the world (m).
         com_margin: Distance from the vertical projection of the CoM, or of the zero-moment point of
             a motion, to the edge of the support region (m), positive inside. Infinite with a weld;
@@ -299,7 +300,7 @@ def balance_load(
             the result refers to this point. Default: the centre of mass, which is the zero-moment
             point at rest.
         distribution: Criterion that selects the contact forces among the feasible forces.
-        tipping: Reason that the error states if ``point`` is outside the support region.
+        tipping: Reason that the error states for a ``point`` outside the support region.
         held: If True, friction cones, unilateral limits and grip limits do not apply, as if the
             feet were glued to the ground. With welds or grips, some of these limits still apply.
 
@@ -338,7 +339,10 @@ def balance_load(
 def _distribute_with_passive_joints(
     robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
 ) -> Array | None:
-    """Compute balancing contact forces, if possible without torques of passive joints."""
+    """Compute balancing contact forces, if possible without torques of passive joints.
+
+    None if infeasible.
+    """
     if robot.passive_joints:
         passive = [robot.joint_names.index(name) for name in robot.passive_joints]
         relieved = replace(
@@ -388,8 +392,8 @@ def distribute_loads(
 
 _EQUAL_FORCES_RTOL = 1e-6
 """Bound of the largest difference between given contact forces and the minimum-norm forces of the
-balance equations, relative to the largest component of the given forces. Beyond this bound, a
-further constraint such as a friction cone determines the forces. Chosen, not tuned."""
+balance equations, relative to the largest component of the given forces. Beyond this bound, the
+forces depend on more than the balance, for example on a friction cone. Chosen, not tuned."""
 
 
 def differentiate_torques(
@@ -677,7 +681,7 @@ def explain_infeasibility(
         point: Shape (3,) [m]; centre of mass or zero-moment point.
         problem: Equations of balance.
         carrying: Contacts that carry load.
-        tipping: Reason in the error if ``point`` is outside the support region.
+        tipping: Reason that the error states for a ``point`` outside the support region.
     """
     if (error := _explain_stated_force(problem, carrying)) is not None:
         return error
@@ -797,8 +801,8 @@ is accepted if a user enters it. Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
 """Ratio of payload mass to robot mass above which a payload counts as unlimited, and the search of
-`payload_limit` ends. Lever arms of motors that limit such a payload are rounding errors. Chosen,
-not tuned."""
+`payload_limit` ends. The lever arm of a motor that limits such a payload may be a rounding error.
+Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per mass of robot or payload [N m/kg] up to which a motor or passive joint counts as not

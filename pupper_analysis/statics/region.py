@@ -28,7 +28,7 @@ from pupper_analysis.statics.support_polygon import (
 
 _COLLINEAR_TOLERANCE = 1e-7
 """Largest distance [m] of a corner from the line between its neighbours with which the corner
-counts as inside a side. Solutions of the cone program are accurate to about 1e-8 m."""
+counts as inside a side. Chosen, not tuned."""
 
 
 REGION_TOLERANCE = 1e-5
@@ -86,13 +86,12 @@ def support_region(
     is the static load, and J is the Jacobian of the contact points.
 
     On level ground without torque limits and prescribed forces, the region is the convex hull of
-    the contact points. Otherwise the result is a polygon inside the region, up to the accuracy of
-    the cone program (about 1e-8 m); its edge is within 0.01 mm of the region's edge, if no cone
-    program fails.
+    the contact points. Otherwise the result is a polygon inside the region, up to rounding; its
+    edge is within 0.01 mm of the region's edge, if no cone program fails.
 
     Args:
         config: State of the robot. The velocity is ignored.
-        contacts: Contact points that carry load. Default: all.
+        contacts: Contact points that carry load. Default: `Robot.bearing_points`.
         friction: Friction coefficient, for all contact points or per contact point. Default:
             MuJoCo's contact.
         normals: Per contact point, a direction out of the ground, shape (3,), in the world frame.

@@ -282,7 +282,7 @@ def _refine_sides(
     find_extreme: Callable[[float], Corner | None],
     tolerance: float,
 ) -> list[Corner]:
-    """Compute further extreme points (x, y) [m], until hull and region differ by ``tolerance`` [m].
+    """Compute further extreme points (x, y) [m], to reduce the gap between hull and region.
 
     The region is convex. Therefore its part beyond a side is inside the triangle of the side and
     the tangents at both ends. A side for which the cone program fails is left unchanged.
@@ -321,8 +321,7 @@ def _refine_sides(
 
 _MIN_DEPTH = 1e-7
 """Distance [m] of a new extreme point from a side of the computed region, above which two new sides
-replace the side. Up to this distance the side counts as exact. Solutions of the cone program are
-accurate to about 1e-8 m."""
+replace the side. Up to this distance the side counts as exact. Chosen, not tuned."""
 
 
 def support_polygon(contacts: Array) -> Array:
