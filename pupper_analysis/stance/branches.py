@@ -23,8 +23,7 @@ from pupper_analysis.robot.robot import Robot
 
 _NUM_STARTS = 32
 """Number of random initial guesses per limb. Measured on 800 random foot targets of three-joint
-legs:
-32 guesses find all but one of the branches that 256 guesses find."""
+legs: 32 guesses find all but one of the branches that 256 guesses find."""
 
 _MAX_ITERATIONS = 14
 """Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. Chosen, not
@@ -264,7 +263,10 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
 
 
 def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
-    """Subtract whole turns from hinge positions (k, nu) [rad] towards home, within the limits."""
+    """Subtract whole turns from positions (k, nu) [rad] of hinges, towards home.
+
+    Positions stay within the limits. Continuous joints are left unchanged.
+    """
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
         model.joints[model.getJointId(name)].shortname().startswith("JointModelP")

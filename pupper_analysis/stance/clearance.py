@@ -282,14 +282,12 @@ class ClearanceShapes:
             at: Kinematics of the configuration.
             ground: Ground: slope, steps and planes of feet.
             foot_targets: {contact point: target of the sphere centre, shape (3,) [m], in the
-                world}.
-                Steps of the ground are below these targets.
+                world}. A step is below the target of its foot.
             depths: {contact point: penetration of the ground [m]}.
 
         Returns:
             Smallest height [m], with the link and the name of the nearest surface. The name is
-            empty on
-            a single plane. None if `measure_part_heights` is empty.
+            empty on a single plane. None if `measure_part_heights` is empty.
         """
         heights = self.measure_part_heights(at, ground, foot_targets, depths)
         if not heights:

@@ -365,7 +365,7 @@ def _has_fixed_com_on_planes(targets: StandTargets) -> bool:
 
 _CLEARANCE_TYPES = (GroundClearance, SelfClearance)
 """Constraint types whose smallest distance is part of a stand's result. A tuple, because a union
-expression in ``isinstance`` would take 4 us per stand."""
+expression in ``isinstance`` would be slower."""
 
 
 class ConstraintEvaluation(NamedTuple):

@@ -193,8 +193,7 @@ class Stand(Pictured, Tabular):
     def corners(self, robot: Robot) -> Array:
         """Return points (n, 2) [m], world frame, whose convex hull is this stand's support region.
 
-        The support region contains the horizontal CoM positions with equilibrium; welds are
-        ignored. Shape (0,) without points.
+        Welds are ignored. Shape (0,) without points.
         """
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])

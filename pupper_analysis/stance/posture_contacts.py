@@ -95,9 +95,8 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
 def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
     """Create a `Stand` from a posture that keeps the contacts of a given stand.
 
-    The task of the result requires the base pose and CoM of the posture, and the positions of the
-    joints that move no foot and of lifted feet. Contacts, margins and clearances are those of the
-    given stand.
+    The task of the result requires values of the posture, for example its base pose and CoM.
+    Contacts, margins and clearances are those of the given stand.
 
     Args:
         robot: Robot with the contacts of the stand.

@@ -60,9 +60,9 @@ off level cause smaller ratios. Chosen, not tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
-    """Return True if some joints can move while the base and all feet keep their poses.
+    """Return True if nv exceeds the number of coordinates that held poses of base and feet fix.
 
-    Coordinates are counted, from nv and `_FIXED_COORDINATES`; the Jacobian is not evaluated.
+    Some joints can then usually still move. Loops and couplings are ignored.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv
@@ -71,9 +71,8 @@ def has_redundant_joints(robot: Robot) -> bool:
 def can_move_com(robot: Robot) -> bool:
     """Return True if the legs can move the CoM in both horizontal directions, with planted feet.
 
-    The base keeps height and orientation. Joints that move no foot (neck, arms) do not count, since
-    they cannot centre the CoM: a turned head shifts the CoM by 0.5 mm. Also True for a robot
-    without contact points.
+    The base keeps height and orientation. Joints that move no foot (neck, arms) do not count. Also
+    True for a robot without contact points.
     """
     return robot.compute_once(_compute_com_mobility)
 
@@ -106,7 +105,7 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
 
 
 class Support:
-    """Support region of contacts (CoM positions with equilibrium), computed at first access.
+    """Support region of contacts (`support_corners`), computed at first access.
 
     Several `StandTargets` share an object of this class.
 
@@ -666,7 +665,7 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 
 
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
-    """Move a sole rigidly, so that its spheres lie on a plane through the origin.
+    """Lay a sole, as a rigid body, on a plane through the origin.
 
     ``normal`` is the unit normal of the plane. ``sole`` and the result are sphere centres, shape
     (n, 3) [m].

@@ -1,8 +1,8 @@
 """Solve for a stand by a nonlinear program, in which requirements may be relaxed.
 
 Variables are the horizontal base position, the joint positions, and two slacks for each number of a
-relaxable requirement: a decrease and an increase. The sum of the slacks is minimised. Minimising a
-sum of absolute values leaves most slacks at zero. The solver is SciPy's SLSQP.
+relaxable requirement: a decrease and an increase. The sum of the slacks is minimised, which favours
+slacks of zero. The solver is SciPy's SLSQP.
 
 Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
 optimization", 2005 (elastic mode).
@@ -47,9 +47,8 @@ _FINE_UNIT_DIVISOR = 200.0
 the stand height, or a thousandth of the stand height."""
 
 _MAX_ITERATIONS = 100
-"""Upper bound of the number of SLSQP iterations in the second run of `minimise_foot_distances`,
-which uses a finer unit of distance. Chosen, not tuned: usually about 45 are needed if the feet are
-at the limit of reach."""
+"""Upper bound of the number of SLSQP iterations in the second run of `minimise_foot_distances`.
+Chosen, not tuned."""
 
 _MAX_PROGRESS_RATIO = 0.9
 """Upper bound of the ratio ``violation / smallest earlier violation`` with which an SLSQP iteration
@@ -64,8 +63,8 @@ and two thirds of 206 solves without a stand. Measured with relaxation: 1 of 350
 
 _INDEPENDENCE_RTOL = 1e-6
 """Diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the largest
-element, up to which an equality constraint is dropped as linearly dependent. SLSQP fails with
-dependent equalities. Chosen, not tuned."""
+element, up to which an equality constraint is dropped as linearly dependent. SLSQP may fail
+with dependent equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

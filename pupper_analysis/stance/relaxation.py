@@ -1,6 +1,6 @@
 """Explain an unreachable stance: find requirements to relax, and the smallest change.
 
-`explain_refusal` first relaxes each requirement alone. If none suffices alone, the search continues
+`explain_refusal` first relaxes single requirements. If none suffices alone, the search continues
 with a small set of requirements that suffices together. The nonlinear program with slacks
 (`stance.programme`) computes the relaxation: the smallest change that makes the stance reachable,
 as far as local minima permit. The rounded result is solved again, so that a reported value can be
@@ -59,8 +59,8 @@ height of zero would carry load. With a CoM margin of zero, the CoM of a task wi
 outside the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Smallest permitted value of the requirements in `_POSITIVE_REQUIREMENTS`, relative to the base
-height of the nominal stand. A relaxed task with a smaller value is rejected. Chosen, not tuned."""
+"""Smallest permitted value of the requirements in `_POSITIVE_REQUIREMENTS`, relative to the
+robot's stand height. A relaxed task with a smaller value is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which `_relax_one` reduces a computed relaxation, to test if the nonlinear program

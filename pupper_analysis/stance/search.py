@@ -143,8 +143,7 @@ def solve_constraints(
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand, or None; and smallest foot error [m], 0 if it was not minimised. A foot error
-        above ``NEAR_MISS`` means that the feet are out of reach, unless the minimum is only local.
+        Solved stand, or None; and smallest foot error [m], 0 if it was not minimised.
     """
     there, programme = _StandSearch(context, targets), StanceProgram(context.shapes, targets)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -395,8 +394,7 @@ def minimise_foot_errors(
 ) -> Stand:
     """Minimise the sum of the squared distances of the feet from their targets; return the `Stand`.
 
-    The minimum may be local. Clearances are ignored. PlaCo's Gauss-Newton steps assume that the
-    errors vanish, and end before this minimum.
+    The minimum may be local. Clearances are ignored.
 
     Args:
         context: Search context of the robot.

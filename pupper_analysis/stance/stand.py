@@ -110,9 +110,9 @@ def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stan
 
 
 def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
-    """Return the robot for the search of a stand: with the contacts of the task, or without servos.
+    """Return the robot for the search of a stand, with the contacts of the task.
 
-    Stands do not depend on servos, which may still have to be tuned (`Robot.before_servos`).
+    Without contacts `Robot.before_servos`, since stands do not depend on servos.
     """
     if task is not None and task.contacts:
         return with_contacts(robot, task.contacts)
@@ -210,8 +210,7 @@ def solve_stands(
     Tasks whose result depends on the initial guess, for example with a free CoM or redundant
     joints, are always solved as by `solve_stand`.
 
-    The errors of each stand are bounded as in `solve_stand`. Searches from previous stands keep the
-    IK branch.
+    The errors of each stand are bounded as in `solve_stand`.
 
     Args:
         robot: Robot with a floating base.

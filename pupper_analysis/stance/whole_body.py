@@ -56,7 +56,7 @@ from pupper_analysis.stance.task import StandTask
 
 POSTURE_TOLERANCE = 1e-6
 """Largest residual [m, rad] with which a task counts as satisfied. Chosen, not tuned: 1 um is below
-the tolerances of usual robots. Residuals of tasks without conflict are usually about 1e-12."""
+the tolerances of usual robots."""
 
 _MAX_ITERATIONS = 200
 """Upper bound of the number of trust-region iterations from one initial guess, in each of the two
@@ -120,8 +120,7 @@ class SolvedPosture(Pictured, Tabular):
         qpos: Configuration, shape (nq,).
         tasks: Description of each task, with the kept contacts last.
         residuals: Residual of each task by Pinocchio's kinematics.
-        mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF; different from
-            ``residuals`` if the kinematics of the two files differ.
+        mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF.
         units: Unit of the residual of each task.
         contacts: Contact points, and welded and gripping parts, that kept their positions.
         iterations: Number of solved or attempted quadratic programs.

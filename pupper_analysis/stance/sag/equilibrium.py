@@ -202,8 +202,8 @@ GROUND_NORMAL = (0.0, 0.0, 1.0)
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
 """Upper bounds of a Newton step: first value for the rotation of the base or the displacement of a
 joint [rad, m]; second value for the displacement of the base, in units of
-`EquilibriumScales.length`. With a longer step the solve fails, since the step may lead to another
-solution. Chosen, not tuned."""
+`EquilibriumScales.length`. With a longer step Newton's method fails, since the step may lead to
+another solution. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
 """Stiffness of a numerical spring along the ground at contacts without friction
@@ -301,8 +301,7 @@ the previous Jacobian in an exact solve (`SagEquilibrium.solve`); e[k] is the sc
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration plus MuJoCo's contact margin, in units of `EquilibriumScales.length`, above which a
-point that is assumed to have no contact becomes a contact. For Pupper v3 the force at this
-penetration is below 1e-6 N. Chosen, not tuned."""
+point that is assumed to have no contact becomes a contact. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
 """Factors [1] on the tangential compliance of contact points (`contact_compliance`) in successive
@@ -672,8 +671,8 @@ class SagEquilibrium:
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
         """Solve with a large tangential compliance of contact points, then with smaller ones.
 
-        Without compliance, Newton's method may alternate between two slip directions of a sole.
-        None if a solve fails.
+        With a small compliance, Newton's method may alternate between two slip directions of a
+        sole. None if a solve fails.
         """
         try:
             for self._compliance_factor in _SOLE_COMPLIANCE_FACTORS:

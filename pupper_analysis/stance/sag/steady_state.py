@@ -454,12 +454,11 @@ class SteadyState(Result):
             relative to the mass matrix (rad^2/s^2). If it is positive, its square root is the
             lowest natural frequency without damping.
         stable: Whether ``stiffness`` is positive.
-        release_margin: Smallest friction reserve of a foot, as a fraction of the weight, in the
+        release_margin: Smallest friction reserve of a contact point, in robot weights, in the
             overshoot after the feed-forward is removed in one step. To first order, the overshoot
             is twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
             slip or lift, and the robot may come to rest up to millimetres away from the
-            equilibrium. If the feed-forward is removed slowly, no foot slips, but the ignored dry
-            friction holds the robot above the equilibrium (v3: by 1.8 mm).
+            equilibrium. Infinite without contacts.
         lasts: Time until creep ends the equilibrium or leads to a failure (s). Infinite if this
             time is longer than ``HOLD_DURATION``, or is not computed.
         failures: Reasons why the robot does not stay in this equilibrium; empty if no reason was
@@ -601,7 +600,7 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
 
 MAX_CREEP_DURATION = 1e9
 """Upper bound of the creep time of `steady_state` [s], thirty years. Chosen: with much larger
-times, numbers overflow."""
+times, numbers may overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
@@ -655,11 +654,11 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 
 
 def release_margin(path: HomotopyPath) -> float:
-    """Compute the smallest friction reserve of a foot if feed-forward is removed in one step.
+    """Compute the smallest friction reserve [1] of a contact after removal of the feed-forward.
 
-    The reserve is (friction coefficient x normal force - tangential force) / weight. The contact
-    forces of the overshoot after the step are 2 f - f_0, with the forces f at the current
-    equilibrium of the path and f_0 in the stand. Infinite without contacts.
+    The reserve is (friction coefficient x normal force - tangential force) / weight. It is
+    evaluated in the overshoot after a removal in one step. The forces are then 2 f - f_0, with the
+    forces f at the current equilibrium of the path and f_0 in the stand. Infinite without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)

@@ -130,9 +130,9 @@ def estimate_minimum_stiffness(
 ) -> float:
     """Estimate the smallest servo stiffness kp [N m/rad] for a stand without feed-forward.
 
-    Unlike in `minimum_stiffness`, creep near the result is usually simulated only once: a
-    prediction replaces the bisection. Measured: 0 to 5 % above `minimum_stiffness` for T1 and
-    v3-long-leg, within 2 % for v3, original and Go2.
+    Unlike in `minimum_stiffness`, a prediction replaces the bisection with creep.
+    Measured: 0 to 5 % above `minimum_stiffness` for T1 and v3-long-leg, within 2 % for v3, original
+    and Go2.
 
     Args:
         robot: Robot.
@@ -207,7 +207,7 @@ class _Grid:
         self.count: int = 1 << power
 
     def __getitem__(self, index: int) -> float:
-        """Return the value at the lower end of a cell [N m/rad]."""
+        """Return the grid value [N m/rad] of an index, 0 (lower end) to ``count`` (upper end)."""
         return self._low + (self._high - self._low) * index / self.count
 
     def find_index(self, value: float) -> int:
@@ -219,7 +219,11 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Bisect for the largest grid kp without a static equilibrium; return its index."""
+    """Bisect for the largest grid kp with which a robot does not stand even before creep.
+
+    Returns:
+        Index of this kp; 0 if the robot stands with all tested kp.
+    """
     first, last = 0, grid.count
     while last - first > 1:
         middle = (first + last) // 2
@@ -247,7 +251,7 @@ def _bisect_stiffness(
 ) -> tuple[float, float]:
     """Narrow a bracket (low, high) of the smallest kp [N m/rad] with which the robot stands.
 
-    A simulation of creep takes ten times as long as statics. Therefore statics bound kp first, and
+    A simulation of creep takes longer than statics. Therefore statics bound kp first, and
     predictions (`_predict_stiffness`) replace midpoints. ``tolerance`` is relative to the upper
     end.
     """
