@@ -219,8 +219,8 @@ def find_interval(
         robot: Robot.
         start: Stand at which the search starts.
         direction: An element of ``DIRECTIONS``.
-        enough: Distance [m or rad] from the start at which the search ends, even if values beyond
-            are reachable.
+        enough: Distance [m or rad] from the start. Each direction of the search ends as soon as
+            this distance is reached or exceeded.
         default_guesses_only: Whether full searches start from `default_initial_guesses` only.
     """
     (low, _), (high, _) = (
