@@ -46,11 +46,12 @@ class Slider:
     Attributes:
         folder: Heading of the group that contains the slider.
         low: Lower end of the range, in deg for angles, stand heights for lengths, and robot masses
-            for a mass. The range of a gain is derived from the model's gains instead.
+            for a mass; lengths and masses are rounded on the page. The ranges of gains and joint
+            positions are derived from the model instead.
         high: Upper end of the range, in the unit of ``low``.
         step: Step of the slider of an angle [deg]. None: 0.1. Other steps are derived from ranges.
-        start: Initial value on a new page, in SI units; for a gain only if the model has no gains.
-            Without effect for an angle. None: the nominal value, or 1 for a gain.
+        start: Initial value of a length on a new page [m], or value that replaces missing gains of
+            the model (SI units). None: the nominal value, or 1 for a gain.
     """
 
     folder: str

@@ -83,8 +83,7 @@ class RequirementKey(NamedTuple):
 class RequirementVector:
     """Numbers of some relaxable requirements of a stand task as a vector, with bounds.
 
-    Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
-    directions.
+    Margins, clearances, lifts, slopes and steps can only change towards zero.
 
     Args:
         robot: Robot.

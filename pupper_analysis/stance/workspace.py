@@ -29,13 +29,13 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
 BISECTION_RTOL = 1e-3
-"""Tolerance of the ends of a reachable interval, relative to the first step of the search
-(`_FIRST_STEPS`). Also the relative distance to `_MAX_VALUES` within which an interval counts as
-ending there. Chosen, not tuned."""
+"""Step length, relative to the first step of the search (`_FIRST_STEPS`), down to which the search
+for the end of a reachable interval continues. Also the relative distance to `_MAX_VALUES` within
+which an interval counts as ending there. Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
 """Step length of the outward search, relative to the first step (`_FIRST_STEPS`), above which a
-full search from all initial guesses follows if IK from the last stand fails. After a gap
+full search (`search_stand`) follows if IK from the last stand fails. After a gap
 (`_RESTART_RATIO`), a full search follows at each step length. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
@@ -168,8 +168,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 _LIMIT_DISTANCE = 0.01
 """Distance [rad, m] of a moved joint from its limit (with margin) below which the limit is reported
 as the reason for the end of an interval. Also the displacement above which a joint counts as moved.
-Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several times as fast as the
-base."""
+Chosen, not tuned: larger than the joint displacements in the last steps of the search."""
 
 _EDGE_DISTANCE = 1e-3
 """Excess [m] of a margin or clearance over its required value, below which this requirement is

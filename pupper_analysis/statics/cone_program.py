@@ -140,8 +140,8 @@ class Balance:
 
         Welds or grips carry the rest of the load. Without tangential force, MuJoCo's regularised
         friction does not creep. With welds, the norm of the joint torques is minimised. With grips
-        only, the norm of all forces is minimised, since minimum torque would put the load on the
-        edge of a sole.
+        only, the norm of all forces is minimised, since minimum torque may put the load on the edge
+        of a sole.
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
