@@ -160,7 +160,7 @@ def command(
       pupper-analysis walk g1.xml deploy.yaml policy.onnx --trace recorded.npz
 
     Exit status: 0 every run tracks the command, the files state all masses, and motors of --motor
-    can exert the torques; 1 otherwise; 2 bad input. Options change the first condition of 0: with
+    can exert the torques; 1 otherwise; 2 bad input. Options change the conditions of 0: with
     --fit, every run tracks within the intervals of the fit; with --orders, the stated
     interpretation tracks a command, and no interpretation walks clearly better; with --response, no
     run falls and no command is ignored; with --trace, the trace agrees as well.

@@ -120,7 +120,7 @@ def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
 
 _MAX_SHOWN_CONFIGURATIONS = 75
 """Largest number of recorded configurations at the end of a run that the 3-D view of the report
-shows: 3 s at 25 per second.
+shows: about 3 s.
 """
 
 
@@ -238,8 +238,8 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Lower bound of a divisor [N m, N] in the selection of the most loaded motor. The bound prevents a
-division by zero in a run without torques. Chosen, not tuned.
+"""Lower bound of the divisor [N m, N] that replaces a missing torque limit in the selection of the
+most loaded motor. The bound prevents a division by zero. Chosen, not tuned.
 """
 
 
@@ -404,15 +404,15 @@ def make_key_table(contract: PolicyContract) -> doc.Table:
 
 
 _NUM_DRAWN_MOTORS = 4
-"""Number of motors whose torques are drawn: the motors with the largest rms torque. Chosen, not
-tuned.
+"""Maximum number of motors whose torques are drawn: the motors with the largest rms torque. Chosen,
+not tuned.
 """
 
 
 def walk_torque_plot(walk: Walk) -> doc.LinePlot:
     """Create the plot of motor torques [N m, N for slides] in the last second of the first run.
 
-    The `_NUM_DRAWN_MOTORS` motors with the largest rms torques are drawn.
+    The motors with the largest rms torques are drawn.
     """
     gait = walk.gaits[0]
     hardest = np.argsort(-gait.torque_rms, kind="stable")[:_NUM_DRAWN_MOTORS]

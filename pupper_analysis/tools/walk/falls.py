@@ -2,7 +2,7 @@
 
 `find_fall_tests` repeats the first run of a walk that falls. If the robot does not fall with a
 change, the changed quantity is a possible cause. If the robot falls with each change, the policy
-probably reads or drives the joints wrongly.
+may read or drive the joints wrongly.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def find_fall_tests(
     ``seconds`` is the duration of each run without a fall [s].
 
     Returns:
-        A test per change, of the first run of the walk that falls. Empty if no run falls. Changes
-        without effect are left out.
+        A test per change, of the first run of the walk that falls. Empty if no run falls. A zero
+        command, a zero delay and infinite torque limits are not changed.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:
@@ -50,7 +50,7 @@ def find_fall_tests(
 def _list_effective_changes(
     stage: Stage, command: Array, seed: int
 ) -> dict[tuple[str, float], Case]:
-    """Create the runs with a single change that may have an effect: {(quantity, value): run}."""
+    """Create the runs with a single change: {(quantity, value): run}."""
     changes: dict[tuple[str, float], Case] = {}
     latency = stage.policy.contract.latency
     if np.any(command):

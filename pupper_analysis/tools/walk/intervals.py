@@ -185,7 +185,7 @@ class TrackedInterval(Result):
             ``turning``; empty if ``above`` is NaN.
         upright_least: Smallest value found without a fall, shape (seeds,).
         upright_most: Largest value found without a fall, shape (seeds,).
-        measured: 95 % interval of the real robot's value, from a fit; None without a fit.
+        measured: 95 % interval of the real robot's value, from a fit; None if unknown.
     """
 
     quantity: str
@@ -283,8 +283,8 @@ class TrackedIntervals(Result):
         """Whether the policy tracks the command on the robot, and within all measured intervals.
 
         The unchanged robot must track the command with all seeds. The measured interval of each
-        quantity in ``intervals``, if any, must be within the interval that all seeds track. The
-        files must state the masses of all links.
+        quantity in ``intervals``, if any, must be within the interval that all seeds track. No link
+        mass may be unknown.
         """
         tracked = len(self.seeds) == self.requested_seeds
         inside = all(interval.inside is not False for interval in self.intervals)

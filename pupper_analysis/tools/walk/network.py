@@ -1,4 +1,4 @@
-"""Network of a policy: a list of array operations, evaluated by NumPy in double precision.
+"""Network of a policy: a list of operations on NumPy arrays.
 
 Observations, states and actions have the shape (runs, 1, n) in the graph. The row of each run is
 multiplied separately. Therefore the result of a run is bitwise independent of the number of other
@@ -28,8 +28,7 @@ larger networks are refused. Chosen: networks that walk on the computer of a rob
 
 MAX_VALUE_SIZE = 1_000_000
 """Maximum number of elements of the result of a layer, unless an input has as many. Otherwise
-values that double from layer to layer could exhaust the memory. The widest layers of walking
-policies have 1024 elements. Chosen, not tuned.
+values that double from layer to layer could exhaust the memory. Chosen, not tuned.
 """
 
 
@@ -158,7 +157,7 @@ class NetworkOperation:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Network of a policy that maps observations to actions, as NumPy operations.
+    """Network of a policy that maps observations to actions, as operations on NumPy arrays.
 
     Attributes:
         nodes: Operations in the order of evaluation.
@@ -168,7 +167,7 @@ class Network:
         memory: For each recurrent state: name of the state, name of the next value, and size.
         inputs: Number of elements of an observation.
         outputs: Number of elements of an action.
-        files: Files beside the policy's file from which weights were read.
+        files: Other files from which weights were read.
     """
 
     nodes: tuple[NetworkOperation, ...]

@@ -1,8 +1,7 @@
 """Operators of ONNX networks as functions of NumPy arrays.
 
-The operators occur in public walking policies, or belong to the same layers. Values that depend on
-the observation have a leading axis of runs. An ONNX tensor of shape (1, n) is an array of shape
-(runs, 1, n), and a tensor of shape (1, c, n) is an array of shape (runs, c, n).
+Values that depend on the observation have a leading axis of runs. An ONNX tensor of shape (1, n) is
+an array of shape (runs, 1, n), and a tensor of shape (1, c, n) is an array of shape (runs, c, n).
 """
 
 from __future__ import annotations

@@ -34,9 +34,8 @@ from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, simulate_cases
 
 DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
-"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With a single command, a
-policy
-may also walk with a wrong joint order.
+"""Default commands [m/s, m/s, rad/s]: forward, to the left, turning. A single command may also be
+tracked with a wrong sign of a joint.
 """
 
 MIN_COST_RATIO = 1.1
@@ -90,7 +89,7 @@ class Candidate(Result):
 class Orders(Result):
     """Ranked interpretations of a policy: orders and signs of joints, scales, histories.
 
-    Offsets of joint zeros are not tried: a policy also walks with offsets of 0.3 rad.
+    Offsets of joint zeros are not tried.
 
     Attributes:
         name: Name of the robot.
@@ -125,7 +124,7 @@ class Orders(Result):
 
     @property
     def alike(self) -> tuple[int, ...]:
-        """Indices of the interpretations of a policy that are about as good as the best (index 0).
+        """Indices of the best interpretation (0), and of interpretations that are about as good.
 
         They track as many commands, at a cost of at most `MIN_COST_RATIO` times the cost of the
         best. Empty if no interpretation tracks a command.

@@ -1,8 +1,7 @@
 """Policy files: networks in ONNX, RTNeural's JSON and TorchScript, with contracts.
 
-`Policy.load` reads a file as a network of NumPy operations, which maps observations of several runs
-to actions, and the contract that the file states. ONNX files are decoded without another package;
-TorchScript requires torch.
+`Policy.load` reads a network, which maps observations of several runs to actions, and the contract
+that the files state. ONNX files are decoded without another package; TorchScript requires torch.
 """
 
 from __future__ import annotations
@@ -492,7 +491,7 @@ def _fold_constants(built: NetworkOperation, constants: dict[str, Array]) -> Net
 
 
 _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
-"""Number of weight arrays of each RTNeural layer type."""
+"""Number of weight arrays of each supported RTNeural layer type, except activations."""
 
 
 def read_rtneural(path: Path) -> dict[str, Any]:

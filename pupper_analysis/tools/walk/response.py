@@ -40,8 +40,7 @@ the largest command."""
 
 MIN_RESPONSE = 0.25
 """Lower bound of the ratio of achieved to commanded velocity. Below the bound, the policy ignores
-the command (dead zone). Chosen, not tuned: half of the fraction that a tracking robot reaches
-(`MIN_FOLLOWED_FRACTION`).
+the command (dead zone). Chosen, not tuned: half of `MIN_FOLLOWED_FRACTION`.
 """
 
 AXIS_NAMES = ("forward", "left", "turning")
@@ -110,7 +109,7 @@ class ResponseMap(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether no run falls, no axis has a dead zone, and the files state all masses."""
+        """Whether no run falls, no axis has a dead zone, and no link mass is unknown."""
         sound = all(not axis.fallen.any() and not any(axis.dead_zone) for axis in self.axes)
         return sound and not has_unknown_masses(self.remarks)
 
@@ -132,8 +131,7 @@ def map_response(
         policy: Policy.
         limits: Largest forward speed, speed to the left [m/s], and turning rate [rad/s]; an axis
             with the limit 0 is left out.
-        seeds: Number of initial states per command. Seed 0 is the default pose at rest, the other
-            seeds deviate as in `simulate_walk`.
+        seeds: Number of initial states per command, as in `simulate_walk`.
         seconds: Duration of each run [s], 3 to 600.
         workers: Number of threads; by default the number of cores.
 

@@ -138,7 +138,7 @@ class Stage:
         return float(self.model.opt.timestep)
 
     def make_case(self, command: Array, seed: int = 0) -> Case:
-        """Create the definition of a run with the unchanged robot; nothing is simulated.
+        """Create the definition of a run with the unchanged robot.
 
         Args:
             command: Commanded forward speed, speed to the left [m/s] and turning rate [rad/s],

@@ -86,7 +86,7 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Suggest frequent terms of an observation, and the joints: {contract key: TOML value}."""
+    """Suggest observation terms, joints and default pose: {contract key: TOML value}."""
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
     if robot.nu == outputs:

@@ -45,14 +45,12 @@ MAX_DELAY_SAMPLES = 10
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Relative and absolute tolerance of a column of a signal; the absolute tolerance is in the unit of
 the signal. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about
-the mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
-effect of a wrong sign, scale, order or delay.
+the mean) + `MATCH_ATOL`. Chosen, not tuned: above the rounding of float32 logs.
 """
 
 MAX_RATE_DEVIATION = 0.1
 """Largest accepted difference of the rate of a trace from the rate of the contract, relative to the
-rate of the contract. Chosen: rates are rounded to whole time steps of a controller, and wrong rates
-are usually off by a quarter or more."""
+rate of the contract. Chosen: controllers may round the period to whole time steps."""
 
 _DAMAGE_ERRORS = (
     ValueError,
@@ -93,7 +91,7 @@ unknown actions before the trace.
 
 _MAX_MAGNITUDE = 1e30
 """Largest magnitude of a number of a trace, in the unit of the array. A larger number is refused,
-like one that is not finite. Chosen, not tuned: the square of a larger float32 is not finite.
+like one that is not finite. Chosen, not tuned.
 """
 
 MAX_NORM_DEVIATION = 0.05
@@ -290,7 +288,8 @@ class TermCheck(Result):
         first: Index of the first element in a frame of the observation; -1 for network, rate and
             targets.
         size: Number of elements.
-        error: Root mean square of the difference, relative to the signal; None if not checked.
+        error: Root mean square of the difference, relative to the spread of the expected signal;
+            relative error of the rate for ``rate``; None if not checked.
         mistake: ``order``, ``sign``, ``scale``, ``offset``, ``delay``, ``place`` (the term is
             elsewhere in the observation), ``history`` (frames reversed), ``unexplained``,
             ``unchecked`` (no recorded signal), or empty if the term agrees.
