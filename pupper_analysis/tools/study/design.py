@@ -260,8 +260,8 @@ def make_robot_source(robot: Any) -> RobotSource:
 def hash_description(description: Description) -> str:
     """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
-    The hash depends on the content of URDF, MJCF and mesh files and, for example, the feet, but not
-    on the folder of the MJCF. Attributes such as ``efforts`` and ``mimics`` are not included.
+    The hash depends on the URDF, the MJCF with its mesh files and, for example, the feet, but not
+    on the folder of the MJCF.
     """
     parts = {
         "urdf": description.urdf,
@@ -331,9 +331,7 @@ FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items(
 """{variable of the stance or of the whole robot: field that defines unit and range}."""
 
 MAX_CACHED_ROBOTS = 8
-"""Maximum number of entries in each cache of a builder. A few entries are sufficient: in a product
-of lists, successive designs mostly differ only in the last variable. Chosen, not tuned.
-"""
+"""Maximum number of entries in each cache of a builder (robots and stands). Chosen, not tuned."""
 
 
 @dataclass(eq=False)

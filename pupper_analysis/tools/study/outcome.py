@@ -84,7 +84,7 @@ class MetricSummary(Result):
             the designs with a finite value. Empty for a column ``NAME.KEY``.
         interaction: Fraction of the metric's variance due to several variables together. None in
             these cases: samples, a column ``NAME.KEY``, fewer than two variables with several
-            values, all main effects 0, or a design without a value.
+            values, all main effects 0, or a design without a finite value.
     """
 
     metric: str
@@ -264,7 +264,8 @@ def compute_main_effects(
         sampled: True if the designs are samples, False for a full factorial.
 
     Returns:
-        {variable: fraction}, at least 0. NaN if the samples have as many groups as designs.
+        {variable: fraction}, at least 0; 0 for a constant metric. NaN if the samples of a metric
+        that varies have as many groups as designs.
     """
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)

@@ -76,7 +76,8 @@ numbers of the files.
 """
 
 BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
-"""Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
+"""Kinds of variables ``KIND:PATTERN`` that change bodies. The pattern may be the name of a link, of
+a body, or of the joint that moves the body."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of variables ``KIND:PATTERN`` that are factors on servo gains. Without a pattern, the
 values are the gains of all servos."""
@@ -370,8 +371,7 @@ def with_gains(
 def without_visuals(description: Description) -> Description:
     """Return a copy of a description without unneeded visual geoms, unused meshes and textures.
 
-    The dynamics and the contacts are unchanged. Models with many meshes compile several times
-    faster.
+    The dynamics and the contacts are unchanged. Models with many meshes compile faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}

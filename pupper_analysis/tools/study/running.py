@@ -190,7 +190,7 @@ _time_limit_lock = threading.Lock()
 def _time_limit(limit: float | None) -> Iterator[None]:
     """End the process if the ``with`` block takes longer than a limit [s], even in native code.
 
-    Applies only in processes that another process started, and to a single thread at a time.
+    Applies only in child processes of ``multiprocessing``, and to a single thread at a time.
     """
     if limit is None or parent_process() is None or not _time_limit_lock.acquire(blocking=False):
         yield
@@ -290,8 +290,7 @@ is recorded as crashed. A first crash may be due to the machine. Chosen, not tun
 
 DESIGNS_PER_PROCESS = 4000
 """Number of designs per worker after which all processes are replaced. This frees memory that the
-engines do not release (PlaCo: 0.4 MB for each robot read from a file). The start of a process takes
-as long as about 50 designs.
+engines do not release (PlaCo: 0.4 MB for each robot read from a file). Chosen, not tuned.
 """
 
 WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError", "EngineError", "WorkerLost")

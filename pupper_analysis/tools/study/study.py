@@ -393,8 +393,7 @@ class Study:
         """Read a study from a TOML file.
 
         Relative paths of robot files, motor files and files of metrics are relative to the folder
-        of the study file. Other names of robots and motors, without a file there, are usually
-        unchanged.
+        of the study file.
 
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.
@@ -472,8 +471,7 @@ class Study:
     ) -> Progress:
         """Evaluate all designs that are not stored yet, without loading the table.
 
-        The arguments are the same as in `run`. Memory use grows with the number of designs by about
-        8 bytes per design.
+        The arguments are the same as in `run`.
 
         Returns:
             Number of evaluated designs, failures and elapsed time.

@@ -93,9 +93,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
     The folder ``design-NUMBER`` in the folder of the study gets the URDF, the MJCF with the servo
     gains, the meshes of both, and the stance as a file of options. The files describe the robot
-    without the payload of the design, which is an option of the command. The files are then loaded,
-    and the metrics of the study are evaluated again, with the payload. A simulation decides whether
-    the design stands after a drop from a small height (`survives_set_down`).
+    without the payload of the design, which is an option of the command.
 
     Args:
         study: Study.
