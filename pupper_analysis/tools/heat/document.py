@@ -79,7 +79,7 @@ def _select_next_step(study: HeatStudy) -> NextStep:
 
 
 def _format_minutes(seconds: float) -> str:
-    """Return a time [s] in minutes, with three digits below 100 minutes."""
+    """Return a time [s] in minutes, with at most three digits below 100 minutes."""
     minutes = seconds / 60
     return f"{minutes:.0f}" if minutes >= 100 else f"{minutes:.3g}"
 

@@ -41,9 +41,7 @@ of a motor that is not known to reach its limit. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Lowest and highest accepted temperature [degC] of the air and of the limit. Chosen, not tuned:
-the insulation of windings withstands at most 250 degC.
-"""
+"""Lowest and highest accepted temperature [degC] of the air and of the limit. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)

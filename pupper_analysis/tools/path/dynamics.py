@@ -33,8 +33,7 @@ Chosen, not tuned."""
 _MOMENT_ITERATIONS = 2
 """Number of fixed-point iterations between the normal forces of the contacts and the rolling
 moments, which are proportional to these forces. Each iteration multiplies the error by about
-(rolling friction / distance between feet), a tenth or less. Balance is exact after each iteration.
-Chosen, not tuned."""
+(rolling friction / distance between feet). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ number. Most follow from the solved stances of a segment.
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] in a stand task for a foot that is at the ground without load: a positive height marks
-a foot as unloaded. Chosen smaller than any geometric tolerance.
+a foot as unloaded. Chosen, not tuned.
 """
 
 

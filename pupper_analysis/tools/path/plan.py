@@ -45,9 +45,9 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Fraction [1] of the load on the solution with the remaining feet alone, while another foot is
-being unloaded, up to which the fraction counts as 0. With such fractions, the zero-moment point may
-be close to the edge of the support polygon. Chosen, not tuned.
+"""Weight [1] of the solution with fewer loaded feet, up to which the weight counts as 0
+(`compute_path_sample`). With such a weight, the zero-moment point may be close to the edge of the
+support polygon. Chosen, not tuned.
 """
 
 
@@ -410,8 +410,7 @@ limit is zero (rounding). Chosen, not tuned.
 
 
 MIN_DURATION = 1e-3
-"""Lower bound of the duration of a path [s]. No robot is that fast, and accelerations of much
-shorter paths overflow. Chosen, not tuned."""
+"""Lower bound of the duration of a path [s]. Chosen, not tuned."""
 
 
 def _count_samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:

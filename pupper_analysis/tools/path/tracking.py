@@ -65,8 +65,8 @@ end. The path starts at rest. The velocity at the end is not prescribed, because
 of the simulation may end before the path."""
 
 _NEWTON_STEPS = 2
-"""Number of Newton iterations that extend the legs by the penetration of the ground, which is a few
-millimetres. Chosen, not tuned."""
+"""Number of Newton iterations that extend the legs by the penetration of the ground. Chosen, not
+tuned."""
 
 _MAX_ADDED_INERTIA = 0.075
 """Upper bound of kd x time step / joint inertia [1], from which `_select_timestep` computes the
@@ -77,8 +77,8 @@ ratio of 0.5, and 3 % with 0.07.
 """
 
 MIN_TIMESTEP = 1e-5
-"""Lower bound of the time step [s] that is computed from joint inertia and servo damping. A path of
-1 s then takes 1 or 2 s to simulate. Chosen, not tuned.
+"""Lower bound of the time step [s] that is computed from joint inertia and servo damping. The model
+may have a smaller time step. Chosen, not tuned.
 """
 
 _STEP_ROUNDING = 1e-6
@@ -381,8 +381,8 @@ ground in the simulation. Chosen, not tuned.
 """
 
 _NUM_CHECKED_STATES = 400
-"""Approximate number of simulated states whose contacts are checked, for paths of a few seconds. On
-an infeasible path, a foot loses contact for a few percent of the duration: several checked states.
+"""Approximate number of simulated states whose contacts are checked, for paths of 0.4 to 8 s.
+Chosen, not tuned.
 """
 
 
@@ -444,7 +444,7 @@ def track_path(
     without this term the joints lag by kd / kp (20 ms for v3). The joint positions q* contain an
     extension of the legs by the penetration of the feet into MuJoCo's soft ground under the loads
     of the motion, and tau is computed for the extended legs. Creep of rolling feet is not
-    compensated; creep matters for paths of less than a second.
+    compensated.
 
     A path is tracked if all these conditions hold:
 

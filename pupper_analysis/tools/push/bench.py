@@ -43,7 +43,7 @@ from pupper_analysis.stance.stand import Stand
 
 PULSE_DURATION = 0.02
 """Duration of a push [s], rounded to a positive number of time steps. Chosen, not tuned: short
-compared with a fall, which takes about 0.3 s.
+compared with a fall.
 """
 
 MAX_RESTING_SPEED = 0.01
@@ -547,9 +547,7 @@ def make_push_bench(
 
 
 _FRAME_TIME = 1 / 30
-"""Time between two configurations of ``PushTrial.motion`` [s]: a fall of 0.3 s has nine intervals.
-Chosen, not tuned.
-"""
+"""Approximate time between two configurations of ``PushTrial.motion`` [s]. Chosen, not tuned."""
 
 MAX_IMPULSE = 1e6
 """Largest valid impulse, and largest valid resolution of an impulse [N s]. Chosen, not tuned."""

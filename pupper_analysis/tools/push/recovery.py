@@ -130,7 +130,7 @@ def study_pushes(
     resolution: float = 0.02,
     motors: Mapping[str, Mapping[str, Motor]] | None = None,
 ) -> dict[str, PushedStance]:
-    """Find the largest pushes from which robots in a stance recover (about 3 s for a Pupper).
+    """Find the largest pushes from which robots in a stance recover.
 
     Args:
         robots: Robots with different names.
