@@ -216,13 +216,8 @@ def study_heat(
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
-        StaticsInfeasibleError: If no contact forces balance the stance.
-        NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If an argument is not valid, no joint of the robot has a motor, or a
             slide has a motor.
-        ModelError: If the resistance of a winding is not positive at the ambient temperature, or
-            the mass or inertia of a body is invalid, for example.
-        UnknownNameError: If the task contains an unknown foot, joint or contact.
     """
     _check_conditions(ambient, limit, battery_energy)
     robot, stand = resolve_stance(robot, stance)

@@ -93,7 +93,6 @@ def inverse_dynamics(
             ground.
 
     Raises:
-        UnknownNameError: If a foot is unknown.
         ConfigurationError: If an argument is invalid, the robot has loops, couplings, welds or
             grips, or a robot with a fixed base has contacts.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.

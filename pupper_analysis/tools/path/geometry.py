@@ -119,8 +119,6 @@ def solve_segments(
         ConfigurationError: If a stance cannot follow the previous stance, for example.
         StanceUnreachableError: If a stance is out of reach. The error contains the number of the
             stance.
-        UnknownNameError: If a task names a foot or joint that the robot does not have.
-        ModelError: If the mass or inertia of a body is invalid.
     """
     if any(task.ground != stances[0].ground for task in stances):
         raise ConfigurationError("stances", diagnose("grounds-differ"))
@@ -392,13 +390,8 @@ def path_geometry(
     Raises:
         ConfigurationError: If a stance cannot follow the previous stance, or a joint jumps, for
             example.
-        NoEquilibriumError: If the rolling displacement does not converge.
-        UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
             of the stance, or the time of the sample.
-        StaticsInfeasibleError: If the CoM leaves the support polygon, or its margin is too small.
-            The error contains the time.
-        ModelError: If the mass or inertia of a body is invalid.
     """
     segments, solved = solve_segments(robot, stances)
     places: list[PathPlace] = []
@@ -487,8 +480,6 @@ class _RollingFeet:
         Raises:
             NoEquilibriumError: If the rolling displacement does not converge.
             StanceUnreachableError: If the sample is out of reach.
-            StaticsInfeasibleError: If the CoM leaves the support polygon, or its margin is too
-                small.
         """
         robot, normals = self.robot, ground_normals(self.robot, segment.start.task.ground)
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}

@@ -311,7 +311,7 @@ def stance_path(
     A loaded foot does not slip, but the sphere of the foot (radius r) rolls as the leg rotates with
     angular velocity omega. The centre moves with omega x r n, with the normal n of the ground: 2 mm
     if Pupper v3 squats by a fifth of its height. After the first stance, feet therefore deviate
-    from their positions in the stances by the rolled distance, while base and CoM are as specified.
+    from their positions in the stances by the rolled distance.
 
     Args:
         robot: Robot with a floating base.
@@ -324,15 +324,10 @@ def stance_path(
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the robot has loops, or the stances
-            cannot follow each other, for example.
-        NoEquilibriumError: If the rolling displacement does not converge.
-        UnknownNameError: If a task names a foot or joint that the robot does not have.
         StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
             of the stance, or the time of the sample.
         StaticsInfeasibleError: If a sample cannot be held at this speed, or the CoM margin of a
             sample is smaller than the tasks require. The error contains the time.
-        ModelError: If a number of a motor is unknown, or the mass or inertia of a body is invalid.
     """
     for joint, motor in (motors or {}).items():
         check_type(f"motors[{joint!r}]", motor, Motor)

@@ -306,11 +306,6 @@ def study_path(
     Raises:
         StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
         StaticsInfeasibleError: If the stance, or a sample of the path, cannot be held.
-        NoEquilibriumError: If the rolling displacement of the feet does not converge.
-        NotSettlingError: If the depths of the feet in the soft ground do not converge.
-        ConfigurationError: If the task or another argument is invalid for the robot.
-        ModelError: If a joint has no motor, or a number of a motor is unknown, for example.
-        UnknownNameError: If the task names a foot, joint or contact that the robot does not have.
     """
     stand = solve_stand(robot, task)
     path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)

@@ -527,7 +527,6 @@ def make_push_bench(
     Raises:
         ConfigurationError: If an argument is out of range, for example.
         ModelError: If the gains of a joint are unknown, for example.
-        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
     run_without_push = verification or verify_stand(
@@ -619,8 +618,6 @@ def simulate_push(
             fixed and the stand has feet.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground or a contact cannot be added.
-        StaticsInfeasibleError: If no contact forces balance the stand.
-        UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
     robot = with_stand_contacts(robot, stand)
     check_duration(duration)

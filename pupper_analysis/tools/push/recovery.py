@@ -148,12 +148,7 @@ def study_pushes(
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
-        StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
-        NotSettlingError: If the penetration depths of the feet do not converge.
         ConfigurationError: If the task or another argument is invalid for a robot, for example.
-        UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If a robot cannot be simulated, or a number of an assigned motor is unknown, for
-            example.
     """
     stands = [solve_stand(robot, task) for robot in robots]
     return {
@@ -477,13 +472,7 @@ def tipping_impulses(
 
         p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 
-    For a point mass on pointed feet (r = 0), pushed at the CoM and perpendicular to the edge, and
-    d << h, the result is m sqrt(2 g (hypot(h, d) - h)).
-
-    The estimate neglects five effects. Legs can fold: folding knees absorb energy, but lower the
-    CoM, and may touch the ground. Feet can slide: a larger push is needed to tip a robot on ice.
-    Contacts have rolling friction and other damping. The push has a duration. In a push towards a
-    corner, the robot rolls on one foot, and can then fall over a side.
+    The estimate neglects, for example, that legs fold, feet slide and contacts damp.
 
     Args:
         config: Configuration of the robot with a free base on level ground.

@@ -231,7 +231,6 @@ def make_robot_source(robot: Any) -> RobotSource:
 
     Raises:
         ConfigurationError: If the argument has none of the supported forms, for example.
-        VariantError: If the named variant does not exist, or a scale is not valid.
         ModelError: If the files of the robot cannot be used.
     """
     if isinstance(robot, str):

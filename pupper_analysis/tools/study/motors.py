@@ -73,7 +73,6 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
     Raises:
         ConfigurationError: If the value is no list of different motors.
         UnknownNameError: If no motor has the name.
-        ModelError: If the file of a motor is not valid.
     """
     if isinstance(requested, Mapping) and list(requested) == ["values"]:
         requested = requested["values"]

@@ -169,7 +169,6 @@ def study_outcome(
     Raises:
         ConfigurationError: If a column does not exist, or no design is stored, for example.
         StudyError: If the folder contains no study, or a shard is damaged.
-        MissingPackageError: If pandas is not installed.
     """
     check_type("study", study, Study)
     check_type("minimise", minimise, Sequence[str])

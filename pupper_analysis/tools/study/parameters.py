@@ -179,8 +179,6 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
     Raises:
         ConfigurationError: If a value is out of range, or a link cannot be stretched, for example.
         UnknownNameError: If a pattern matches nothing.
-        ModelError: If a model cannot be built, or does not have the requested masses and centres of
-            mass.
     """
     factors_by_kind: dict[str, dict[str, float]] = {}
     offsets: dict[str, Array] = {}
@@ -345,7 +343,6 @@ def with_gains(
         factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor on the gain}.
 
     Raises:
-        ConfigurationError: If a gain is out of range.
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a joint has no motor, or no servo while kp and kd are not both given.
     """

@@ -102,11 +102,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
     Raises:
         ConfigurationError: If the row does not exist, or the design cannot be built, for example.
-        StudyError: If a shard is damaged.
         OutputError: If a file cannot be written, or exists with other content.
-        ModelError: If no robot can be loaded from the written files.
-        StanceUnreachableError: If the loaded robot cannot reach the stance.
-        MissingPackageError: If pandas is not installed.
     """
     check_type("study", study, Study)
     check_type("number", number, int)

@@ -338,10 +338,8 @@ def simulate_walk(
 ) -> Walk:
     """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
-    The robot's MuJoCo model is simulated. If the policy states gains, the servos get the gains of
-    the policy. The torque limits are kept, unless the contract of the policy states
-    limits. The robot starts in the default pose of the policy, with the lowest foot on the ground.
-    The command is constant from the start.
+    If the policy states gains, the servos get the gains of the policy. The robot starts in the
+    default pose of the policy, with the lowest foot on the ground. The command is constant.
 
     Args:
         robot: Robot.
@@ -360,7 +358,6 @@ def simulate_walk(
         ConfigurationError: If an argument is out of range, the base is fixed, or the robot has no
             feet, for example.
         ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
-        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     checked_command = check_command(command)
     check_runs(seeds, seconds, warm_up)

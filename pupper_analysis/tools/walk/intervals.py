@@ -436,7 +436,7 @@ def tracked_intervals(
     payload upwards only. At first the bound of the quantity's range is simulated. If the command is
     not tracked at the bound, the range between a tracked and an untracked value is bisected
     `NUM_HALVINGS` times. The range between a value without and a value with a fall is bisected in
-    the same way. If tracked and untracked values alternate, the bisection finds a single boundary.
+    the same way.
 
     Args:
         robot: Robot.
@@ -548,9 +548,6 @@ def read_measured_intervals(
     - ``kp`` and ``kd`` are factors on the stated gains. The interval contains the intervals of all
       joints.
     - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
-
-    Other parameters, intervals that are not finite, and factors on a stated value that is not
-    positive are ignored.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

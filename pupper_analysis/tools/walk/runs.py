@@ -157,7 +157,6 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     Raises:
         ConfigurationError: If the base is fixed or the robot has no feet, for example.
         ModelError: If policy and robot do not fit, or gains are missing, for example.
-        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     robot.check_floating()
     contract = policy.contract
@@ -240,7 +239,6 @@ def replace_efforts(
 
     Raises:
         ConfigurationError: If a limit is below `MIN_EFFORT` or not finite.
-        ModelError: If the policy does not fit the robot.
         UnknownNameError: If a joint does not exist.
     """
     if not efforts:

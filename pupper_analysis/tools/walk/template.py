@@ -54,7 +54,6 @@ def write_template(
         Path of the TOML file beside the policy; keys that the user must complete.
 
     Raises:
-        MissingPackageError: If the policy is TorchScript and torch is not installed.
         ModelError: If the policy cannot be read.
         OutputError: If the file cannot be written, or exists and the run does not replace files.
     """

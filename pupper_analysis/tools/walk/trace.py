@@ -637,7 +637,6 @@ def record_trace(
         ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
             than once per time step, for example.
         ModelError: If the policy does not fit the robot (`prepare_stage`).
-        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     stage = prepare_stage(robot, policy)
     lockstep = Lockstep(stage, [stage.make_case(np.array(commands[0], dtype=float), seed)])
