@@ -267,8 +267,7 @@ class TrackedIntervals(Result):
 
         The margin is the smallest margin of the unchanged robot over ``seeds``; the spread is the
         largest minus the smallest margin. Another initial state may violate a criterion with a
-        narrow margin. If this criterion ends an interval, the end depends on the initial state
-        rather than on the quantity. Empty with fewer than two ``seeds``.
+        narrow margin.
         """
         margins = {"speed": self.speed_margins, "turning": self.turning_margins}
         return tuple(
@@ -347,7 +346,7 @@ def _make_interval(
 ) -> TrackedInterval:
     """Create the result of a quantity from the brackets and outcomes of all seeds.
 
-    ``brackets`` contain the nearest satisfied and violated value.
+    ``brackets`` contain a satisfied and a violated value, between which an end is located.
     """
 
     def collect(side: int, criterion: str, end: int) -> Array:
