@@ -380,12 +380,11 @@ def push_recovery(
     If the robot is upright at the end but not at rest, the simulation continues, up to ten times as
     long. Each returned limit above 0 was simulated to the end.
 
-    All directions are simulated at once. Impulses are doubled until the robot falls, and then
-    bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
-    push, for example by sliding. Bisection then finds only a single boundary. Therefore up to 8
-    smaller, equally spaced pushes are simulated afterwards, if their spacing is larger than
-    ``resolution``. If a smaller push fails, a boundary below this push is returned. A failure
-    between the simulated pushes may remain undetected.
+    Impulses are doubled until a push fails, and then bisected. Recovery need not be monotonic: a
+    robot may fall after a push and survive a larger push, for example by sliding. Bisection then
+    finds only a single boundary. Therefore up to 8 smaller, equally spaced pushes are simulated
+    afterwards, if their spacing is larger than ``resolution``. If a smaller push fails, a boundary
+    below this push is returned. A failure between the simulated pushes may remain undetected.
 
     Args:
         robot: The robot.
