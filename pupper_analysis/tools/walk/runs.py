@@ -161,6 +161,10 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     robot.check_floating()
     contract = policy.contract
     joints = find_joint_indices(robot, policy)
+    undriven = joints[robot.mj_convention.actuator_index[joints] < 0]
+    if undriven.size:  # for example, joints that an equality couples to another joint
+        names = [robot.joint_names[joint] for joint in undriven]
+        raise ModelError(policy.name, diagnose("policy-moves-joint-without-motor", joints=names))
     robot = with_contract_efforts(robot, contract, joints)
     if not robot.feet:
         raise ConfigurationError("robot", diagnose("walks-on-no-feet", robot=robot.name))

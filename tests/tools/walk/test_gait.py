@@ -33,6 +33,7 @@ from pupper_analysis.tools.walk.gait import (
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, PolicyRun, prepare_stage, simulate_cases
 from tests.present.test_printed import print_words
+from tests.support.repository import ROOT
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -210,6 +211,23 @@ def test_policy_with_unknown_joints_is_refused(still: Policy) -> None:
     fewer = still.with_contract(default=np.zeros(11))
     with pytest.raises(PupperAnalysisError, match="commands 11"):
         prepare_stage(load("v3"), fewer)
+
+
+def test_policy_that_commands_a_coupled_joint_is_refused(still: Policy) -> None:
+    """The action of a joint without actuator was written to the last actuator."""
+    spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf/pupper_v3.xml"))
+    actuators = [item for item in spec.actuators if item.target == "leg_back_l_3"]
+    assert len(actuators) == 1
+    for item in (*actuators, *spec.keys):  # the keyframes have a ctrl for each actuator
+        spec.delete(item)
+    spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_JOINT, name1="leg_back_l_3", name2="leg_back_r_3",
+        objtype=mujoco.mjtObj.mjOBJ_JOINT, data=[0, -1, *[0] * 10],
+    )  # fmt: skip
+    robot = pa.load_robot(spec)
+    assert (robot.mj_convention.actuator_index < 0).sum() == 1
+    with pytest.raises(PupperAnalysisError, match=r"no actuator .*: leg_back_l_3"):
+        prepare_stage(robot, still.with_contract(joints=load("v3").joint_names))
 
 
 def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
