@@ -327,8 +327,10 @@ _REMEDIES = {
 """{name of a required class: text that describes how to obtain an object of this class}."""
 
 _UNION_CODES = {"UrdfObject": "no-robot", "Tool": "no-frame-point"}
-"""{name of a class in a union: code of the message that lists all types of the union}, for unions
-that are too long for a list of class names."""
+"""{class name: code of the message that lists the accepted types}, for arguments whose type is a
+union
+with this class.
+"""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "a number",

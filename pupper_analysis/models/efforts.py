@@ -364,7 +364,8 @@ def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatemen
 def _is_empty(
     file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], limited: int
 ) -> bool:
-    """Return True if a force or control range of an MJCF is empty, and so permits no force.
+    """Return True if an MJCF states a force or control range whose lower end is not below the
+    upper.
 
     False if ``limited``, MuJoCo's flag for the range, is not "auto".
     """

@@ -134,8 +134,10 @@ tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
 """Upper bound of the distance between a foot's points and the surface of a fitted sphere, divided
-by the radius [1], with which the sphere may replace the foot. The points are those in the cap of
-`_CAP_ANGLE`. Chosen, not tuned."""
+by
+the radius [1], with which the sphere may replace the foot. Only points within `_CAP_ANGLE` of the
+lowest direction count. Chosen, not tuned.
+"""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
@@ -313,9 +315,9 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres that represent the surface of a geom, by their convex hull.
+    """Yield spheres whose convex hull represents a geom; round surfaces are sampled.
 
-    A sphere is a pair (centre (3,) [m] in the world frame, radius [m]). Round surfaces are sampled.
+    A sphere is a pair (centre (3,) [m] in the world frame, radius [m]).
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)

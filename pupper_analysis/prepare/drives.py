@@ -398,7 +398,9 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at independent joints without a servo.
 
-    The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque.
+    The gains are computed by `list_fixed_base_gains`. Passive joints, which have no motor, get
+    servos
+    without torque.
 
     Returns:
         Robot with the servos; notes on added servos and passive joints.

@@ -888,7 +888,7 @@ def prepare_robot(
 
 
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Run the immediate preparation passes, without servos, rest pose and visual meshes."""
+    """Run the preparation passes of loading: all except servos, rest pose and visual meshes."""
     check_simulable(mjcf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 

@@ -248,7 +248,7 @@ class OwnRun(BodyMotion):
 
     @property
     def is_tilted(self) -> bool:
-        """True if the base of a standing robot ends tilted by more than 10 deg (``MAX_OWN_TILT``).
+        """True if the base of a standing robot ends tilted by more than ``MAX_OWN_TILT`` (10 deg).
 
         False if the simulation diverged.
         """

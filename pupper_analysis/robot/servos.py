@@ -182,7 +182,7 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Compute commands at which the position servos without another command exert no force.
+    """Compute commands at which position servos that the caller does not command exert no force.
 
     The commands are computed for zero velocity, and are not clipped to ``ctrlrange``. The ctrl of
     all other actuators is 0.

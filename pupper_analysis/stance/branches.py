@@ -22,8 +22,9 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 _NUM_STARTS = 32
-"""Number of random initial guesses per limb. Measured on 800 random foot targets of three-joint
-legs: 32 guesses find all but one of the branches that 256 guesses find."""
+"""Number of random initial guesses of the inverse kinematics of a limb. Measured on 800 random foot
+targets of three-joint legs: 32 guesses find all but one of the IK branches that 256 guesses find.
+"""
 
 _MAX_ITERATIONS = 14
 """Upper bound of the number of Levenberg-Marquardt iterations from one initial guess. Chosen, not

@@ -67,8 +67,8 @@ def friction_utilisation_of(
         tiny: Tangential force [N] below which the utilisation is 0.
 
     Returns:
-        Utilisation [1]. From ``tiny`` on, infinite if the normal force or the friction coefficient
-        is zero, otherwise negative if the contact pulls (negative normal force).
+        Utilisation [1]. For a tangential force of ``tiny`` or more: infinite if the normal force or
+        the friction coefficient is zero, and negative if the contact pulls.
     """
     pressing, tangential = split_force(force, normal)
     if tangential < tiny:

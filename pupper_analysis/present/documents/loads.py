@@ -149,7 +149,11 @@ def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
 
 
 def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Words]:
-    """Create the note below a table that the values of slides have other units (N, mm).
+    """Create the note of a table that the values of slides are in N and mm, other than of hinges.
+
+    Args:
+        names: Joints of the table.
+        units: Unit of each joint's position: rad or m.
 
     Returns:
         List with the note, which names the slides; empty without a slide.

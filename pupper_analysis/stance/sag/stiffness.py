@@ -59,8 +59,10 @@ _FIRST_CREEP_RATIO = 0.04
 first. Measured: creep raises the least kp by 4 to 8 % (original, Go2, v3)."""
 
 _MAX_PREDICTIONS = 4
-"""Number of creep simulations of `_bisect_stiffness` at predicted kp, before the bracket is halved.
-Chosen, not tuned."""
+"""Number of simulations of creep (slow yielding) that `_bisect_stiffness` runs at predicted kp,
+before
+the bracket is halved. Chosen, not tuned.
+"""
 
 _ESTIMATE_TOLERANCE = 0.02
 """Relative width to which `estimate_minimum_stiffness` brackets the least kp of the static

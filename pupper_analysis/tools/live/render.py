@@ -218,7 +218,7 @@ class Translator:
         return message.with_names(strip_folders).text(self.code)
 
     def translate(self, words: Words) -> str:
-        """Return a text of a document in the page's language, without folders (`strip_folders`)."""
+        """Return a text in the page's language, with folders removed (`strip_folders`)."""
         return strip_folders(
             self._select_language(words) if isinstance(words, Text) else words.text
         )

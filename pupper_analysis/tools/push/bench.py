@@ -61,8 +61,8 @@ again.
 """
 
 _SLOW_DURATION = 0.1
-"""Length [s] of the final part of a simulated interval in which no velocity may exceed
-`_MAX_SLOW_SPEED` if the robot is to count as at rest before the end. Chosen, not tuned.
+"""Length [s] of the last part of a simulated interval. A robot counts as at rest if no velocity in
+this part exceeds `_MAX_SLOW_SPEED`; the simulation then ends early. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02

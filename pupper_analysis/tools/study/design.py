@@ -617,8 +617,8 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
-    A metric with an error of this package is left out, or has the value ``fallen`` if the robot
-    cannot stand.
+    A metric with an error of this package is left out. If the robot cannot stand, the value is
+    ``Metric.fallen``, if the metric has this number.
     """
     row: dict[str, float] = {}
     for metric in metrics:

@@ -97,7 +97,7 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
 
 
 def _describe_impossible_changes(sync: Sync) -> Iterable[doc.Words]:
-    """Yield a text that nothing was written, with the number of impossible changes; or nothing."""
+    """Yield the text "nothing was written because of ... impossible changes", if there are any."""
     if sync.withheld:
         count = sum(unmended.cause == UnwrittenCause.NOT_MENDED for unmended in sync.not_mended)
         yield text(

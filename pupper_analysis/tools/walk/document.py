@@ -355,7 +355,7 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of a policy contract: main keys with value, origin and source.
 
-    Keys without effect that no file states are omitted, for example.
+    A key that no file states, and that has a neutral value such as no latency, is left out.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(

@@ -576,9 +576,11 @@ class Leg:
     def compute_reached_fraction(
         self, hip: tuple[float, float], knee: tuple[float, float]
     ) -> float:
-        """Compute the fraction of the knee range at which a hip angle puts the foot below the hip.
+        """Compute the fraction of the knee range for which a hip angle puts the foot below the hip.
 
-        Sampled knee angles with a folded leg (foot near the hip) are left out.
+        The hip angle must be within the limits. Sampled knee angles with a folded leg (foot near
+        the hip)
+        are left out.
 
         Args:
             hip: Lower and upper limit of the hip [rad].
