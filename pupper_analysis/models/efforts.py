@@ -364,8 +364,7 @@ def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatemen
 def _is_empty(
     file: MjcfFile, kind: str, name: str, attribute: str, range_: Sequence[float], limited: int
 ) -> bool:
-    """Return True if an MJCF states a force or control range whose lower end is not below the
-    upper.
+    """Return True if an MJCF states a force or control range without numbers between its ends.
 
     False if ``limited``, MuJoCo's flag for the range, is not "auto".
     """

@@ -311,8 +311,8 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
         least="" if least is None else f"{_round_bound(least * kp):g}",
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
         added=bool(stance.verdict.servos.made),
-        over=over,
-        within=bounded and not over,
+        implicit_over=over and implicit,
+        within=bounded and not (over and implicit),
         step=f"{1e3 * servos.timestep:.3g}",
         implicit=servos.integrator if implicit else "",
     )

@@ -394,7 +394,7 @@ _Part = TypeVar("_Part", Link, Joint)
 def _omit_copied_limbs(
     robot: RobotModel, pairs: Iterable[tuple[MirrorPlane, _Part, _Part]]
 ) -> Iterator[tuple[MirrorPlane, _Part, _Part]]:
-    """Yield the pairs of links or joints, except those of limbs that are copies, not mirror images."""
+    """Yield the pairs of links or joints, except those of limbs that are copies of each other."""
     copied: frozenset[str] | None = None
     for mirror, first, second in pairs:
         copied = find_copied_links(robot, mirror) if copied is None else copied
