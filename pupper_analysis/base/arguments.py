@@ -327,9 +327,9 @@ _REMEDIES = {
 """{name of a required class: text that describes how to obtain an object of this class}."""
 
 _UNION_CODES = {"UrdfObject": "no-robot", "Tool": "no-frame-point"}
-"""{class name: code of the message that lists the accepted types}, for arguments whose type is a
-union
-with this class.
+"""{class name: code of a message about the accepted types}, for arguments whose type is a union
+with
+this class.
 """
 
 _TYPE_NAMES: dict[Any, str] = {

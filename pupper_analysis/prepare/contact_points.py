@@ -315,7 +315,7 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres whose convex hull represents a geom; round surfaces are sampled.
+    """Yield spheres whose convex hull represents a geom; cylinders and ellipsoids are sampled.
 
     A sphere is a pair (centre (3,) [m] in the world frame, radius [m]).
     """

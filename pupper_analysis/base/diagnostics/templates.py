@@ -299,7 +299,8 @@ def to_unicode(text: str) -> str:
 
 _OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 """Pattern of an optional text in a template. ``[name? text]`` is included if the value of ``name``
-is true (not missing, None, empty, zero or False), ``[!name? text]`` if the value is false."""
+is true in Python, ``[!name? text]`` if the value is false or missing.
+"""
 
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 """Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format

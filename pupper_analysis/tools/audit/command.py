@@ -161,10 +161,8 @@ def _print_rules() -> None:
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
     """Print the patch of the repairs that are unambiguous, and write the files if confirmed.
 
-    Without ``confirmed``, the user is asked. Without ``prints_patch``, the patch is printed to
-    standard error, since standard output is a document of another format. ``force`` overwrites
-    files
-    with uncommitted changes.
+    Without ``confirmed``, the user is asked on a terminal. Without ``prints_patch``, the patch is
+    printed to standard error. ``force`` overwrites files with uncommitted changes.
 
     Returns:
         Number of repairs in the written files; 0 if nothing was written.

@@ -234,7 +234,7 @@ _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 """{name: value} of constants that numeric modules define, such as ``np.pi``."""
 
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
-"""Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
+"""Names under which configurations import numeric modules, with constants such as pi."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
 """Names of functions that convert a list or table to a list."""

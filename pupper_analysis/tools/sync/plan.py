@@ -259,7 +259,7 @@ def _iterate_edits(element: XmlElement) -> Iterator[Edit]:
 
 
 def _describe_element(element: XmlElement) -> str:
-    """Return the tags from the nearest named ancestor to the element, as ``link leg > mass``."""
+    """Return the path of an element from the nearest named element, as ``link leg > mass``."""
     parts = []
     current: XmlElement | None = element
     while current is not None:

@@ -120,7 +120,10 @@ def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 def _list_start_angles(
     robot: RobotModel,
 ) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
-    """Yield each initial configuration: element (tag, name), title, {joint: position [rad, m]}."""
+    """Yield initial configurations: element (tag, name), title, {joint: position [rad, m]}.
+
+    The position is that of a hinge or slide.
+    """
     if not isinstance(robot, MjcfModel):
         if robot.base:
             values = {joint.name: 0.0 for joint in robot.joints.values()}
