@@ -35,18 +35,15 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
     `build_document` calls this function for a `Contract`.
     """
-    message = text(
-        "contract-count",
-        findings=len(contract.findings),
-        facts=len(contract.facts),
-        sources=len(contract.sources),
-        mirrored=sum(finding.probable_mistake == "mirror" for finding in contract.findings) or None,
-    )
+    is_asymmetric = _has_asymmetries_only(contract)
+    message = _count_asymmetries(contract) if is_asymmetric else _count_differences(contract)
     evidence = text(f"contract-evidence-{contract.evidence}")
     has_findings = bool(contract.findings)
     agree = text("contract-agree-but" if has_findings or contract.unread else "contract-agree")
     is_incomplete = all(finding.severity is Severity.NOTE for finding in contract.findings)
     differ = text("contract-incomplete" if contract.unread and is_incomplete else "contract-differ")
+    if is_asymmetric:
+        agree = differ = text("contract-asymmetric")
     return doc.Document(
         text("contract"),
         doc.Name(Path(contract.model).name),
@@ -57,6 +54,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         findings=(
             message,
             *map(doc.diagnostic_text, contract.unread),
+            *(_list_uncompared(contract) if is_asymmetric else ()),
             *_describe_worst_disagreement(contract),
             *(() if has_findings or contract.unread else (_list_compared(contract), evidence)),
         ),
@@ -66,8 +64,58 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     )
 
 
+def _has_asymmetries_only(contract: Contract) -> bool:
+    """Return True if the sources share no number, and each finding is a left-right asymmetry."""
+    mirrored = [finding.probable_mistake == "mirror" for finding in contract.findings]
+    is_compared = bool(_find_compared_quantities(contract))
+    return bool(mirrored) and all(mirrored) and not is_compared and not contract.unread
+
+
+def _count_differences(contract: Contract) -> doc.Words:
+    """Return the text of the number of differences, of numbers and of sources."""
+    return text(
+        "contract-count",
+        findings=len(contract.findings),
+        facts=len(contract.facts),
+        sources=len(contract.sources),
+        mirrored=sum(finding.probable_mistake == "mirror" for finding in contract.findings) or None,
+    )
+
+
+def _count_asymmetries(contract: Contract) -> doc.Words:
+    """Return the text of the number of left-right differences in the sources that have them."""
+    sources = {name for finding in contract.findings for name in finding.sources}
+    return text(
+        "contract-asymmetric-count",
+        findings=len(contract.findings),
+        facts=sum(fact.source in sources for fact in contract.facts),
+        source=doc.Name(next(iter(sources)) if len(sources) == 1 else ""),
+        sources=len(sources) if len(sources) > 1 else None,
+    )
+
+
+def _list_uncompared(contract: Contract) -> Iterable[doc.Words]:
+    """Yield the text of quantities that a single source states, if the sources share no number.
+
+    The source with the fewest quantities is named.
+    """
+    quantities_by_source: dict[str, dict[str, None]] = {}
+    for fact in contract.facts:
+        quantities_by_source.setdefault(fact.source, {})[fact.quantity] = None
+    if len(contract.sources) > 1:
+        source, quantities = min(quantities_by_source.items(), key=lambda item: len(item[1]))
+        yield text(
+            "contract-uncompared",
+            source=doc.Name(source),
+            quantities=_join_quantities(quantities),
+        )
+
+
 def _select_next_step(contract: Contract) -> doc.NextStep:
-    """Return the command to suggest next: `crosscheck` of the models, `walk`, `stand` or `hold`."""
+    """Return the command to suggest next.
+
+    It is `crosscheck` of the models, `walk`, `gains` with the gains of a source, `stand` or `hold`.
+    """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
     others = {source.path for source in contract.sources if source.role != Role.MODEL}
@@ -80,8 +128,27 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
     if contract.findings and contract.floating and len(policies) == 1:
         words = (contract.model, "--policy", policies[0])
         return doc.NextStep("walk", words, robot_typed=False)
+    gains = _format_shared_gains(contract)
+    if gains and contract.floating and _has_asymmetries_only(contract):
+        return doc.NextStep("gains", (contract.model, *gains), robot_typed=False)
     command = "stand" if contract.floating else "hold"
     return doc.NextStep(command, (contract.model,), robot_typed=False)
+
+
+def _format_shared_gains(contract: Contract) -> tuple[str, ...]:
+    """Return the options for the kp and kd of all joints; empty unless all joints share them.
+
+    For example, ("--kp", "20", "--kd", "1.5") in SI units.
+    """
+    words: list[str] = []
+    for quantity in ("kp", "kd"):
+        facts = [fact for fact in contract.facts if fact.quantity == quantity and fact.joint]
+        values = {fact.value for fact in facts}
+        value = values.pop() if len(values) == 1 else None
+        if value is None or {fact.joint for fact in facts} != set(contract.joints):
+            return ()
+        words += [f"--{quantity}", f"{value:.6g}"]
+    return tuple(words)
 
 
 def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
@@ -100,23 +167,33 @@ def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
         yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
 
 
-def _list_compared(contract: Contract) -> doc.Words:
+def _find_compared_quantities(contract: Contract) -> list[str]:
     """Return the quantities that at least two sources state for the same joint or setting."""
     sources: dict[tuple[str, str], set[str]] = {}
     for fact in contract.facts:
         sources.setdefault((fact.quantity, fact.joint), set()).add(fact.source)
-    quantities = dict.fromkeys(key[0] for key, names in sources.items() if len(names) > 1)
+    return list(dict.fromkeys(key[0] for key, names in sources.items() if len(names) > 1))
+
+
+def _list_compared(contract: Contract) -> doc.Words:
+    """Return the text of the compared quantities."""
+    quantities = _find_compared_quantities(contract)
     if not quantities:
         return text("contract-compared-none")
+    return text("contract-compared", quantities=_join_quantities(quantities))
+
+
+def _join_quantities(quantities: Iterable[str]) -> doc.Words:
+    """Join the names of quantities; the short form has `_MAX_NAMED_QUANTITIES` names."""
     words = [word(quantity) for quantity in quantities]
     short = join_words(words[:_MAX_NAMED_QUANTITIES]).en
     if len(words) > _MAX_NAMED_QUANTITIES:
         short += f" and {len(words) - _MAX_NAMED_QUANTITIES} more"
-    return text("contract-compared", quantities=replace(join_words(words), short=short))
+    return replace(join_words(words), short=short)
 
 
 _MAX_NAMED_QUANTITIES = 5
-"""Largest number of compared quantities that the short answer names. Chosen, not tuned."""
+"""Largest number of quantities that the short answer names. Chosen, not tuned."""
 
 
 def _list_blocks(contract: Contract) -> Iterable[doc.Block]:

@@ -475,7 +475,7 @@ def _group_by_values(
             kind._replace(severity=None) if meant or near else kind,
             joints=members,
             mistake=mistake,
-            effects=_describe_effects(quantity, a, b),
+            effects=_describe_effects(quantity, (first_fact.source, second_fact.source), a, b),
         )
 
 
@@ -544,10 +544,12 @@ def _classify_mistake(quantity: str, a: float, b: float) -> tuple[str, str]:
     return "", ""
 
 
-def _describe_effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
+def _describe_effects(
+    quantity: str, sources: tuple[str, str], a: float, b: float
+) -> tuple[Diagnostic, ...]:
     """Return messages on the effects of a difference on the robot, such as a weaker servo.
 
-    The effects follow from the numbers ``a`` and ``b`` of both sources alone; may be empty.
+    The effects follow from the numbers ``a`` and ``b`` of both ``sources`` alone; may be empty.
     """
     if quantity in _ANGLE_QUANTITIES:
         return (diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad")),)
@@ -560,7 +562,10 @@ def _describe_effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ..
         return (diagnose("contract-effect-kp", share=Quantity(a / b, "1")),)
     if quantity in ("kd", "effort", "velocity"):
         what = Term("damping" if quantity == "kd" else quantity)
-        return (diagnose("contract-effect-share", share=share, what=what),)
+        first, second = sources
+        return (
+            diagnose("contract-effect-share", share=share, what=what, first=first, second=second),
+        )
     return ()
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.present.document import Number, Table, word
+from pupper_analysis.present.document import Number, Table, get_english, word
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.document import contract_document
@@ -226,6 +226,29 @@ def test_left_right_asymmetry_is_found_in_a_single_source(sources: dict[str, Pat
     assert found.findings[0].values == (0.26, 0.26)
 
 
+def test_asymmetric_model_without_shared_numbers_is_not_a_disagreement(tmp_path: Path) -> None:
+    """The policy alone states kp and kd; the only finding is the damping within the model."""
+    joints = {"FL_hip_joint": 0.1, "FR_hip_joint": 0.2}
+    bodies = "".join(
+        f'<body><geom size=".1"/><joint name="{name}" damping="{damping}" '
+        'armature=".1" frictionloss=".2"/></body>'
+        for name, damping in joints.items()
+    )
+    model, config = tmp_path / "two.xml", tmp_path / "config.yaml"
+    model.write_text(f'<mujoco model="two"><worldbody>{bodies}</worldbody></mujoco>')
+    lines = ["robot:", "  joint_names: [FL_hip_joint, FR_hip_joint]"]
+    lines += ["  kps: [20.0, 20.0]", "  kds: [1.5, 1.5]"]
+    config.write_text("\n".join(lines) + "\n")
+    found = read_contract(model, config, stand=False)
+    assert [finding.probable_mistake for finding in found.findings] == ["mirror"]
+    shown = contract_document(found)
+    assert get_english(shown.verdict) == "ASYMMETRIC"
+    first, second, *_ = [getattr(part, "short", "") or part.en for part in shown.findings]
+    stated = sum(fact.source == "two.xml" for fact in found.facts)
+    assert first == f"1 difference between left and right joints in {stated} numbers of two.xml"
+    assert second == "no number is compared: only config.yaml:robot states kp, kd"
+
+
 def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> None:
     text = sources["mjlab_cfg.py"].read_text()
     one, two = re.findall(r'            "(?:angles|last)".*\n', text)
@@ -239,7 +262,7 @@ def test_model_values_are_compared_with_other_sources(sources: dict[str, Path]) 
     (finding,) = found.findings
     assert (finding.kind, finding.values) == ("kd", (0.25, 0.1))
     assert finding.places[1].rpartition(":")[0].endswith("pupper_v3_shared.xml")
-    assert "40 % of the damping" in finding.message
+    assert "pupper_v3.xml has 40 % of the damping in policy.json" in finding.message
 
 
 @pytest.mark.slow
