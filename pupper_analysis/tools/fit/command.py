@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,8 +14,8 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.inputs import describe_missing_file, path_exists
+from pupper_analysis.base.errors import ConfigurationError, InputError, MeasurementError
+from pupper_analysis.base.inputs import find_similar_files
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.next_step import complete_command
@@ -227,7 +229,9 @@ def command(
     selection = which.select_robot(words) or "v3"
     robot = load_selected_robot(selection)
     if (planned := record or stands) is not None:
-        _check_planned_file(planned, robot, plan=record or Path("plan.csv"))
+        _check_planned_file(
+            planned, robot, plan=record or Path("plan.csv"), has_kp=bool(kp), recorded=not record
+        )
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording | TraceRecording
     if record is not None:
@@ -243,7 +247,10 @@ def command(
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
 
         measured, held_out = _read_measurements(stands, logs, hold_out)
-        with shared.show_progress("fitting the robot's numbers to the measurements"):
+        with (
+            _propose_gains(),
+            shared.show_progress("fitting the robot's numbers to the measurements"),
+        ):
             result = fit_numbers(
                 robot,
                 measured,
@@ -276,23 +283,64 @@ def command(
     shared.finish_command(json_path, result, passed=passed)
 
 
-def _check_planned_file(path: Path, robot: Robot, plan: Path) -> None:
+def _check_planned_file(
+    path: Path, robot: Robot, plan: Path, *, has_kp: bool, recorded: bool
+) -> None:
     """Raise an error if the base is fixed, or if a file of stands is missing.
 
-    The error about a missing file contains the command that plans stands.
+    The error about a missing file contains the command that plans stands. If kp is neither typed
+    nor stated by a file, the command `gains` replaces it.
 
     Args:
         path: Plan, or file of recorded stands.
         robot: Robot that shall stand.
         plan: Output of the command that the error prints.
+        has_kp: Whether kp is typed.
+        recorded: Whether ``path`` is a file of recorded stands.
     """
     robot.check_floating()
-    if not path_exists(path):
-        error = InputError(path, describe_missing_file(path))
-        words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
-        step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
-        error.add_note(complete_command(step))
-        raise error
+    # Path.exists raises an error for a name that is too long.
+    if os.path.exists(path):  # noqa: PTH110
+        return
+    from pupper_analysis.tools.fit.stands.fit import list_joints_without_kp
+
+    needs_kp = not has_kp and bool(list_joints_without_kp(robot))
+    alike = [str(file) for file in find_similar_files(path) if _has_column_of(file, robot)]
+    finding = diagnose(
+        "planned-file-missing",
+        alike=alike,
+        plan=(not alike and not recorded) or None,
+        stands=(not alike and recorded) or None,
+        kp=(not alike and needs_kp) or None,
+    )
+    words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
+    step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
+    error = InputError(path, finding)
+    error.add_note(complete_command(NextStep("gains") if needs_kp else step))
+    raise error
+
+
+@contextmanager
+def _propose_gains() -> Iterator[None]:
+    """Add the command `gains`, which prints bounds of kp, to an error about an unknown kp."""
+    try:
+        yield
+    except MeasurementError as error:
+        if error.cause.code == "command-without-kp":
+            error.add_note(complete_command(NextStep("gains", omitted=_MEASURING_OPTIONS)))
+        raise
+
+
+def _has_column_of(path: Path, robot: Robot) -> bool:
+    """Return True if the header of a CSV file has a command or position of a joint of the robot."""
+    with suppress(OSError, UnicodeError), path.open(encoding="utf-8") as file:
+        names = {name.partition("[")[0].strip() for name in file.readline().split(",")}
+        return any(
+            f"{kind}.{joint}" in names
+            for kind in ("command", "position")
+            for joint in robot.joint_names
+        )
+    return False
 
 
 _PROPOSED_STANDS = 6
@@ -364,7 +412,7 @@ def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) 
     """Choose ``count`` stands to be measured, and write the plan to ``output`` if given."""
     from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
-    with shared.show_progress("choosing stands among those that the servos hold"):
+    with _propose_gains(), shared.show_progress("choosing stands among those that the servos hold"):
         plan = plan_stands(robot, count, **options)
     if output is not None:
         write_plan(plan, output)

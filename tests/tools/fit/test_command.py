@@ -22,6 +22,7 @@ from pupper_analysis.tools.fit.command import command as fit_command
 from pupper_analysis.tools.fit.stands.plan import StandPlan
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
+from tests.support.repository import ROOT
 
 
 def write_log(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarray) -> None:
@@ -297,3 +298,21 @@ def test_missing_plan_or_stands_print_the_command_that_plans_stands(
     assert "my.csv: there is no such file" in err
     line = f"  next: pupper-analysis fit v3 {expected.format(folder=tmp_path)}"
     assert err.splitlines()[-1] == line
+
+
+@pytest.mark.parametrize("typed", ["--plan 3", "--record my.csv", "--stands my.csv"])
+def test_servos_without_kp_propose_the_command_that_prints_bounds_of_kp(
+    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: a URDF states no kp; a plan of another robot's stands is not proposed."""
+    (tmp_path / "my2.csv").write_text("stand,command.other_joint\n")
+    urdf = str(ROOT / "urdf/pupper_v3.urdf")
+    words = [str(tmp_path / word) if word == "my.csv" else word for word in typed.split()]
+    status, _, err = run_command(capfd, "fit", urdf, *words)
+    assert status == 2
+    assert "--kp" in err
+    assert "did you mean" not in err
+    assert err.splitlines()[-1] == f"  next: pupper-analysis gains {urdf}"
+    (tmp_path / "my2.csv").write_text("stand,command.leg_front_r_1 [deg]\n")
+    _, _, err = run_command(capfd, "fit", urdf, *words)
+    assert ("did you mean" in err) == ("my.csv" in typed)

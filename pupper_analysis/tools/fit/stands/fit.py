@@ -933,17 +933,22 @@ def get_stated_stiffness(
         ModelError: If ``kp`` is passed, and a joint has no motor.
     """
     if kp is None:
-        gains = list_position_servos(robot)
-        added_servos = {servo.joint for servo in robot.description.made_servos}
-        without_kp = [
-            name
+        gains, without_kp = list_position_servos(robot), list_joints_without_kp(robot)
+        count = sum(
+            has_command and name in without_kp
             for name, has_command in zip(robot.joint_names, commanded, strict=True)
-            if has_command and (name not in gains or name in added_servos)
-        ]
-        if without_kp:
-            raise MeasurementError(source, diagnose("command-without-kp", joints=without_kp))
+        )
+        if count:
+            raise MeasurementError(source, diagnose("command-without-kp", count=count))
         return np.array([gains.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
     return resolve_servo_gains(robot, kp, 0.0).kp
+
+
+def list_joints_without_kp(robot: Robot) -> list[str]:
+    """Return the joints for whose servos no model file states kp."""
+    gains = list_position_servos(robot)
+    added_servos = {servo.joint for servo in robot.description.made_servos}
+    return [name for name in robot.joint_names if name not in gains or name in added_servos]
 
 
 _STOP_MARGIN = 2e-3
