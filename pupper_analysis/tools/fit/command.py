@@ -388,6 +388,8 @@ def _select_next_step(
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
+    from pupper_analysis.tools.fit.result import Determined
+    from pupper_analysis.tools.fit.stands.fit import StandFit
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
     if isinstance(result, TraceRecording):
@@ -405,6 +407,10 @@ def _select_next_step(
         return NextStep("fit", ("--stands", result.file), omitted=_MEASURING_OPTIONS)
     if not result.explained:
         return NextStep("fit", ("-v",))
+    if output is None and isinstance(result, StandFit) and result.weight is None:
+        mass = result.total_mass
+        if mass.determined is not Determined.DATA:
+            return NextStep("fit", ("--weight", f"{mass.stated:.4g}kg"))
     return NextStep("fit", ("-o", "fitted")) if output is None else None
 
 

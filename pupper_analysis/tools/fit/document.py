@@ -195,12 +195,21 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured stands."""
-    answer: tuple[doc.Words, ...] = (
-        _describe_total_mass(fit.total_mass),
-        *_describe_kp_factor(fit),
-    )
-    if fit.weight is not None and fit.kp_factor is not None:
-        answer = (*answer[1:], answer[0])  # the user typed the mass, and asks for the stiffness
+    mass, factors = _describe_total_mass(fit.total_mass), list(_describe_kp_factor(fit))
+    undetermined = tuple(_describe_undetermined_mass(fit.total_mass))
+    answer: tuple[doc.Words, ...] = (mass, *undetermined, *factors)
+    if fit.kp_factor is not None and fit.weight is None:
+        both = text(
+            "total-mass-and-kp",
+            mass=mass,
+            kp=factors[0],
+            **_format_rounded_estimate(fit.total_mass),
+            factor=_format_rounded_estimate(fit.kp_factor)["mean"],
+            factor_half=_format_rounded_estimate(fit.kp_factor)["half"],
+        )
+        answer = (both, *undetermined, *factors[1:])
+    elif fit.kp_factor is not None:
+        answer = (*factors, mass, *undetermined)  # the user typed the mass, and asks for kp
     details = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
         _describe_com(fit.com),
@@ -226,11 +235,28 @@ def _format_estimate(estimate: Estimate) -> dict[str, str]:
     return {"mean": f"{estimate.mean:.3f}", "half": f"{estimate.high - estimate.mean:.3f}"}
 
 
+def _format_rounded_estimate(estimate: Estimate) -> dict[str, str]:
+    """Format an estimate and the stated value with two decimals, more for a narrow interval."""
+    half = estimate.high - estimate.mean
+    decimals = max(2, 1 - math.floor(math.log10(half))) if half > 0 else 2
+    values = {"mean": estimate.mean, "half": half, "stated": estimate.stated}
+    return {name: f"{value:.{decimals}f}" for name, value in values.items()}
+
+
+def _format_total_mass(mass: Estimate) -> dict[str, str]:
+    """Format the estimate and the stated value of the total mass [kg]."""
+    return {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
+
+
 def _describe_total_mass(mass: Estimate) -> doc.Words:
     """Return the text of the total mass [kg]: estimate, interval and stated value."""
-    values = {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
-    is_determined = mass.determined is Determined.DATA
-    return text("total-mass-determined" if is_determined else "total-mass-undetermined", **values)
+    return text("total-mass-determined", **_format_total_mass(mass))
+
+
+def _describe_undetermined_mass(mass: Estimate) -> Iterator[doc.Words]:
+    """Yield the text of a total mass that the measurements do not determine, with the remedies."""
+    if mass.determined is not Determined.DATA:
+        yield text("total-mass-undetermined", stated=f"{mass.stated:.3f}")
 
 
 def _describe_com(com: Sequence[Estimate]) -> doc.Words:
@@ -255,7 +281,7 @@ def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
         elif fit.weight is None:
             yield text("kp-factor", **values)
             if fit.total_mass.determined is Determined.DATA:
-                yield text("what-would-tell")  # otherwise stated beside the total mass
+                yield text("what-would-tell")  # otherwise stated with the undetermined mass
         else:
             yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
 

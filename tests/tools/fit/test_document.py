@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Name, diagnostic_text, text
+from pupper_analysis.present.document import BarPlot, Name, Text, diagnostic_text, text
 from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.tools.fit.command import _select_next_step
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, SURROUNDINGS_KINDS, Parameter
 from pupper_analysis.tools.fit.result import (
@@ -171,3 +172,21 @@ def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
     for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.1516 deg")):
         assert kept in line.short
         assert len(line.short) < MAX_ANSWER_WIDTH < len(line.en)
+
+
+def test_an_unweighed_fit_states_mass_and_kp_first_and_proposes_to_weigh() -> None:
+    """Reference: the estimates, and the stated total mass of 3 kg."""
+    mass = replace(stand_fit().total_mass, determined=Determined.PARTLY)
+    fit = replace(stand_fit(), weight=None, total_mass=mass)
+    first, second, *_ = make_document(fit).findings
+    assert isinstance(first, Text)
+    assert isinstance(second, Text)
+    assert first.short == "mass 3.50 ± 0.20 kg (95 %; file 3.00), kp 0.900 ± 0.020 times the file's"
+    assert second.short.startswith("these stands do not determine the mass: weigh the robot")
+    step = _select_next_step(fit, None)
+    assert step is not None
+    assert step.words == ("--weight", "3kg")
+    determined = replace(stand_fit(), weight=None)
+    step = _select_next_step(determined, None)
+    assert step is not None
+    assert "--weight" not in step.words
