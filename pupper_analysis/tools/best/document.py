@@ -15,16 +15,16 @@ from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.standing import quantity_columns
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.stand.document import stance_document
 
 _OBJECTIVE_TEXTS = {
-    Objective.UTILISATION: "peak-motor-utilisation",
     Objective.MARGIN: "distance-of-the-com",
     Objective.PAYLOAD: "payload",
 }
-"""{objective: key of its text in the catalogue}."""
+"""{objective: key of its text in the catalogue}. The utilisation has its own line."""
 
 
 @build_document.register(BestStudy)
@@ -32,11 +32,11 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """Create the document of a best stance: the simulated stand, and the result of the search."""
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
-    # The largest motor load is a detail: the objective is the answer.
+    # The largest motor load is a detail: line 1 states it if it is the objective.
     load, *others = stand_document.findings
     coordinates, *more = stand_document.details
     step = _make_next_step(study, stand_document.next_step)
-    messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others)
+    messages: tuple[doc.Words, ...] = (_make_search_line(study), *others)
     details: tuple[doc.Words, ...] = (load, *more)
     if step.command == "path":  # its options state the coordinates
         details = (coordinates, *details)
@@ -100,12 +100,30 @@ _MIN_PRINTED_ANGLE = 0.005
 contains the angle: half of the last printed digit."""
 
 
-def _make_search_line(best: BestStance) -> doc.Text:
-    """Make the line with the value of the objective in the initial task and in the best stance."""
+def _make_search_line(study: BestStudy) -> doc.Text:
+    """Make the line with the value of the objective in the initial task and in the best stance.
+
+    A motor utilisation has the name and the torque of the most loaded motor.
+    """
+    best = study.best
+    if best.objective is Objective.UTILISATION:
+        statics = study.stance.statics
+        peak = find_hardest_motor(statics)
+        torque = abs(float(statics.joint_torques[peak]))
+        return text(
+            "best-utilisation",
+            count=best.evaluations,
+            share=f"{100 * best.value:.4g}",
+            rounded=f"{100 * best.value:.3g}",
+            torque=format(torque, doc.widen_format(".2f", [torque])),
+            unit=statics.torque_units[peak],
+            joint=doc.Name(statics.joint_names[peak]),
+            nominal=f"{100 * best.nominal_value:.4g}",
+            rounded_nominal=f"{100 * best.nominal_value:.3g}",
+        )
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
-        unit, scale = (" mm", 1e3) if best.objective is Objective.MARGIN else (" %", 100.0)
-        values = (f"{scale * best.value:.4g}{unit}", f"{scale * best.nominal_value:.4g}{unit}")
+        values = (f"{1e3 * best.value:.4g} mm", f"{1e3 * best.nominal_value:.4g} mm")
     return text(
         "best-of-count-stances",
         count=best.evaluations,

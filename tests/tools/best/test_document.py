@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from pupper_analysis.present.document import Document, NextStep, Table, get_english
+from pupper_analysis.present.document import Document, NextStep, Table, Text, get_english
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.tools.best.document import _make_next_step, best_document
+from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support.stubs import best, stance
 
@@ -23,6 +25,23 @@ def test_best_stance_is_described_as_a_stance_alone() -> None:
         for document in (found, alone)
     )
     assert expected <= texts
+
+
+def test_utilisation_is_stated_with_motor_and_torque() -> None:
+    """Reference: torque and joint of the stand's most loaded motor; a long name fits 100 columns.
+
+    ``MAX_ANSWER_WIDTH`` includes the verdict and the name of the robot, 35 characters for Go2.
+    """
+    study = best()
+    study.best.objective = Objective.UTILISATION
+    line = best_document(study).findings[0]
+    load = get_english(stance_document(study.stance).findings[0])
+    assert isinstance(line, Text)
+    joint = load.rpartition("(")[2]
+    torque = load.removeprefix("largest motor load ").partition(" =")[0]
+    assert line.short == f"motor load 4.56 % = {torque} ({joint}; 3.45 % as given"
+    assert line.en.startswith(f"largest motor load 4.56 % of the limit = {torque} ({joint},")
+    assert len("HOLDS (URDF only) go2_description: ") + len(line.short) < MAX_ANSWER_WIDTH
 
 
 def test_next_step_of_a_failing_stance_searches_again_with_the_gains_that_hold() -> None:
