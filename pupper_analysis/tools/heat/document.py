@@ -44,6 +44,8 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     final = study.first.steady_temperature
     is_temperature_known = not exceeds_limits and final is not None and math.isfinite(final)
     failures: tuple[doc.Words, ...] = (*first, *unknown) if exceeds_limits else unknown
+    if is_temperature_known and _lacks_limit_only(study):
+        failures, first = tuple(_describe_temperature_without_limit(study)), ()
     return doc.Document(
         text("heat"),
         doc.Name(study.name),
@@ -72,10 +74,32 @@ def _select_next_step(study: HeatStudy) -> NextStep:
     """Return the command that the report proposes to run next."""
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
-    lacking = {number for motor in study.motors if motor.torque for number in motor.unknown}
-    if lacking == {_LIMIT_TEMPERATURE} and not study.omitted:
+    if _lacks_limit_only(study):
         return NextStep("heat", ("--limit", f"{_EXAMPLE_LIMIT:g}"))
     return NextStep("payload" if study.passed else "stand")
+
+
+def _lacks_limit_only(study: HeatStudy) -> bool:
+    """Return True if the limit temperature is the only number that the verdict lacks."""
+    lacking = {number for motor in study.motors if motor.torque for number in motor.unknown}
+    return lacking == {_LIMIT_TEMPERATURE} and not study.omitted
+
+
+def _describe_temperature_without_limit(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the final temperature and the hottest joint, if no limit temperature is known."""
+    first = study.first
+    yield text(
+        "heat-settles-without-limit",
+        final=f"{first.steady_temperature:.3g}",
+        motor=doc.Name(first.motor),
+    )
+    yield text(
+        "heat-limit-required",
+        joint=doc.Name(first.joint),
+        torque=f"{abs(first.torque):.2f}",
+        loss="" if first.loss is None else f"{first.loss:.3g}",
+        example=f"{_EXAMPLE_LIMIT:g}",
+    )
 
 
 def _format_minutes(seconds: float) -> str:

@@ -104,7 +104,11 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
     assert "winding_resistance, winding_capacity" in first
     assert "A at 12 V" in second
     lacking = answer("heat", "v3", "--motor", "mit-mini-cheetah").stdout
-    assert "lack limit_temperature: add --limit DEGC" in lacking
+    first, second, *_ = lacking.splitlines()
+    assert first.startswith(
+        "UNKNOWN v3: the winding settles at 25.2 °C; no limit known for MIT Mini"
+    )
+    assert second.startswith("  leg_back_r_3: 0.47 N m, 0.172 W in the winding; add --limit DEGC")
     assert "next: pupper-analysis heat v3 --motor mit-mini-cheetah --limit 100" in lacking
     few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
     assert few.returncode == 1
@@ -113,6 +117,16 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
 
 def make_study(motor: Motor, **options: float) -> HeatStudy:
     return study_heat(load("v3"), stand_of("v3"), motors_of(motor), **options)
+
+
+def test_temperature_without_a_limit_is_stated_with_the_hottest_joint() -> None:
+    """Reference: final temperature and torque of the motor with the largest loss."""
+    study = make_study(find_motor("mit-mini-cheetah"))
+    hottest = max(study.motors, key=lambda motor: motor.cold_loss or 0.0)
+    first, second, *_ = heat_document(study).failures
+    assert f"settles at {hottest.steady_temperature:.3g} °C" in first.en
+    assert second.en.startswith(f"{hottest.joint}: {abs(hottest.torque):.2f} N m")
+    assert not any("limit_temperature" in line.en for line in (first, second))
 
 
 @pytest.mark.slow
