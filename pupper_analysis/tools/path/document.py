@@ -32,6 +32,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             "path-in-short",
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
+            moves=path.has_motion and math.isfinite(used),
             share=f"{100 * used:.0f}" if math.isfinite(used) else "",
             zero="0" if math.isinf(used) else "",
             unknown="unknown" if math.isnan(used) else "",
@@ -63,6 +64,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
+        limit=None if path.has_motion else text("path-without-goal"),
         details=(
             task_text(there.stand.task),
             *_describe_motor_regions(path),

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
+from pupper_analysis.present.document import Text
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.verdict import Question
+from pupper_analysis.tools.path.command import command
 from pupper_analysis.tools.path.document import path_document
 from tests.support.printing import printed
 from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_path_result
@@ -19,3 +24,17 @@ def test_error_of_a_slide_is_a_length() -> None:
     result.tracking.joint_error_unit = "m"
     (row,) = [line for line in printed(path_document(result)).splitlines() if "34.0" in line]
     assert "mm" in row
+
+
+def test_path_without_motion_names_the_options_of_a_goal() -> None:
+    """A long name fits 100 columns (``MAX_ANSWER_WIDTH``), and line 2 has room for a warning."""
+    result = make_path_result()
+    result.path.has_motion = False
+    first, second, *_ = path_document(result).findings
+    assert isinstance(first, Text)
+    assert isinstance(second, Text)
+    assert first.short == "no motion; largest motor load 32 % (knee, 1.23 s)"
+    options = {option for one in command.params for option in one.opts}
+    assert options >= {word.strip(",") for word in second.short.split() if word.startswith("--")}
+    assert options >= set(re.findall(r"--[a-z]+", second.en))
+    assert len(second.short) < MAX_ANSWER_WIDTH / 2
