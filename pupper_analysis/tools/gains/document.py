@@ -48,8 +48,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         failures=(gains, *failures) if failures else (),
         findings=(
             *(() if failures else (gains,)),
-            _describe_controller(study),
-            *_describe_recommended_gains(study),
+            *_order_conditions(study, failed=bool(failures)),
             *_describe_added_servos(study),
         ),
         details=(
@@ -62,6 +61,12 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
     )
 
 
+def _order_conditions(study: GainStudy, *, failed: bool) -> tuple[doc.Words, ...]:
+    """Return the texts of controller and recommended gains; the latter first after a failure."""
+    controller, recommended = _describe_controller(study), _describe_recommended_gains(study)
+    return (*recommended, controller) if failed else (controller, *recommended)
+
+
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
     """Yield the reasons why the present gains fail."""
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
@@ -70,7 +75,15 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
         if study.worst.frequency:
             frequency = format_number(study.worst.frequency, ".3g")
-            yield text("gains-oscillate", joints=joints, frequency=frequency, time=time)
+            yield text(
+                "gains-oscillate",
+                joints=joints,
+                frequency=frequency,
+                time=time,
+                rate=f"{1 / study.period:.4g}",
+                delay=f"{1e3 * study.delay:.3g}",
+                delayed=study.delay > 0,
+            )
         else:
             yield text("gains-buckle", joints=joints, time=time)
     if study.sag_failure is not None:

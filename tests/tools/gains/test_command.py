@@ -32,8 +32,11 @@ def test_answer_states_gains_with_both_bounds(tmp_path: Path) -> None:
 def test_exit_status_is_1_if_gains_are_unstable() -> None:
     result = answer("gains", "original", "--kp", "60", "--kd", "2")
     assert result.returncode == 1
-    assert result.stdout.startswith("UNSTABLE original: ")
-    assert "Hz" in result.stdout.splitlines()[1]
+    first, second, third, *_ = result.stdout.splitlines()
+    assert first.startswith("UNSTABLE original: ")
+    assert second.startswith("  PD at ")
+    recommended = second.partition("; recommended kp ")[2].partition(";")[0].split(", kd ")
+    assert third == f"  next: pupper-analysis stand original --kp {' --kd '.join(recommended)}"
 
 
 @pytest.mark.parametrize(
