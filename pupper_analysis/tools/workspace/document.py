@@ -100,13 +100,13 @@ def _list_names(limit: Diagnostic) -> tuple[str, ...]:
 
 
 def _format_rounded_range(low: float, high: float) -> str:
-    """Return a range of whole mm or degrees for the short answer: ``-40 to 43``, or ``±40``.
+    """Return a range of whole mm or degrees for the short answer: ``-40..43``, or ``±40``.
 
     The ends are rounded to 0.1, then inwards to whole numbers, if possible.
     """
     ends = math.ceil(round(low, 1)), math.floor(round(high, 1))
     first, last = map(str, ends if ends[0] <= ends[1] else (round(low), round(high)))
-    return f"±{last}" if first == f"-{last}" else f"{first} to {last}"
+    return f"±{last}" if first == f"-{last}" else f"{first}..{last}"
 
 
 @build_document.register(BaseWorkspace)

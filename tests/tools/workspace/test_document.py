@@ -54,7 +54,7 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
     assert limits == "  limits: joints (all), reach (all but yaw); torques ignored"
-    assert answer.startswith("RANGE stub: base height 92 to 192, x ")
+    assert answer.startswith("RANGE stub: height 92..192, x ")
     assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1
     assert answer.endswith("yaw ±28 deg")
@@ -83,10 +83,10 @@ def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
 def test_ends_of_short_ranges_are_within_reach() -> None:
     """By hand. 191.9 mm must not become 192 mm, a height that is refused."""
     for low, high, expected in (
-        (79.02, 191.9, "79 to 191"),
-        (-90.6, 82.7, "-90 to 82"),
+        (79.02, 191.9, "79..191"),
+        (-90.6, 82.7, "-90..82"),
         (-47.9, 47.9, "±47"),
-        (-0.4, 0.4, "0 to 0"),
-        (95.1, 95.2, "95 to 95"),
+        (-0.4, 0.4, "0..0"),
+        (95.1, 95.2, "95..95"),
     ):
         assert _format_rounded_range(low, high) == expected
