@@ -144,13 +144,20 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.SceneView:
 def _list_figures(walk: Walk) -> Iterable[doc.Words]:
     """Yield four texts with key figures: velocity, largest torque, power and cost, duty factors."""
     first, gaits = walk.gaits[0], walk.gaits
+    forward, left = (f"{speed:z.2f}" for speed in first.velocity[:2])
+    turning = f"{first.turning:z.2f}"
     yield text(
         "walk-speed-line",
-        forward=f"{first.velocity[0]:z.2f}",
+        forward=forward,
+        short_forward=f"{float(forward):g}",
         asked=f"{first.command[0]:g}",
-        left=f"{first.velocity[1]:z.2f}",
+        left=left,
+        short_left=f"{float(left):g}",
+        moves_left=bool(first.command[1]),
         asked_left=f"{first.command[1]:g}",
-        turning=f"{first.turning:z.2f}",
+        turning=turning,
+        short_turning=f"{float(turning):g}",
+        turns=bool(first.command[2]),
         asked_turning=f"{first.command[2]:g}",
     )
     yield _describe_largest_torque(walk)

@@ -45,6 +45,24 @@ def test_units_of_the_motor_table_are_those_of_hinges_and_slides(
     assert document.walk_torque_plot(walk).y.unit == torque
 
 
+def test_velocity_line_states_the_commands_that_are_not_zero() -> None:
+    """Reference: velocities and commands [m/s, rad/s]; a long line had 117 characters."""
+
+    def format_velocities(command: tuple[float, float, float]) -> str:
+        gait = SimpleNamespace(
+            velocity=(0.304, -0.001), turning=0.2, command=command, power=1.0, transport=None,
+            margin=1.0, duty={}, torque_rms=np.ones(1), torque_peak=np.ones(1), at_limit=np.ones(1),
+        )  # fmt: skip
+        walk: Any = SimpleNamespace(
+            gaits=[gait], joints=("hip",), limits=np.ones(1), torque_units=("N m",)
+        )
+        return next(iter(document._list_figures(walk))).short
+
+    assert format_velocities((0.5, 0.0, 0.0)) == "forward 0.3 of 0.5, left 0 m/s, turning 0.2 rad/s"
+    expected = "forward 0.3 of 0, left 0 of 0.1 m/s, turning 0.2 of -1 rad/s"
+    assert format_velocities((0.0, 0.1, -1.0)) == expected
+
+
 def test_unknown_limit_of_a_slide_has_a_force_in_newtons() -> None:
     gait = SimpleNamespace(torque_peak=np.array([3.0, 40.0]))
     walk: Any = SimpleNamespace(
