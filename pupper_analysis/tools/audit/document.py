@@ -67,12 +67,11 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
     """Yield the text of the most severe finding, if there is a finding."""
     if audit.findings:
         diagnostic = audit.findings[0].diagnostic
-        message = doc.diagnostic_text(diagnostic)
-        element = format_element(diagnostic)
-        yield text(
-            "audit-first",
-            finding=text("element-message", element=element, message=message),
-        )
+        finding: doc.Words = doc.diagnostic_text(diagnostic)
+        if "start" not in diagnostic.values:  # otherwise the message names the configuration
+            element = format_element(diagnostic)
+            finding = text("element-message", element=element, message=finding)
+        yield text("audit-first", finding=finding)
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:

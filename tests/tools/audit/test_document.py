@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ import pytest
 
 from pupper_analysis import cli
 from pupper_analysis.tools.audit.audit import RULES, audit_model
+from pupper_analysis.tools.audit.document import audit_document
 from tests.support.commands import answer
 from tests.support.printing import printed
 from tests.support.repository import ROOT
@@ -122,3 +124,19 @@ def test_remedy_is_printed_once_for_the_findings_of_a_rule(tmp_path: Path) -> No
     # The answer repeats the most severe finding.
     assert [shown.count(finding.message) for finding in found] == [2, 1, 1, 1]
     assert shown.count(found[0].todo) == 1
+
+
+def test_answer_about_a_start_names_the_configuration_instead_of_a_link(tmp_path: Path) -> None:
+    """Reference: v3 at zero angles, if a knee must be bent by at least 0.5 rad."""
+    text = (ROOT / "urdf/pupper_v3.urdf").read_text()
+    bent = tmp_path / "bent.urdf"
+    place = re.search(r'(?s)<joint name="leg_front_r_3".*?lower="[^"]*"', text)
+    assert place is not None
+    lower = re.sub(r'lower="[^"]*"$', 'lower="0.5"', place.group())
+    bent.write_text(text.replace(place.group(), lower))
+    (found,) = [
+        finding for finding in audit_model(bent).findings if finding.rule == "start-outside-limits"
+    ]
+    audit = replace(audit_model(bent), findings=(found,))
+    second = printed(audit_document(audit), everything=False).splitlines()[1]
+    assert second.startswith("  first: the zero configuration: leg_front_r_3 at 0 deg, limits 28.6")
