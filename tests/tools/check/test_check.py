@@ -90,6 +90,7 @@ def test_new_difference_fails_with_the_lines_of_both_files(folder: Path) -> None
     assert f"   hopper.urdf:{urdf_line}   hopper.xml:{line}\n" in result.stdout
     assert "mass" not in result.stdout  # that one is known
     assert "FAILED pupper-analysis.toml: 1 to fix, 1 known" in result.stdout
+    assert f"\n  first: hopper.urdf:{urdf_line}: " in result.stdout
     request = run(folder, "--format", "markdown").stdout
     new, _, rest = request.partition("<details>")
     assert "upper limit" in new
@@ -333,7 +334,7 @@ def test_remarks_fail_from_the_severity_of_fail_on(folder: Path) -> None:
     change(folder / "pupper-analysis.toml", "start-outside-limits", "gravity-unusual")
     result = run(folder)
     assert result.returncode == 0
-    assert "2 less severe than fail-on" in result.stdout
+    assert "2 less severe findings that pass" in result.stdout
     assert "start-outside-limits" not in result.stdout
     shown = run(folder, "--all").stdout
     assert "note audit start-outside-limits" in shown
