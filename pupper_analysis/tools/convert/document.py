@@ -29,7 +29,9 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     return doc.Document(
         text("conversion"),
         text(
-            "old-and-new",
+            "old-and-new-except-servos"
+            if conversion.agree and _has_servo_note(conversion)
+            else "old-and-new",
             old=_format_file_name(conversion.source),
             new=_format_file_name(conversion.output),
         ),
@@ -50,6 +52,11 @@ def _is_servo_note(note: Diagnostic) -> bool:
     return note.code == "servos-of-variant-not-used"
 
 
+def _has_servo_note(conversion: Conversion) -> bool:
+    """Return True if the servos differ from those of the converted variant's MJCF."""
+    return any(map(_is_servo_note, conversion.notes))
+
+
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
     """Return the command to suggest next."""
     if not conversion.agree:
@@ -68,7 +75,7 @@ def _get_verdict_key(conversion: Conversion) -> str:
         return "disagree"
     if not conversion.passed:
         return "FAILED"
-    return "agree-except-servos" if any(map(_is_servo_note, conversion.notes)) else "agree"
+    return "agree"
 
 
 def _format_file_name(path: str) -> doc.Name:
@@ -79,12 +86,15 @@ def _format_file_name(path: str) -> doc.Name:
 def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the deviation from the source, the simulated stand, and what was not converted."""
     compared = conversion.comparison
-    count = len(compared.differences)
+    count, run = len(compared.differences), conversion.verification
+    # Line 2 states the servos, if there is a note about these; otherwise the stand.
+    stands = run is not None and run.passed and _has_servo_note(conversion) and not count
     deviation = text(
         "differences-from-source-count",
         source=doc.Name(conversion.source),
         count=count,
-        same=not count,
+        same=not count and not stands,
+        stands=f"{run.duration:g}" if run is not None and stands else "",
         explained=count and conversion.agree,
         differs=count and not conversion.agree,
         worst=f"{max(compared.deviations.values()):.1e}",
@@ -93,7 +103,6 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
         deviation = text("near-repaired-inertials-count", near=deviation, count=repairs)
     yield deviation
     yield from map(doc.diagnostic_text, filter(_is_servo_note, conversion.notes))
-    run = conversion.verification
     if run is not None:
         yield text(
             "stands-for-seconds" if run.passed else "does-not-stand-for-seconds",

@@ -268,11 +268,12 @@ def _list_changed_servos(
     own, new = list_position_servos(load_variant(variant)), list_position_servos(robot)
     if not own or not new or own == new:
         return
-    spans: dict[str, Any] = {
-        f"{owner}_{name}": describe_span([gains[index] for gains in servos.values()], unit)
-        for owner, servos in (("new", new), ("own", own))
-        for index, (name, unit) in enumerate((("kp", "N m/rad"), ("kd", "N m s/rad")))
-    }
+    spans: dict[str, Any] = {}
+    for owner, servos in (("new", new), ("own", own)):
+        for index, (name, unit) in enumerate((("kp", "N m/rad"), ("kd", "N m s/rad"))):
+            values = [gains[index] for gains in servos.values()]
+            spans[f"{owner}_{name}"] = describe_span(values, unit)
+            spans[f"{owner}_{name}_number"] = describe_span(values, "1")
     yield diagnose(
         "servos-of-variant-not-used", variant=str(getattr(variant, "name", variant)), **spans
     )

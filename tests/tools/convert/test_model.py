@@ -641,7 +641,10 @@ def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path)
     """References: kp and kd of MuJoCo's compiled models; the note is about variants only."""
     done = pa.convert_model("v3", tmp_path / "new.xml")
     (note,) = [note for note in done.notes if note.code == "servos-of-variant-not-used"]
-    assert conversion_document(done).verdict.en == "AGREE except servos"
+    document = conversion_document(done)
+    assert document.verdict.en == "AGREE"
+    assert document.title.en == "v3 and new.xml, except the servos"
+    assert document.findings[0].short.endswith("; stands 12 s")
     new, own = (compile_file(path) for path in (tmp_path / "new.xml", ROOT / "mjcf/pupper_v3.xml"))
     gains = [-model.actuator_biasprm[0, 1:3] for model in (new, own)]
     assert gains[0] != pytest.approx(gains[1])
