@@ -27,6 +27,7 @@ from pupper_analysis.tools.study.outcome import (
     StudyOutcome,
     find_column_unit,
     format_column_label,
+    pareto_front,
 )
 from pupper_analysis.tools.study.write import WrittenDesign
 
@@ -133,20 +134,32 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
         return
     metric = outcome.varying_metrics[0]
     values = outcome.table[metric].to_numpy(dtype=float)
-    designs = outcome.table[list(outcome.variables)]
     scale, unit = _find_shown_unit(metric, outcome.units)
-    least, greatest = (
-        (f"{scale * values[row]:.4g}", designs.iloc[row])
-        for row in (int(np.nanargmin(values)), int(np.nanargmax(values)))
-    )
     yield text(
         "range-of-metric",
         metric=doc.Name(metric),
         unit=doc.Name(f" {unit}" if unit else ""),
-        least=least[0],
-        greatest=greatest[0],
-        at_least=doc.Name(_format_design(least[1], outcome.units)),
-        at_greatest=doc.Name(_format_design(greatest[1], outcome.units)),
+        least=f"{scale * np.nanmin(values):.4g}",
+        greatest=f"{scale * np.nanmax(values):.4g}",
+        at_least=_describe_extreme_designs(outcome, metric, "min"),
+        at_greatest=_describe_extreme_designs(outcome, metric, "max"),
+    )
+
+
+def _describe_extreme_designs(outcome: StudyOutcome, metric: str, sense: str) -> doc.Text:
+    """Return the variables that all designs with the smallest ("min") or largest value share.
+
+    Designs are equal as on the Pareto front of the metric.
+    """
+    rows = pareto_front(outcome.table, {metric: sense})
+    shared = [name for name in outcome.variables if rows[name].nunique() == 1]
+    count = len(rows)
+    return text(
+        "extreme-design",
+        values=doc.Name(_format_design(rows.iloc[0][shared], outcome.units)) if shared else "",
+        count=count,
+        ties=bool(shared) and count > 1,
+        all=not shared,
     )
 
 

@@ -211,6 +211,29 @@ def test_verdict_of_a_study_states_whether_a_design_has_values(
     assert found.is_measured == (verdict == "MEASURED")
 
 
+def test_extreme_designs_with_equal_values_have_the_shared_variables() -> None:
+    """Reference: the table. The smallest value does not depend on kp; the largest does."""
+    table = pd.DataFrame(
+        {
+            "design": ["a", "b", "c", "d"],
+            "scale": [0.8, 0.8, 1.0, 1.0],
+            "kp": [5.0, 10.0, 5.0, 10.0],
+            "m": [1.0, 1.0, 2.0, 3.0],
+        }
+    )
+    found = pa.study.StudyOutcome(
+        "v3", "", (), {"scale": {"values": [0.8, 1.0]}, "kp": {"values": [5.0, 10.0]}}, table,
+        {"kp": "N m/rad"}, 4, (MetricSummary("m", "1", 1.0, 1.5, 3.0, 4, {}, None),), (), {},
+        table[:0], {}, 0,
+    )  # fmt: skip
+    line = study_document(found).findings[1]
+    expected = "m: 1 to 3; smallest at scale 0.8 (2 designs are equal), largest at scale 1, kp 10"
+    assert get_english(line) == f"{expected} N m/rad"
+    table["m"] = [1.0, 3.0, 3.0, 1.0]
+    line = study_document(found).findings[1]
+    assert "smallest in 2 designs with different values" in get_english(line)
+
+
 @pytest.mark.slow
 def test_study_of_one_design_without_failure_has_a_page(tmp_path: Path) -> None:
     """No spread, no objectives, no failures."""
