@@ -199,14 +199,7 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     undetermined = tuple(_describe_undetermined_mass(fit.total_mass))
     answer: tuple[doc.Words, ...] = (mass, *undetermined, *factors)
     if fit.kp_factor is not None and fit.weight is None:
-        both = text(
-            "total-mass-and-kp",
-            mass=mass,
-            kp=factors[0],
-            **_format_rounded_estimate(fit.total_mass),
-            factor=_format_rounded_estimate(fit.kp_factor)["mean"],
-            factor_half=_format_rounded_estimate(fit.kp_factor)["half"],
-        )
+        both = _describe_mass_and_kp(fit, fit.kp_factor)
         answer = (both, *undetermined, *factors[1:])
     elif fit.kp_factor is not None:
         answer = (*factors, mass, *undetermined)  # the user typed the mass, and asks for kp
@@ -243,14 +236,27 @@ def _format_rounded_estimate(estimate: Estimate) -> dict[str, str]:
     return {name: f"{value:.{decimals}f}" for name, value in values.items()}
 
 
-def _format_total_mass(mass: Estimate) -> dict[str, str]:
-    """Format the estimate and the stated value of the total mass [kg]."""
-    return {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
+def _describe_mass_and_kp(fit: StandFit, kp_factor: Estimate) -> doc.Words:
+    """Return the text of total mass [kg] and mean ratio of estimated to stated kp."""
+    mass, kp = _format_estimate(fit.total_mass), _format_estimate(kp_factor)
+    rounded = _format_rounded_estimate(kp_factor)
+    return text(
+        "total-mass-and-kp",
+        mass=mass["mean"],
+        mass_half=mass["half"],
+        mass_stated=f"{fit.total_mass.stated:.3f}",
+        kp=kp["mean"],
+        kp_half=kp["half"],
+        added=any(estimate.kind == "added" for estimate in fit.estimates),
+        **_format_rounded_estimate(fit.total_mass),
+        factor=rounded["mean"],
+        factor_half=rounded["half"],
+    )
 
 
 def _describe_total_mass(mass: Estimate) -> doc.Words:
     """Return the text of the total mass [kg]: estimate, interval and stated value."""
-    return text("total-mass-determined", **_format_total_mass(mass))
+    return text("total-mass-determined", **_format_estimate(mass), stated=f"{mass.stated:.3f}")
 
 
 def _describe_undetermined_mass(mass: Estimate) -> Iterator[doc.Words]:
