@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import fields, replace
@@ -15,7 +14,7 @@ import click
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, MeasurementError
-from pupper_analysis.base.inputs import find_similar_files
+from pupper_analysis.base.inputs import find_similar_files, path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.next_step import complete_command
@@ -299,8 +298,7 @@ def _check_planned_file(
         recorded: Whether ``path`` is a file of recorded stands.
     """
     robot.check_floating()
-    # Path.exists raises an error for a name that is too long.
-    if os.path.exists(path):  # noqa: PTH110
+    if path_exists(path):
         return
     from pupper_analysis.tools.fit.stands.fit import list_joints_without_kp
 
