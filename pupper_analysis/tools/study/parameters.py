@@ -368,11 +368,18 @@ def with_gains(
 def without_visuals(description: Description) -> Description:
     """Return a copy of a description without unneeded visual geoms, unused meshes and textures.
 
-    The dynamics and the contacts are unchanged. Models with many meshes compile faster.
+    Geoms with mass, with fluid forces, or on the path of a tendon are kept. Models with many meshes
+    compile faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}
     kept_names |= {frame for _, frame in description.contact_points.values()}
+    kept_names |= {
+        wrap.target.name
+        for tendon in spec.tendons
+        for wrap in tendon.path
+        if wrap.type in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
+    }
     for geom in list(spec.geoms):
         collides = geom.contype or geom.conaffinity
         in_pair = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
@@ -380,6 +387,7 @@ def without_visuals(description: Description) -> Description:
             not collides
             and not in_pair
             and geom.name not in kept_names
+            and not geom.fluid_ellipsoid
             and not gives_mass(spec, geom)
         ):
             spec.delete(geom)

@@ -533,6 +533,36 @@ def test_visual_shapes_with_mass_are_kept() -> None:
     assert masses[0] == pytest.approx(masses[1], rel=1e-12)
 
 
+def test_visual_shapes_with_fluid_forces_and_tendons_are_kept() -> None:
+    """Reference: MuJoCo's passive forces in water, and its number of tendons."""
+    description = load("original").description
+    spec = description.mjcf.copy()
+    spec.option.density = 1000.0
+    body = next(body for body in spec.bodies if body.name != "world")
+    unseen = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+    box = body.add_geom(
+        name="hull", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.02], **unseen
+    )
+    box.fluid_ellipsoid = 1
+    body.add_geom(name="pulley", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], **unseen)
+    body.add_site(name="eye", pos=[0.1, 0, 0])
+    spec.worldbody.add_site(name="hook", pos=[0, 0, 1])
+    tendon = spec.add_tendon(name="rope", stiffness=10.0)
+    tendon.wrap_site("hook")
+    tendon.wrap_geom("pulley", "")
+    tendon.wrap_site("eye")
+    found = without_visuals(replace(description, mjcf=spec)).mjcf
+    forces = []
+    for model in (spec.compile(), found.compile()):
+        data = mujoco.MjData(model)
+        data.qvel[2] = 1.0
+        mujoco.mj_forward(model, data)
+        forces.append(data.qfrc_passive.copy())
+        assert model.ntendon == 1
+    np.testing.assert_allclose(forces[0], forces[1], rtol=1e-12)
+    assert abs(forces[0][2]) > 1.0
+
+
 def test_com_with_the_payload_of_a_design_is_over_the_feet() -> None:
     """The base moves backwards below a payload in front."""
     builder = DesignBuilder(study({"payload": [1.0]}).source, pa.StandTask(), (0.05, 0.0, 0.0))
