@@ -328,8 +328,7 @@ _REMEDIES = {
 
 _UNION_CODES = {"UrdfObject": "no-robot", "Tool": "no-frame-point"}
 """{class name: code of a message about the accepted types}, for arguments whose type is a union
-with
-this class.
+with this class.
 """
 
 _TYPE_NAMES: dict[Any, str] = {

@@ -97,7 +97,6 @@ def cross_matrices(vectors: Array) -> Array:
 
 _UNIT_CROSS_MATRICES = np.zeros((3, 9))
 """Skew-symmetric (cross product) matrices of the unit vectors x, y and z. Each row (9,) is a
-flattened matrix (3, 3). `cross_matrices` multiplies the vectors by this array. For a few vectors,
-the product is faster than six column assignments (measured)."""
+flattened matrix (3, 3). `cross_matrices` multiplies the vectors by this array."""
 
 _UNIT_CROSS_MATRICES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1

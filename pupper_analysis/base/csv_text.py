@@ -24,7 +24,7 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     """Format rows as CSV, one record per row, and mark texts that spreadsheets may execute.
 
     A text that a spreadsheet may execute as a formula gets a leading apostrophe. Numbers, also as
-    text, stay unchanged: ``-0.1``. A cell with line breaks takes several lines.
+    text, stay unchanged: ``-0.1``.
     """
     return "".join(map(_line, rows))
 

@@ -58,8 +58,7 @@ class _MuJoCoFinder(MetaPathFinder):
 def guard_mujoco_import() -> None:
     """Let a later ``import mujoco`` succeed if the OpenGL backend named in MUJOCO_GL fails.
 
-    MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
-    because the import then succeeds.
+    MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done.
     """
     guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)
     if os.environ.get("MUJOCO_GL") and "mujoco" not in sys.modules and not guarded:
@@ -102,8 +101,7 @@ def use_one_blas_thread() -> None:
 
     Several threads of OpenBLAS waste processor time, because they wait actively for each other.
     Measured on two cores beside other processes: eigenvalues of a 100 x 100 matrix take 82 ms of
-    processor time with two threads, and 3 ms with one thread. The relaxation of nine requirements
-    of a stand takes 7.9 s with two threads, and 3.0 s with one.
+    processor time with two threads, and 3 ms with one thread.
     """
     if not any(os.environ.get(name) for name in _BLAS_VARIABLES):
         os.environ[_BLAS_THREADS] = "1"

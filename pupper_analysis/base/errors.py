@@ -119,8 +119,6 @@ class ModelError(PupperAnalysisError):
 class InputError(PupperAnalysisError):
     """File that cannot be read, for example missing, no regular file, too large, or no valid text.
 
-    Most readers of a file type convert this error to a more specific error.
-
     Attributes:
         path: The file.
         cause: Diagnostic of the problem.
@@ -161,10 +159,8 @@ _WORD = re.compile(r"[^\W_]+")
 class UnknownNameError(ModelError):
     """Name that a model, or another list of valid names, does not contain.
 
-    The message lists first the valid names that contain the unknown name, then the valid names
-    whose words are all in the unknown name, then other names. Of more than `MAX_LISTED_NAMES` valid
-    names, the other names are the most similar by `difflib`. The message then lists the first
-    `NUM_CLOSE_NAMES` of this order, and the number of the omitted names.
+    The message lists valid names, similar names first; of more than `MAX_LISTED_NAMES` valid names,
+    only the first `NUM_CLOSE_NAMES`, and the number of the omitted names.
 
     Args:
         source: File or model.
@@ -211,8 +207,7 @@ class UnknownNameError(ModelError):
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
     """Sort valid names by their similarity to an unknown name; upper and lower case are equal.
 
-    Names that contain the unknown name, or consist of its words, come first. If there are many
-    names, the result contains only a few others.
+    If there are many names, the result contains only some of them.
     """
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))
@@ -265,8 +260,7 @@ class StanceUnreachableError(PupperAnalysisError):
             is empty, or if the stand was not requested.
         blocked: Diagnostics of obstacles other than foot errors: for example a part in the ground,
             parts too close to each other, a CoM too close to the edge of the support, loops that
-            stay open, or motors at a dead point. If a foot misses its target, only a dead point is
-            included.
+            stay open, or motors at a dead point.
         lacks: Diagnostic of a property that the robot lacks; None if unknown.
     """
 

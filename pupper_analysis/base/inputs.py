@@ -186,7 +186,7 @@ def read_text(path: Path) -> str:
 def decode_input(path: Path, data: bytes) -> str:
     """Decode the content of a file as UTF-8, with or without byte order mark.
 
-    Zero bytes at the end of an XML file are removed: C programs write the end of a string.
+    Zero bytes after a final ``>`` are removed: C programs write the end of a string.
 
     Raises:
         InputError: If the content is not UTF-8, or contains other zero bytes.

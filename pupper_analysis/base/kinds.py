@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final
 
 GENERATOR_NAME: Final = "pupper-analysis"
-"""Name of the generator and of the command. It is written before the version in JSON, figures and
-animations; pages contain ``pupper_analysis``."""
+"""Name of the command, which outputs such as JSON files contain as the generator."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
 """Number of bytes that are read from the start of a file (and from the end of an animation) to

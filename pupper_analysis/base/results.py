@@ -133,8 +133,8 @@ class Result:
     def plot(self, robot: object = None) -> tuple[Axes, ...]:
         """Draw the plots of the result with Matplotlib, in a new figure of ``pyplot``.
 
-        Notebooks show the figure below the cell. For most results, these are the plots of the HTML
-        report; for a ``Stand``, the skeleton with contact forces.
+        For most results, these are the plots of the HTML report; for a ``Stand``, the skeleton with
+        contact forces.
 
         Args:
             robot: Robot of the result; necessary for a stand from another process.
@@ -304,7 +304,7 @@ def shorten_paths(value: _Value, prefix: str) -> _Value:
     """Remove the path of a temporary folder from the texts and paths in a value.
 
     ``prefix`` is the path of the folder. Tuples, the values of dictionaries and the ``init`` fields
-    of dataclasses are searched. A value without the prefix is returned itself, not a copy.
+    of dataclasses are searched.
     """
     return cast(_Value, _strip_prefix(value, prefix))
 

@@ -44,8 +44,7 @@ READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (math.degrees(1.0), "deg"),
     "m": (1e3, "mm"),
 }
-"""{SI unit of an angle or length: (factor, printed unit)}; printed value = factor x SI value. Other
-units are printed as they are."""
+"""{SI unit of an angle or length: (factor, printed unit)}; printed value = factor x SI value."""
 
 
 @dataclass(frozen=True)
@@ -161,16 +160,17 @@ class Position(float):
 
 
 _TYPED_DIGITS = 4
-"""Largest number of significant digits of an angle that a user may have typed in degrees. Most
-angles that were converted from degrees to radians have more digits. Chosen, not tuned.
+"""Largest number of significant digits of an angle that a user may have typed in degrees. Chosen,
+not tuned.
 """
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
     """Return an angle [rad] as a number of degrees if its user may have meant degrees, else None.
 
-    For example, 20 rad is out of range, so a user who types 20 probably means 20 deg. The number in
-    degrees must be within the limits, and have few digits (20 deg in rad is 0.34907).
+    For example, 20 rad is out of range, so a user who types 20 probably means 20 deg. The number
+    must have at most `_TYPED_DIGITS` significant digits, and as an angle in degrees be within the
+    limits.
 
     Args:
         angle: Angle that is out of range [rad].

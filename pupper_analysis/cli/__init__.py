@@ -129,8 +129,7 @@ DEBUG_OPTION = "--debug"
 
 GC_THRESHOLDS = 200_000, 2, 2
 """Thresholds of Python's garbage collector for the three generations of objects [1]. The first is
-larger than the default, so that collections are rarer: with the defaults, ``stand v3`` ran 163
-collections in 0.17 s (measured once). Chosen, not tuned.
+larger than Python's default, so that collections are rarer. Chosen, not tuned.
 """
 
 

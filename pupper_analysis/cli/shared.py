@@ -283,7 +283,7 @@ class Command(click.Command):
     def _refuse_repetition(self, ctx: click.Context) -> None:
         """Refuse different values of an option that is not repeatable, or of a NAME in NAME=VALUE.
 
-        Click would ignore one of the values. The error is a click.UsageError.
+        Otherwise one of the values would be ignored. The error is a click.UsageError.
         """
         repeatable = copy.copy(self)
         repeatable.params = [copy.copy(parameter) for parameter in self.params]
@@ -497,8 +497,7 @@ def _refuse_separate_values(
 ) -> None:
     """Refuse numbers that are typed as separate words, such as ``--payload-at 0 0 8cm``.
 
-    Click reads such a number as a robot, or a negative number as an option ``-4``. The error
-    (click.UsageError) contains the words to type.
+    The error (click.UsageError) contains the words to type.
     """
     forms = {
         name: option.metavar or ""

@@ -199,8 +199,7 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""Joint parameters that a URDF or an MJCF can specify. A comparison evaluates the parameters of a
-joint in this order."""
+"""Joint parameters that a URDF or an MJCF can specify."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}

@@ -236,7 +236,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
     Named bodies, except the world, and named sites become frames of type BODY; a site with the name
-    of a frame is left out. Springs and tendons are not copied.
+    of a frame is left out.
 
     Args:
         model: Model with free, hinge and slide joints.

@@ -46,13 +46,12 @@ class Description:
             by default; missing joints are at zero.
         made_frames: Names of the frames (links of ``urdf``, sites of ``mjcf``) that were added for
             contact points.
-        added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written get
-            the same additions.
+        added: Additions to ``mjcf`` for simulation, each with a reason.
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of
             ``passive_joints``.
         passive_joints: Joints that no motor drives: the torque limit is zero, and the MJCF has
             actuators at other joints only. Dependent joints of closed loops and couplings are not
-            included. Servos of passive joints in ``mjcf`` exert no torque.
+            included.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
         null_efforts: {joint: force or control range of the MJCF that permits no force}, because its

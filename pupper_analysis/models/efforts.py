@@ -463,7 +463,7 @@ class JointEffort:
 def placeholder_efforts(
     motors: Sequence[JointEffort], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yield the torque limits that no motor can have, and that are probably placeholders.
+    """Yield the torque limits of hinges that are probably placeholders.
 
     An effort is compared with the mass of the joint's two links (`MAX_TORQUE_PER_LINK_MASS`) and
     its armature (`MAX_ROTOR_ACCELERATION`). The sum of the other efforts is compared with the mass

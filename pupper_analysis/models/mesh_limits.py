@@ -17,8 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_MESH_BYTES: Final = 50_000_000
 """Maximum size [bytes] of a mesh file that is converted, and of a COLLADA file that is read. Chosen
-above the files of published robots, for example 29 MB (trunk of Go1). For a text file of this size
-MuJoCo computes the hull within a minute.
+above the files of published robots, for example 29 MB (trunk of Go1).
 """
 
 MAX_MESH_VERTICES: Final = 1_000_000

@@ -148,8 +148,7 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 TIMESTEP_RANGE = 1e-5, 0.1
 """Lower and upper bound of the time step that an MJCF states [s]; an MJCF with another time step is
 not simulated. Requested time steps may have other bounds. Chosen, not tuned. At the lower bound, a
-simulation of 12 s takes 1.2 million steps. At the upper bound, a base falls 10 cm in its first
-step, although contacts oscillate within 10 ms.
+simulation of 12 s takes 1.2 million steps.
 """
 
 

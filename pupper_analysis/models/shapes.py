@@ -305,8 +305,7 @@ class Shape:
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
         """Return the height [m] of the shape's lowest point above a plane through the world origin.
 
-        The extent of the shape must be known. Scalar arithmetic is used because this function is
-        called often.
+        The extent of the shape must be known.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.

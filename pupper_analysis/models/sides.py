@@ -48,7 +48,7 @@ cameras.
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Pattern of the names of leg joints. Joints of arms and hands rarely have such names."""
+"""Pattern of the names of leg joints."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. Chosen, not tuned: in published models, motors of
@@ -134,8 +134,7 @@ def find_unlike_pairs(
     Pairs that differ by a factor of at least ``_MIN_REPORTED_RATIO`` are returned. Other unequal
     pairs are returned if at least ``_MIN_EQUAL_PAIRS_PER_UNEQUAL`` times as many pairs are equal,
     or if the unequal pairs have no more distinct values than pairs: the motors of a type then have
-    a single set of values. (In five published robots whose motors were identified individually,
-    there are 1.67 to 2 distinct values per unequal pair.)
+    a single set of values.
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.

@@ -45,10 +45,8 @@ class UrdfFile:
 
     Attributes:
         path: The file.
-        text: XML for the engines. The text differs from the file if the reader changed an element
-            or attribute, if a joint without a range was made continuous, or if the file starts with
-            white space. Changed white space in attributes with several numbers alone does not
-            change the text.
+        text: XML for the engines. The text may differ from the file: for example, a joint without a
+            range is made continuous.
         root: Root element without comments; ``sourceline`` is the line of an element.
         packages: Folders of ROS packages, for ``package://``.
         notes: Diagnostics of assumptions.

@@ -52,8 +52,7 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
 """Pattern of an XML declaration that libxml2 rejects: behind white space, or without version 1.N
-(for example ``<?xml version="0.0"?>``). Eight of 902 public URDFs have a rejected version, but
-MuJoCo and Pinocchio read these files.
+(for example ``<?xml version="0.0"?>``). Some public URDFs have a rejected version.
 """
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
@@ -217,8 +216,7 @@ tuned.
 
 NUM_DIGITS: Final = 12
 """Number of significant digits of most numbers in new files. The relative rounding error is at most
-5e-12, 200 times below the tolerance of `crosscheck --strict`. Chosen: coarse enough to hide
-rounding errors of rotations."""
+5e-12, 200 times below the tolerance of `crosscheck --strict`. Chosen, not tuned."""
 
 
 NUM_ANGLE_DIGITS = 15

@@ -214,8 +214,7 @@ def _load_plugin_entries(file: str) -> Mapping[str, str]:
 def _load_tables() -> Mapping[str, str]:
     """Return {code of a diagnostic: unparsed TOML text of its table} from this package's files.
 
-    An entry is parsed at its first use: parsing all entries would take 50 ms per 1,000 entries, a
-    tenth of the start time of a command.
+    An entry is parsed at its first use, because parsing all entries would delay each command.
     """
     tables: dict[str, str] = {}
     for path in word_files().values():

@@ -27,8 +27,7 @@ inverse). Losses in a gear only reduce the torque; 10 % permit rounded numbers. 
 MIN_STALL_RATIO = 0.3
 """Smallest accepted ratio between most stated numbers of a motor, such as the stall torque, and
 their values from other numbers. Below this ratio, friction and gear would lose more than 70 % of
-the torque, which suggests other units. The smallest ratio in the data files is 0.57
-(feetech-sts3215-7v4). Chosen, not tuned.
+the torque, which suggests other units. Chosen, not tuned.
 """
 
 MAX_CONVENTION_RATIO = 2.0

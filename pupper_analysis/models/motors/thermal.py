@@ -160,8 +160,8 @@ class ThermalNetwork:
     def find_time(self, limit: float) -> float:
         """Return the time [s] until the winding reaches a temperature; infinite if it never does.
 
-        The winding starts at the ambient temperature, and its temperature grows monotonically. The
-        time is 0 for a limit up to the ambient temperature.
+        The winding starts at the ambient temperature. The time is 0 for a limit up to the ambient
+        temperature.
 
         Args:
             limit: Temperature [degC].
