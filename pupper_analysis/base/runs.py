@@ -32,8 +32,8 @@ class RunFiles:
         inputs: {device and inode of a file: name under which the file was read, or was edited in
             place}.
         outputs: {device and inode of an existing file: name under which the file will be written}.
-        written: Device and inode of each file that the run has written; reading such files is
-            permitted.
+        written: Device and inode of files that the run has written (not edited in place); reading
+            such files is permitted.
         command: Words of the command line; empty in Python.
         request: {option: value} of the command line or of a file of options.
     """
@@ -48,10 +48,10 @@ class RunFiles:
     def register_output(self, path: Path) -> None:
         """Register an existing file as an output of the run; a missing file is ignored.
 
-        Reading this file later in the run raises an error, unless the run has written the file.
+        A later `register_input` of this file raises an error, unless the run has written the file.
 
         Raises:
-            OutputError: If the run has read the file, and has not written it.
+            OutputError: If the file is an input of the run (`refuse_input`).
         """
         identity = identify_file(path)
         if identity is not None:
@@ -61,7 +61,7 @@ class RunFiles:
     def refuse_input(self, path: Path, identity: Identity) -> None:
         """Raise an error if a file is an input of the run, which the run must not overwrite.
 
-        An input is a file that the run has read and not written.
+        A file that the run itself has written is no input, unless edited in place.
 
         Raises:
             OutputError: If the file is such an input.

@@ -242,9 +242,9 @@ class RobotAndTask:
             refuse_alone(("--slope",), "uphill")
 
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
-        """Load a selected robot, and apply the typed options; warnings are printed at the end.
+        """Load a selected robot, and apply the typed options.
 
-        Markdown output contains the warnings, so that they are not printed again.
+        For text output, warnings about a robot from files are printed at the end of the command.
         """
         robot = self._apply_options(
             load_selected_robot(

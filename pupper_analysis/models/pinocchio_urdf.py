@@ -114,7 +114,7 @@ class _UrdfWriter:
         """Add the links and joints of the Pinocchio model to the URDF.
 
         The link of a joint has the name of the first body frame that equals the joint's frame, if
-        any. Other body frames get links of their own, fixed to the joint's link.
+        any. Other body frames of a written link get links of their own, fixed to this link.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
