@@ -40,8 +40,8 @@ def _load_extension() -> Any:
 def _load_without_packages() -> ModuleType | None:
     """Load the extension module without SciPy's packages; None if impossible.
 
-    An empty package replaces ``scipy.linalg`` during the call (12 ms), in which no other thread may
-    import ``scipy.linalg``.
+    An empty package replaces ``scipy.linalg`` during the call, in which no other thread may import
+    ``scipy.linalg``.
     """
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/spatial" for folder in scipy.__path__])
     if spec is None or spec.loader is None:

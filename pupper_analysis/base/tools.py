@@ -223,8 +223,8 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
 def _may_have_entry_points(group: str) -> bool:
     """Return False if certainly no installed package has an entry point in a group.
 
-    The files ``entry_points.txt`` in ``sys.path`` are searched for the name of the group, which
-    takes 2 ms; ``importlib.metadata`` takes 35 ms.
+    The files ``entry_points.txt`` in ``sys.path`` are searched for the name of the group, which is
+    faster than the import of ``importlib.metadata``.
     """
     for finder in sys.meta_path:
         if hasattr(finder, "find_distributions") and finder is not PathFinder:

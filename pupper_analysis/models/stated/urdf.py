@@ -244,7 +244,7 @@ directions right, up and inwards of COLLADA 1.4.1, <up_axis>."""
 def find_turn(file: UrdfFile, tag: etree._Element) -> NDArray[np.float64] | None:
     """Return the rotation, shape (3, 3), that turns the up axis of a ``<mesh>`` to z.
 
-    RViz, MoveIt, Pinocchio (Coal) and trimesh do not turn a mesh; Blender and other programs do.
+    Programs differ: RViz, for example, does not turn a mesh, Blender does.
 
     Returns:
         The rotation; None if z is up or the axis is unknown, for example in an STL file.
