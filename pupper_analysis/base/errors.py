@@ -246,18 +246,18 @@ class StanceUnreachableError(PupperAnalysisError):
     """Stand task for which no solution within the joint limits and without collisions was found.
 
     Attributes:
-        shortfall: {foot or contact point: remaining distance [m] to the target}, for each target
-            that is not reached.
+        shortfall: {foot or contact point: remaining distance [m] to the target}, for targets that
+            are not reached.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found,
             without joints whose positions the task prescribes.
         possible: {requirement: diagnostic of its feasible value}. A requirement is a value that the
             task prescribes, such as the height. An entry alone makes the task feasible. If no
-            single requirement suffices, the keys are small sets of requirements that must be
-            relaxed together ("height and roll"). Empty if no relaxation was found or requested.
+            single requirement suffices, the key names several requirements that must be relaxed
+            together ("height and roll"). Empty if no relaxation was found or requested.
         limits: The feasible values as fields of the task, for example {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is feasible.
         nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if ``limits``
-            is empty, or if the stand was not requested.
+            is empty.
         blocked: Diagnostics of obstacles other than foot errors: for example a part in the ground,
             parts too close to each other, a CoM too close to the edge of the support, loops that
             stay open, or motors at a dead point.

@@ -52,7 +52,7 @@ class Addition:
 class Floor(Addition):
     """Floor: plane (`add_plane`) with MuJoCo's default contact parameters except ``conaffinity``.
 
-    The plane collides with each geom whose ``contype`` is not 0 (`SpecTree.add_floor`).
+    Its contact bits permit collisions with each geom whose ``contype`` is not 0.
     """
 
     verb = "add_floor"

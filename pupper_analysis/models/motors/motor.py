@@ -391,10 +391,7 @@ class Motor:
 
 
 def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
-    """Return the names of motor numbers that an error reports as unknown; empty for other errors.
-
-    The names are usually fields of `Motor`.
-    """
+    """Return the names of the motor numbers that an error reports as unknown, if any."""
     numbers = error.cause.values.get("numbers", ())
     return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
 
