@@ -29,8 +29,8 @@ from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
 """Upper bound of the height [m] of a free base's frame above the lowest point of the limb ends, at
-which the frame counts as at ground level. `place_base_frame` raises only such a frame. The
-tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
+which the frame counts as at ground level. `place_base_frame` raises only such a frame. Chosen, not
+tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
 """Lower bound of the cosine of the base tilt at the start [1], about 45 deg, with which

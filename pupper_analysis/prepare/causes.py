@@ -206,12 +206,13 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
 
 NUMERICS_CODES = ("timestep", "iterations")
 """Codes of the numerical causes of a deviation from the predicted equilibrium: ``timestep`` (time
-step and integrator) and ``iterations`` (inaccurate constraint solver). Causes with these codes are
-tested first."""
+step and integrator) and ``iterations`` (inaccurate constraint solver). `self_check` tests causes
+with these codes first."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
 """Codes of causes that change the joint position that a servo command (ctrl) requests. If a joint
-is not held, other changes are not tested: they might let the robot stand by chance.
+is not held, the search in `self_check` tests no other elements: without them, the robot might stand
+by chance.
 """
 
 
@@ -351,8 +352,9 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 STIFFNESS_FACTOR = 4.0
-"""Factor [1] on the stiffness and damping of servos in a test simulation. If the robot stands with
-the increased values, servos that are too soft are the cause of the failure. Chosen, not tuned."""
+"""Factor [1] on the stiffness and damping of servos in a test simulation, and in the gains that a
+report proposes. If the robot stands with the increased values, servos that are too soft are the
+cause of the failure. Chosen, not tuned."""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
@@ -382,7 +384,7 @@ of the file. Chosen, not tuned.
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
-simulation. Chosen as that of rubber on a floor."""
+simulation. Chosen, not tuned."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Upper bound of the time constant of a contact (``solref``) [s]. A contact with a longer time

@@ -134,9 +134,8 @@ tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
 """Upper bound of the distance between a foot's points and the surface of a fitted sphere, divided
-by
-the radius [1], with which the sphere may replace the foot. Only points within `_CAP_ANGLE` of the
-lowest direction count. Chosen, not tuned.
+by the radius [1], with which the sphere may replace the foot. Only points in the cap of
+`_CAP_ANGLE` count. Chosen, not tuned.
 """
 
 
@@ -167,8 +166,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Fit a sphere to the lowest points of a foot, to use the sphere as contact shape.
 
     The fit is linear least squares: the equation |p - c|^2 = r^2 is linear in c and r^2 - |c|^2.
-    Parts of the foot below four heights above the tip are fitted: 10, 20, 30 and 45 mm. A sphere is
-    rejected if the points deviate from its surface, for example.
+    The lowest parts of the foot, of several heights, are fitted. A sphere is rejected if the points
+    deviate from its surface, for example.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -200,8 +199,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
 
 
 _MAX_SOLE_TILT = math.radians(25.0)
-"""Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt counts as
-touching the ground with an edge. Chosen, not tuned.
+"""Upper bound of the angle between a sole and the ground, in the pose in which the contact points
+are searched [rad]. Chosen, not tuned.
 """
 
 _MIN_SOLE_LENGTH = 0.015
@@ -210,11 +209,12 @@ is no sole. Chosen, not tuned.
 """
 
 _TEST_PENETRATION = 1e-4
-"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
+"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Points within twice this
+height above the lowest point may be corners of a sole. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints between foot and base with which a leg can lay the sole flat at any position.
-Derived: three coordinates and two angles; the yaw angle is not prescribed.
+"""Number of joints between foot and base with which a leg is assumed to lay the sole flat at any
+position. Derived: three coordinates and two angles; the yaw angle is not prescribed.
 """
 
 _MIN_SOLE_JOINTS = 4
@@ -286,7 +286,7 @@ def find_contact_points(
 
     Args:
         model: Model, with a floor and a free joint.
-        data: Data after ``mj_kinematics``, in the start pose.
+        data: Data after ``mj_kinematics``.
         body: Id of the moving body to which the geoms belong.
         geoms: Ids of the foot's geoms, at least one.
         joints: Number of joints between foot and base.

@@ -1,10 +1,9 @@
 """Add position servos to a robot whose MJCF has torque motors, or no actuators.
 
-Inputs are a robot with a stand and the force laws of the actuators; output is a robot with a
-position servo at each independent joint. The position of an independent joint does not follow from
-closed loops or couplings. Candidates of gains and time step are tried in order, until the robot
-comes to rest in the predicted equilibrium (`add_position_servos`). Independent joints of robots
-with closed loops get motors first, to fix the joint order.
+Input is a robot with a stand; output is a robot with position servos at the independent joints,
+whose positions do not follow from closed loops or couplings. Candidates of gains and time step are
+tried in order, until the robot comes to rest in the predicted equilibrium (`add_position_servos`).
+Independent joints of robots with closed loops get motors first, to fix the joint order.
 """
 
 from __future__ import annotations
@@ -176,10 +175,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 
 
 def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_ServoCandidate]:
-    """Return the candidates of gains and time step, in the order in which they are tried.
-
-    Joints with servos keep their gains.
-    """
+    """Return the candidates of gains and time step, in the order in which they are tried."""
     own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
     usual = list(itertools.product(TIMESTEP_DIVISORS, _SAG_CANDIDATES, (1.0,)))
@@ -285,8 +281,8 @@ class _ServoTrials:
     def choose_calm_candidate(self) -> _ServoCandidate | None:
         """Choose a candidate with which the robot comes to rest with feed-forward torques.
 
-        A candidate with which the motion after nudges decays is preferred. None without a
-        candidate.
+        A candidate with which the motion after nudges decays is preferred. None if the robot comes
+        to rest with no candidate.
         """
         first = None
         for candidate in self.find_resting_candidates(True):
@@ -314,8 +310,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Detect passive joints, which no motor drives; list them in the robot's description.
 
-    A passive joint has an effort limit of zero, and no actuator in the MJCF. The list is
-    `Description.passive_joints`.
+    A passive joint has an effort limit of zero, and no actuator in an MJCF with other actuators.
+    The list is `Description.passive_joints`.
     """
     model, dependent = mjcf.model, list_dependent_joints(robot)
     if mjcf.of_urdf or not model.nactuator:
@@ -381,7 +377,7 @@ def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
 
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
-    """Compute suggested servo gains for a robot with a fixed base, such as an arm.
+    """Compute suggested servo gains for a robot without a stand, such as an arm with a fixed base.
 
     Returns:
         kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m]. Both are in actuator
@@ -396,11 +392,10 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, at independent joints without a servo.
+    """Add position servos to a robot without a stand, at independent joints without a servo.
 
-    The gains are computed by `list_fixed_base_gains`. Passive joints, which have no motor, get
-    servos
-    without torque.
+    The gains are computed by `list_fixed_base_gains`, which regards the base as fixed. Passive
+    joints, which have no motor, get servos without torque.
 
     Returns:
         Robot with the servos; notes on added servos and passive joints.
@@ -411,7 +406,7 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
 
 
 def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base; return the robot, and notes on servos."""
+    """Add position servos to a robot without a stand; return the robot, and notes on servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
@@ -489,7 +484,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
     """Return True if URDF and MJCF describe different robots, by the statics of a stand.
 
-    MuJoCo's unbalanced generalised force in the stand is then too large for any servo gains.
+    MuJoCo's unbalanced generalised force in the stand is then large.
     """
     weight = robot.usual_weight
     return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight

@@ -94,8 +94,7 @@ limb. The bound avoids a division by zero. Chosen, not tuned.
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     """Report the axis along which the limbs of a robot point, if the limbs do not point downwards.
 
-    Such a robot cannot stand on the limbs with a level base. The message proposes a rotation of the
-    base.
+    The message proposes a rotation of the base.
 
     Returns:
         List with a message. Empty if the limbs point downwards, or along no axis of the base, for
@@ -438,16 +437,15 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 
 
 _RADIUS_RTOL = 1e-9
-"""Relative tolerance with which the radius of a contact point equals that of a cylinder. Rounding
-of the fitted radius is about 1e-14. Chosen, not tuned."""
+"""Relative tolerance with which the radius of a contact point equals that of a cylinder. Chosen,
+not tuned."""
 
 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Return True if a contact point is a ball that approximates a mesh or another shape.
 
     Contact points of spheres and capsules are no such balls: these geoms themselves touch the
-    ground. A point of a cylinder with exactly the radius of the cylinder (a wheel) is no ball
-    either.
+    ground. A point of a cylinder with the radius of the cylinder (a wheel) is no ball either.
     """
     kind = int(model.geom_type[point.geom])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER.value and math.isclose(
@@ -497,7 +495,7 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the joint that is nearest to a body (id) on the chain to the base; None without one.
+    """Return the robot's joint that is nearest to a body (id) on the chain to the base, or None.
 
     ``turning``: slides are skipped.
     """

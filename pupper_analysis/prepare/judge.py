@@ -1,10 +1,9 @@
 """Form the verdict of a stand or posture from simulations, static limits and the published file.
 
 Inputs are the statics, and the results of two simulations of the prepared robot: with feed-forward
-torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on two
-simulations of the published file (the user's MJCF or URDF). The first starts at a keyframe of the
-file, or at the start pose. The second starts at the predicted equilibrium of the stand, and is
-compared with this equilibrium.
+torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on
+simulations of the published file (the user's MJCF or URDF): from a keyframe or the start pose, and
+from the predicted equilibrium of the stand, with which the result is compared.
 """
 
 from __future__ import annotations
@@ -224,7 +223,7 @@ def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
 def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Outcome:
     """Mark a simulation as failed because motors without torque must hold a load; return a copy.
 
-    If ``springs`` act on the loaded joints, a robot that stood still counts as standing.
+    The field ``stays`` remains True only if ``springs`` act on the loaded joints.
     """
     stays = run.stays and springs
     return replace(
@@ -270,7 +269,7 @@ increase counts as a payload. Smaller increases are rounding errors. Chosen, not
 def _report_buried_foot(
     robot: Robot, stand: Stand, statics: GravityCompensation | None
 ) -> tuple[Diagnostic, ...]:
-    """Report a contact point that sinks by more than its contact radius; () if none."""
+    """Report the first contact point that sinks by more than its contact radius, if any."""
     if statics is None:
         return ()
     for foot, force in statics.contact_forces.items():
@@ -495,13 +494,12 @@ def judge_stand(
     """Simulate a stand with and without feed-forward torques, and return the verdict.
 
     The verdict includes the comparison with the published file (the user's MJCF or URDF without the
-    changes of the preparation). Results of `steady_state` and `payload_limit` are for the prepared
-    robot only.
+    changes of the preparation).
 
     Args:
         robot: Robot.
         stand: Stand.
-        trial: Result of nudges in all directions (`simulate_nudges`); None to simulate nudges here.
+        trial: Result of ``simulate_nudges``; None to nudge the stand here, if necessary.
         kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 

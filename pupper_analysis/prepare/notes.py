@@ -1,7 +1,6 @@
 """Messages about changes by the preparation: matched joints, feet, couplings, added servos.
 
-Inputs are the results of preparation passes; outputs are diagnostics. ``robot.notes`` contains
-these diagnostics; a verdict contains those of `report_tendon_joints`. The functions change nothing.
+Inputs are the results of preparation passes; outputs are diagnostics.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The simulation of the published file from a keyframe (called
-own run) shows if the file alone stands in MuJoCo. The file is simulated with nudges (small
-velocities) and without. A URDF is simulated as MuJoCo's import, with an added free base, floor and
-servos if needed. Results are computed when a verdict is first requested.
+own run) shows if the file alone stands in MuJoCo. A URDF without MJCF is simulated as MuJoCo's
+import, with an added free base, floor and servos if needed.
 """
 
 from __future__ import annotations
@@ -546,7 +545,7 @@ def _list_lifted_legs(
     end: mujoco.MjData,
     motion: BodyMotion,
 ) -> list[JointOff]:
-    """Return the joints of legs that are on the ground at reset, but not at the end of a run.
+    """Return the joints of moved legs that are on the ground at reset, but not at the end of a run.
 
     A leg is on the ground if a body of the leg is near a fixed geom, for example a heel behind a
     toe.

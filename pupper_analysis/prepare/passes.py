@@ -125,7 +125,7 @@ class PassRun(Result):
     Attributes:
         name: Name of the pass.
         does: Purpose of the pass.
-        done: Notes on changes and findings. Passes such as ``name-elements`` return no notes.
+        done: Notes on changes and findings.
     """
 
     name: str
@@ -536,7 +536,7 @@ def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
 
 @_register_pass(Term("adds motors to joints of loops that have none"), _may_be_altered)
 def _add_loop_motors(draft: Draft) -> PassOutput:
-    """Add missing torque motors to a robot with closed loops, before stands are solved.
+    """Add missing torque motors to a robot with closed loops or couplings (`add_loop_motors`).
 
     Joints with motors come first in the actuator order, which must not change when servos are
     added.
@@ -714,10 +714,7 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
 
 
 def _pose_without_servos(draft: Draft) -> Robot:
-    """Return the robot before servos are added, with its start pose and detected passive joints.
-
-    Stands and statics depend on both, but not on the added servos.
-    """
+    """Return the robot before servos are added, with its start pose and detected passive joints."""
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
         robot = drives.mark_passive_joints(robot, draft.mjcf)

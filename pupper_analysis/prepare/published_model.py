@@ -3,8 +3,7 @@
 The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
 start pose of the preparation. The model is placed at a configuration of the prepared robot, and
 held there by the file's own actuators. A joint with a torque motor or no actuator can be held by an
-external servo (`HoldCommands`). The simulation computes the torque of this servo in each step, with
-the gains of the position servo that the preparation added.
+external servo (`HoldCommands`), whose torque the simulation computes in each step.
 """
 
 from __future__ import annotations
@@ -71,7 +70,8 @@ the actuator. Chosen, not tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
 """Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
-value. A slower filter, for example with ``timeconst="1e5"``, starts at zero. Chosen, not tuned.
+value. A slower filter starts at zero, and may be the cause of a deviation from the predicted
+equilibrium (`prepare.causes`). Chosen, not tuned.
 """
 
 
@@ -190,8 +190,6 @@ def with_requested_gains(
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Compile an MJCF as published, with the changes that a simulation needs, such as a floor.
-
-    Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 
     Returns:
         Model; None if the model lacks the base body or a joint of the robot.
@@ -409,17 +407,14 @@ def _place_base(
 
 @dataclass(frozen=True, eq=False)
 class HoldCommands:
-    """Actuator commands, and external servos, that hold a published model in a configuration.
+    """Actuator commands, and external servos, with which a published model is simulated.
 
     An external servo is computed by the simulation in each step. Such servos hold joints without a
     position servo in the file.
 
     Attributes:
-        ctrl: Controls of all actuators, shape (model.nu,). Position servos at joints of the robot,
-            and at tendons of joints without actuator, are commanded. Other position servos at
-            tendons and sites get the control with which they exert no force. Other actuators get
-            zero.
-        act: States of the actuator filters, shape (model.na,).
+        ctrl: Controls of all actuators, shape (model.nu,).
+        act: Initial states of the actuator filters, shape (model.na,).
         external: External servos of n joints, as five arrays of shape (n,): degrees of freedom
             (indices in qvel), kp [N m/rad, N/m], kd [N m s/rad, N s/m], target positions [rad, m],
             feed-forward torques [N m, N].
@@ -455,7 +450,7 @@ def compute_hold_commands(
     """Compute the commands with which the joints of a published model hold target positions.
 
     Joints with a position servo in the file are commanded through this servo. Other joints may get
-    an external servo, with the gains of the servo that the preparation added.
+    an external servo.
 
     Args:
         published: Published model: the user's file as compiled.

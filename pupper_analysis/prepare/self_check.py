@@ -2,9 +2,8 @@
 
 The published model (the user's file as compiled) is placed in the predicted equilibrium of a stand,
 and is simulated with the servo commands that hold this equilibrium. Then torques, height and joint
-positions are compared. Results are computed when a verdict is first requested, like the simulation
-from the keyframe (``own_run``). The cause of a deviation is usually an element of the file: if it
-is switched off in a copy of the model, the deviation disappears.
+positions are compared. The cause of a deviation is usually an element of the file: if it is
+switched off in a copy of the model, the deviation disappears.
 """
 
 from __future__ import annotations
@@ -295,8 +294,7 @@ def _moves_alike(
 ) -> bool:
     """Return True if published file and prepared robot fail alike without feed-forward.
 
-    The file is then no cause. An example is the reduced Talos of example-robot-data, whose soles
-    chatter.
+    The file is then no cause.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False

@@ -30,7 +30,7 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
 """Upper bound of MuJoCo's solver option ``tolerance`` [1]. `check_simulable` raises an error for a
-larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once.
+larger value. Chosen, not tuned.
 """
 
 _GEAR_RANGE = 1e-6, 1e6

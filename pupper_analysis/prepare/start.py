@@ -946,9 +946,9 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
 
 
 def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Copy the start pose and nominal joint positions of ``posed`` to ``whole`` and to its MJCF.
+    """Return a copy of ``whole`` with the start pose and nominal joint positions of ``posed``.
 
-    Both robots must have the same joints.
+    The start pose becomes a keyframe of the MJCF. Both robots must have the same joints.
     """
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)

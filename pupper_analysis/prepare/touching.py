@@ -2,7 +2,7 @@
 
 Input is a robot with a start pose. Two kinds of contacts are disabled: contacts of shapes near the
 ground that are on a foot's body but are not foot geoms, and contacts between bodies that overlap in
-the start pose. Visual geoms are discarded.
+the start pose.
 """
 
 from __future__ import annotations

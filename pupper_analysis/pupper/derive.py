@@ -30,10 +30,9 @@ _VISUAL_GROUP = 1
 
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
-    """Derive the URDF of a variant from the URDF of the base model.
+    """Derive the URDF of a variant: the URDF of the base model with scaled legs and torso mass.
 
-    A variant is the base model with scaled legs and torso mass. `derive_mjcf` describes the
-    scaling; this function is an independent implementation.
+    `derive_mjcf` describes the scaling; this function is an independent implementation.
 
     Args:
         text: XML text of the base URDF.
@@ -298,7 +297,7 @@ def _stretch_body(
 def _stretch_geom(
     geom: mujoco.MjsGeom, axis: Array, factor: float, matrix: Array, meshes: dict[str, Array]
 ) -> None:
-    """Stretch a geom of an MJCF along an axis, in place, except for its mesh; see `_stretch_body`.
+    """Apply the stretch of `_stretch_body` to a geom of an MJCF, in place, except for its mesh.
 
     ``matrix`` is the stretch I + (factor - 1) axis axis^T, shape (3, 3).
     """
@@ -323,7 +322,7 @@ def _stretch_geom(
 
 
 def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> None:
-    """Stretch mass, centre of mass and inertia of a body in place, at constant density.
+    """Stretch mass, centre of mass and inertia of a body in place; the mass is times ``factor``.
 
     The body is replaced by six equal point masses on its principal axes with the same mass, centre
     and inertia (an equimomental system), whose positions are multiplied by ``matrix``, shape (3,

@@ -129,9 +129,7 @@ class VariantSpec:
 
 
 MAX_SCALE = 1000.0
-"""Upper bound of ``leg_scale`` and ``torso_mass_scale`` [1]: legs of almost 200 m, a torso of 1.5
-tonnes. Chosen, not tuned.
-"""
+"""Upper bound of ``leg_scale`` and ``torso_mass_scale`` [1]. Chosen, not tuned."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {

@@ -441,7 +441,7 @@ def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 MIN_FREE_BASE_LIMBS = 2
 """Lower bound of the number of moving joints at the base of a URDF (limbs) with which the converted
-robot gets a free base by default. With fewer joints, the base is usually fixed."""
+robot may get a free base by default."""
 
 
 @dataclass(frozen=True)

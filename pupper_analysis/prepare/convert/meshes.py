@@ -100,7 +100,7 @@ class MeshFiles:
     def register_mesh(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Register a ``<mesh>`` of the URDF for the MJCF, and return the mesh name in the MJCF.
 
-        A flat mesh is registered as a surface without volume.
+        A flat mesh may be registered as a surface without volume.
 
         Args:
             mesh: Element ``<mesh>``.

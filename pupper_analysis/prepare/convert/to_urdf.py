@@ -484,8 +484,8 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
 
     Objects, whose only joint is a free joint, are ignored if there is a robot. A robot with a free
     base has priority over, for example, doors and drawers. Bodies of the world that are coupled
-    (`_are_coupled`), such as a linkage with two fixed pivots, are a single robot whose base is the
-    world.
+    (`_are_coupled`), such as a linkage with two fixed pivots, may be a single robot whose base is
+    the world.
 
     Raises:
         ModelError: If there are several robots, or no joints, for example.
@@ -535,8 +535,8 @@ def _are_coupled(model: mujoco.MjModel, roots: Sequence[int]) -> bool:
 def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     """Return an MJCF with a single robot: remove the other robots and moving objects of a scene.
 
-    Joints, actuators, sensors, couplings and keyframe values of the removed bodies are removed,
-    too. Bodies fixed in the world remain.
+    Elements that refer to the removed bodies are removed, too. Bodies fixed in the world remain. If
+    the base of the robot is the world, ``file`` is returned.
 
     Args:
         file: MJCF; not modified.
