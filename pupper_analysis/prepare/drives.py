@@ -1,4 +1,4 @@
-"""Add position servos to a robot whose MJCF has torque motors, or no actuators.
+"""Add position servos to a robot whose MJCF has, for example, torque motors or no actuators.
 
 Input is a robot with a stand; output is a robot with position servos at the independent joints,
 whose positions do not follow from closed loops or couplings. Candidates of gains and time step are

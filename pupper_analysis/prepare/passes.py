@@ -1,4 +1,4 @@
-"""Prepare a robot that can stand from two published files.
+"""Prepare a robot from a URDF and an MJCF.
 
 The preparation is a sequence of named passes, in the order of `PREPARATION_PASSES`. Each pass gets
 the draft (the robot in preparation). The pass returns the new draft, with notes on what the pass

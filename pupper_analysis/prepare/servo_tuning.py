@@ -82,10 +82,9 @@ inertias are computed from which its servo gains follow. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step [1] that are tried for a robot with added servos, and for
-MuJoCo's import of its URDF. Measured: a
-light foot without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia
-of 3e-4 kg m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped
-HECTOR) at 0.25 ms.
+MuJoCo's import of a URDF. Measured: a light foot without armature oscillates between a stiff servo
+and the ground at 2 ms. With an inertia of 3e-4 kg m^2 about the ankle (G1) the foot is at rest at
+0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at 0.25 ms.
 """
 
 

@@ -3,7 +3,7 @@
 Input is a URDF with inertials that MuJoCo refuses, for example because the principal moments
 violate the triangle inequality A + B >= C. An invalid inertial is first added to the inertial of a
 link to which fixed joints connect the link. This changes no motion. If no sum is valid, valid
-moments replace the invalid moments (`find_nearest_moments`).
+moments may replace the invalid moments (`find_nearest_moments`).
 """
 
 from __future__ import annotations
@@ -154,10 +154,10 @@ class LinkBodies:
 def repair_inertials(
     urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
-    """Make the inertials of a URDF valid for MuJoCo, in place, by a move or a repair.
+    """Move or repair the inertials of a URDF that MuJoCo would refuse, in place.
 
     An invalid inertial is added to the inertial of a link to which fixed joints connect the link:
-    this changes no motion. If no such sum is valid, `find_nearest_moments` gives the new moments. A
+    this changes no motion. If no such sum is valid, `find_nearest_moments` may give new moments. A
     moving body gets `ADDED_MASS` if neither this body nor a body fixed to it has a mass.
 
     Args:
