@@ -141,8 +141,6 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     Chatter is reported if the standard deviation of the total vertical force on the feet exceeds 5
     % of the weight (`_MAX_FORCE_VARIATION`) over the last states (`_CHATTER_STATES`).
 
-    A possible cause is a pyramidal friction cone with an ``impratio`` above 1.
-
     Args:
         robot: Robot.
         drive: Servos and MuJoCo model that were simulated.

@@ -458,7 +458,7 @@ def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: A
 
 
 def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[float, int, int]:
-    """Divide a control period into time steps such that the delay [s] is a multiple of a time step.
+    """Divide a control period into time steps that, if possible, divide the delay [s], too.
 
     ``timestep`` [s] is the largest time step; also the period if ``rate`` [Hz] is None.
 

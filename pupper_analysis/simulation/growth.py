@@ -145,8 +145,8 @@ def confirm_growth(
     """Test by simulation if modes that grow within ``HOLD_DURATION`` in the linear model do grow.
 
     A mode is an eigenvector of MuJoCo's linearised simulation step.
-    `Stability.modes_growing_within` selects the modes: an oscillation may grow at any rate. Each
-    test simulates deviations along modes (`simulate_growth`).
+    `Stability.modes_growing_within` selects the modes. Each test simulates deviations along modes
+    (`simulate_growth`).
 
     Args:
         stability: Modes of the linearised step at the state.

@@ -33,7 +33,7 @@ class LinearStep:
 
     Args:
         model: MuJoCo model.
-        data: State, after ``mj_forward``, with ``ctrl``; not changed.
+        data: State, after ``mj_forward``, with ``ctrl``.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

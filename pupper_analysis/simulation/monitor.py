@@ -335,7 +335,7 @@ def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
 def has_diverged(states: Array, timestep: float) -> bool:
     """Return True if a rollout diverged: a value is not finite, or the time did not advance.
 
-    MuJoCo usually resets the state, with the time, if the simulation diverges.
+    MuJoCo may reset the state, with the time, if the simulation diverges.
 
     Args:
         states: Successive states (mjSTATE_FULLPHYSICS), shape (..., n, size).

@@ -39,8 +39,8 @@ Chosen, not tuned.
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""MuJoCo's types of first-order actuator dynamics, for example of servos with ``timeconst``. The
-activation follows the command, clipped to ``ctrlrange``.
+"""MuJoCo's types of filter dynamics (first-order lag) of actuators, for example of servos with
+``timeconst``.
 """
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -130,9 +130,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     """Compute the state (mjSTATE_FULLPHYSICS) of a stand, lowered until contacts carry the weight.
 
     The base is lowered along the ground normal, with constant joint positions, until the forces
-    along this direction balance. A stand that is held otherwise, for example by a fixed base, is
-    not lowered. Velocities are zero. ``torques`` of the motors, shape (nu,) [N m, N], balance the
-    stand.
+    along this direction balance, by at most `_MAX_DROP`. A stand that is held otherwise, for
+    example by a fixed base, is not lowered. Velocities are zero. ``torques`` of the motors, shape
+    (nu,) [N m, N], balance the stand.
     """
     model = drive.model
     data = mujoco.MjData(model)

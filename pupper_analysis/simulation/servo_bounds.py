@@ -124,7 +124,8 @@ class ServoBounds(Result):
             without feed-forward (1); None if the robot stands with the present stiffness, or with
             no simulated factor, or if ``least_kp_factor`` is None.
         largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
-            stable (1); infinite without a bound; None without damping, or if no factor is stable.
+            stable (1); infinite if stable up to 4096; None without damping, or if no tried factor
+            is stable.
         timestep: Time step of the model, and period of this controller (s).
         integrator: MuJoCo integrator of the model. With an implicit integrator, the damping of the
             model's own servos has no bound.
@@ -325,7 +326,8 @@ def _bound_damping(
     """Find the largest factor on the damping gains with which a stand is stable.
 
     ``least`` is the smallest factor on the stiffness with which the stand does not buckle. The
-    result is infinite without a bound, and None without damping or if no factor is stable.
+    result is infinite if the stand is stable up to `MAX_FACTOR`, and None without damping or if no
+    tried factor is stable.
     """
     if not kd.any():
         return None

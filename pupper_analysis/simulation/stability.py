@@ -58,7 +58,7 @@ def stand_stability(
     The evaluated state is normally that of the settled stand; without feed-forward, that of the
     equilibrium of the servos (`steady_state`, feet pinned). If the state is at rest, and a mode is
     predicted to grow within ``HOLD_DURATION``, nudged simulations test this prediction
-    (`confirm_growth`). The result does not cover larger pushes.
+    (`confirm_growth`).
 
     Args:
         robot: Robot.
@@ -201,7 +201,7 @@ def evaluate_spectrum(
 ) -> Stability:
     """Compute the modes of MuJoCo's linearised step at a state under a constant command.
 
-    Unlike `evaluate_stability`, this function does not test growing modes by a simulation.
+    Growing modes are not tested by a simulation (`evaluate_stability` does this).
 
     Args:
         drive: MuJoCo model with servos.
@@ -232,7 +232,7 @@ def judge_stability(
 def _find_modes(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Simulate a state for ``settle`` [s]; return the modes, also modes without light contacts.
+    """Simulate a state for ``settle`` [s]; return the modes, at rest also without light contacts.
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
     On Pupper v3 with 2 kg and one foot on a slope, such a foot hid a growing mode that MuJoCo's
@@ -463,7 +463,7 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
     """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
 
     ``states`` are the states after, and ``creep`` the states before the nudge, shape (n, size)
-    each. A robot that still settles slows down, which does not count.
+    each.
     """
     free = model.dof_jntid[:, None] == np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     columns = 1 + model.nq + np.flatnonzero(free.any(axis=1))

@@ -75,8 +75,8 @@ class Question(StrEnum):
 
 
 LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
-"""Questions about payloads and pushes. A simulation cannot answer such a question if the torque
-limit of a motor is unknown."""
+"""Questions about payloads and pushes. If a torque limit is unknown, the verdict on such
+a question does not pass."""
 
 
 TWO_ROBOTS_CODE = "files-of-two-robots"

@@ -44,8 +44,8 @@ def fit(
         kd: Stated servo damping [N m s/rad, N s/m], a scalar or shape (nu,); the model's by
             default. For logs only.
         weight: Mass of the whole robot on a scale [kg]. For stands only.
-        encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
-            default. For stands only.
+        encoder: Standard deviation of a joint position [rad, m]; by default derived from the
+            encoder step, 2e-4 if no step is found. For stands only.
         hold_out: Measurements that are predicted instead of fitted: a fraction at the end of each
             run (part of a log without clock jumps; 0.2 by default), or separate logs. For logs
             only.

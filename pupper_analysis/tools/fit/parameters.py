@@ -109,8 +109,7 @@ SURROUNDINGS_KINDS = (
 )
 """Keys of `PARAMETER_KINDS` for the surroundings: ground, leg lengths, dead band and friction of
 the servos, scale and known masses. Results list parameters of the surroundings last. Such
-parameters are not written to robot files. (The kinds ``offset``, ``delay`` and ``lag`` are not
-written either, but are listed with the robot.)
+parameters are not written to robot files.
 """
 
 

@@ -100,7 +100,8 @@ class Fit(Result):
         name: Robot name.
         source: Files of the measurements.
         estimates: Estimates of all parameters, parameters of the surroundings last.
-        failures: Measurements or estimates that contradict the model.
+        failures: Reasons for which the fit is not valid, for example measurements that contradict
+            the model.
         diagnostics: Notes.
         kp_over_mass: Ratio of (mean estimated kp / stated kp) to (estimated carried mass / stated
             mass). Measured positions determine the ratio. None if kp is not estimated.
@@ -236,9 +237,9 @@ class MotionFit(Fit):
     Attributes:
         seconds: Total duration of the logs, without logs that are only predicted, not fitted.
         held_out: RMS position error in samples that were not fitted; NaN if there are none.
-        held_out_before: RMS position error in the same samples, with the parameters of the files.
+        held_out_before: RMS position error in the same samples, with the stated parameters.
         fitted: RMS position error in samples that were fitted.
-        fitted_before: RMS position error in the same samples, with the parameters of the files.
+        fitted_before: RMS position error in the same samples, with the stated parameters.
         repeatability: RMS difference between runs of the same commands, divided by sqrt(2); NaN if
             no two runs have the same commands.
         by_joint: RMS position error of each joint in samples that were not fitted. If there are

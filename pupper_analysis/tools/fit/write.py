@@ -280,7 +280,7 @@ def write_fit(
     The files are:
 
     - Corrected URDF and MJCF, with the meshes and included files that they need, in the same
-      relative folders. Only the bytes of changed attributes differ from the originals.
+      relative folders.
     - ``fit.json``: all parameters with the covariance.
     - ``offsets.csv``, if encoder offsets are parameters: measured position minus true position.
     - ``samples.csv``, if `study` can vary a parameter: samples of the posterior, with the variable

@@ -48,7 +48,7 @@ the robot moved. The value exceeds the step of a 12-bit encoder, 1.5e-3 rad.
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStands:
-    """Measured stands at rest: commands and joint positions, a stand per row; NaN if missing.
+    """Measured stands at rest: commands and joint positions, a reading per row; NaN if missing.
 
     Attributes:
         source: File, or another source of the stands, for example the name of the robot.
@@ -175,8 +175,8 @@ class MeasuredStands:
     def make_names_unique(self) -> MeasuredStands:
         """Return the measured stands with a different name for each stand.
 
-        Stands of one name that differ in feet in the air, heading or added masses become ``NAME``,
-        ``NAME #2`` ..., in the order of the rows. Repeated readings keep a common name.
+        Stands of one name that differ in feet in the air, heading or added masses get other names,
+        for example ``NAME #2``. Repeated readings keep a common name.
         """
         names, used = list(self.names), set[str]()
         for rows in self._group_repeats():
@@ -309,7 +309,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
 
 
 def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
-    """Format measured or planned stands as CSV text for ``read_stands``, a row per stand.
+    """Format measured or planned stands as CSV text for ``read_stands``.
 
     Units are rad, m and kg. Missing commands and positions are empty cells.
     """

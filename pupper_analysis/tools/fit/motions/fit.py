@@ -357,14 +357,14 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 def _get_middle_half(rows: Array) -> Array:
     """Return the middle half of ``rows``, shape (n, ...), the samples of a log.
 
-    Another log of the same motion contains this half also after a time shift by a quarter of the
-    length.
+    Another log of the same motion contains this half also after a shift by up to a quarter of the
+    samples.
     """
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 
 def measure_replay(runs: Sequence[LogSegment]) -> float:
-    """Compute the largest correlation, from -1 to 1, between held-out and fitted commands.
+    """Compute the largest correlation [1] between held-out and fitted commands.
 
     Held-out samples are excluded from the fit, to validate the fit. A correlation near 1 means that
     the held-out motion repeats a fitted motion, possibly at another time. The result is 0 if no run
@@ -657,9 +657,7 @@ class MotionResiduals:
 
 
 _MAX_LAGS = 20
-"""Order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations
-are represented by their effect within this time. Chosen, not tuned.
-"""
+"""Order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Chosen, not tuned."""
 
 _MIN_NOISE_STD = 1e-6
 """Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Commands that

@@ -297,7 +297,7 @@ class Simulator:
         To second order, a first-order lag of positions with time constant T is equivalent to a
         damping of -kp T and an armature of kp T^2. The derivative by T is the sum of -kp D + 2 kp T
         A over the joints, with the derivatives D by the damping and A by the armature of a joint.
-        This formula has no finite-difference errors. Nothing changes if a joint with parameters
+        Nothing changes if a joint with parameters
         lacks damping or armature as a parameter.
 
         Args:
@@ -556,10 +556,10 @@ not tuned."""
 
 
 class MomentCoordinates:
-    """Coordinates in which gravity and inertia forces are linear: first moments instead of CoMs.
+    """Coordinates in which gravity forces are linear: first moments instead of CoMs.
 
-    Forces depend on the mass m and on the first moment m c, with the CoM c. A linear step in m and
-    c has the error d(m c) - (m dc + c dm) = dm dc.
+    These forces depend on the mass m and on the first moment m c, with the CoM c. A linear step in
+    m and c has the error d(m c) - (m dc + c dm) = dm dc.
 
     A CoM c is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0. This coordinate
     is a length, is equal to c at the stated mass, and is linear in moment and mass. The prior of

@@ -86,7 +86,7 @@ class Bridge(Protocol):
         """Wait for a duration [s] on the clock of the bridge."""
 
     def close(self) -> None:
-        """Close the connection; the robot holds the last command."""
+        """Close the connection, without a change of the last command."""
 
 
 def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:

@@ -83,7 +83,7 @@ class TraceRecording(Result):
 
     @property
     def complete(self) -> bool:
-        """Whether all signals were received."""
+        """Whether all optional signals were received."""
         return not self.missing
 
 

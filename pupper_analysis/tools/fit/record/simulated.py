@@ -140,7 +140,7 @@ class SimulatedRobot:
     ) -> bool:
         """Attach known loads, and set the robot just above the ground in the commanded posture.
 
-        The base is rotated such that the stance feet are on level ground.
+        The base is rotated such that a plane through the stance feet is level.
 
         Args:
             stand: Stand for which the robot is prepared.
@@ -157,7 +157,7 @@ class SimulatedRobot:
     def _place_on_feet(self, swing: Sequence[str]) -> None:
         """Reset the simulation to the commanded posture, at rest, slightly above the ground.
 
-        The base is rotated such that the feet other than ``swing`` are on level ground.
+        The base is rotated such that a plane through the feet other than ``swing`` is level.
         """
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [

@@ -1124,7 +1124,7 @@ class StandEquations:
         return heights_by_foot
 
     def compute_rms_residuals(self, x: Array) -> list[float]:
-        """Return the root mean square of the whitened residuals of each stand; 1 is expected.
+        """Return the root mean square of the whitened residuals of each stand.
 
         ``x`` are the parameters, shape (n,). Base tilt, base height and contact forces of each
         stand are updated, and eliminated from the residuals.

@@ -190,7 +190,8 @@ def check_scale(
         robot: Robot.
         posterior: Distribution of the parameters.
         weight: Mass of the whole robot on a scale [kg], for the message; None if not weighed.
-        level: Whether the ground is level. On a slope the load is not tested.
+        level: Whether the ground is level. On a slope, or with a known mass, the load is not
+            tested.
     """
     from scipy import stats  # slow to import
 
@@ -487,8 +488,8 @@ def fit_stands(
         weight: Mass of the whole robot on a scale [kg], with a standard deviation of 0.2 %. A
             weight that contradicts the stands may be left out, with a failure.
         kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
-        encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
-            default.
+        encoder: Standard deviation of a joint position [rad, m]; by default derived from the
+            encoder step, 2e-4 if no step is found.
 
     Raises:
         MeasurementError: If the measurements cannot be used or do not belong to this robot.
@@ -945,7 +946,7 @@ def get_stated_stiffness(
 
 
 def list_joints_without_kp(robot: Robot) -> list[str]:
-    """Return the joints for whose servos no model file states kp."""
+    """Return the joints for which no model file states the kp of a servo."""
     gains = list_position_servos(robot)
     added_servos = {servo.joint for servo in robot.description.made_servos}
     return [name for name in robot.joint_names if name not in gains or name in added_servos]
@@ -1053,10 +1054,10 @@ def _check_foot_loads(
     equations: StandEquations,
     posterior: Posterior | None = None,
 ) -> None:
-    """Check that no carrying foot has to pull, and that no foot in the air is below the ground.
+    """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    If ``posterior`` is None, the stated parameters are used. The contact forces are those that
-    ``equations`` has stored.
+    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. If ``posterior`` is None, the stated
+    parameters are used. The contact forces are those that ``equations`` has stored.
 
     Raises:
         MeasurementError: For one contradiction.

@@ -128,8 +128,8 @@ def plan_stands(
         added: Known mass [kg], 0 for none. Default: 15 % of the robot's mass, rounded to two
             significant digits.
         added_at: Position of the known mass in the frame of the base, or of a link, site, body or
-            geom [m]. Default: above the origin of the base, at the height of the highest point of
-            the base.
+            geom [m]. Default: above the origin of the base, on top of the boxes around the
+            geoms of the base.
         seed: Seed of the random stands.
 
     Raises:
@@ -242,7 +242,10 @@ def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estima
 
 
 def _compute_base_top(robot: Robot) -> float:
-    """Return the height [m] of the base's geoms above the base origin, along base z; at least 0."""
+    """Return the height [m] of the boxes around the base's geoms above the base origin, at least 0.
+
+    The height is along the z axis of the base.
+    """
     model, config = robot.mj_model, Configuration(robot, robot.home)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
@@ -556,7 +559,7 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a stand task with random height, roll, pitch, foot positions and swing foot."""
+        """Draw a stand task with random height, roll, pitch and foot positions, maybe a swing foot."""
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
