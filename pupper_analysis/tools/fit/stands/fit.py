@@ -282,9 +282,8 @@ which a deviation is reported. The value belongs to three standard deviations. C
 
 _MIN_VARIANCE_REDUCTION = 0.02
 """Lower bound of the reduction of a variance by the measurements, relative to the prior variance,
-in
-tests for deviations from the prior. With a smaller reduction, a tiny change of a poorly determined
-estimate would count as a large deviation. Chosen, not tuned.
+in tests for deviations from the prior. With a smaller reduction, a tiny change of a poorly
+determined estimate would count as a large deviation. Chosen, not tuned.
 """
 
 _MIN_NAMED_STDS = 2.0

@@ -559,7 +559,7 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a stand task with random height, roll, pitch and foot positions, maybe a swing foot."""
+        """Draw a stand task with random height, tilt and foot positions, and maybe a swing foot."""
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
