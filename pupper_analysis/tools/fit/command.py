@@ -330,7 +330,7 @@ def _propose_gains() -> Iterator[None]:
 
 
 def _has_column_of(path: Path, robot: Robot) -> bool:
-    """Return True if the first line of a CSV file (commas) names a column of a joint of the robot."""
+    """Return True if the first line of a CSV file (commas) names a column of a robot joint."""
     with suppress(OSError, UnicodeError), path.open(encoding="utf-8") as file:
         names = {name.partition("[")[0].strip() for name in file.readline().split(",")}
         return any(
