@@ -59,7 +59,7 @@ def audit_model(
     Args:
         path: Model file, name of a published robot, or a robot in memory, as for ``load_robot``;
             for a variant, the MJCF is audited. Findings about a robot in memory, a scaled variant
-            or a xacro file have no lines.
+            or a xacro file may have no lines.
         packages: {ROS package: folder}, for ``package://`` paths in a URDF.
         disabled: Ids of rules that are not run.
         xacro: True to expand a xacro file, which evaluates the Python expressions in the file.

@@ -43,10 +43,7 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 
 
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Apply a repair to a file in memory, if the file has the old values; return True if applied.
-
-    Another repair, for example, may have changed the element before.
-    """
+    """Apply a repair to a file in memory, if the file has the old values; True if applied."""
     if not _has_old_values(document, repair):
         return False
     for change in repair.list_changes():
@@ -95,10 +92,7 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 
 
 def list_estimates(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """Return the repairs that only estimate a value, of findings with exactly one repair.
-
-    Estimates are not written to the file.
-    """
+    """Return the repairs that only estimate a value, of findings with exactly one repair."""
     return [repair for repair in _list_single_repairs(audits) if repair.is_estimate]
 
 
@@ -176,7 +170,7 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
 
 
 def write_documents(documents: Iterable[XmlDocument], *, force: bool = False) -> None:
-    """Write changed files. Only changed or new attributes and new elements differ from before.
+    """Write changed files.
 
     Args:
         documents: Changed files.

@@ -133,10 +133,7 @@ class ValueRepair(Result):
 
     @property
     def is_estimate(self) -> bool:
-        """Whether the new mass is guessed from the density of other links.
-
-        The true density of the repaired link may differ.
-        """
+        """Whether the new mass is guessed from the density of other links."""
         return self.reason.code == "repair-density"
 
     def list_changes(self) -> tuple[ValueRepair, ...]:

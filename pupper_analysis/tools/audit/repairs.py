@@ -279,9 +279,10 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
 
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
+    """Yield other tensors for a link of a URDF whose tensor is possible, but implausible.
 
-    Nothing is proposed if the masses of both sides differ, since the mass may be wrong.
+    Nothing is proposed if the masses of both sides differ by more than 1 %, since the mass may be
+    wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
@@ -536,7 +537,7 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 
 
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the repair of a URDF link without mass: the mass of the link on the other side.
+    """Yield the repair of a URDF link without positive mass: the mass of the other side.
 
     A link without <mass> gets the CoM and the tensor as well.
     """

@@ -161,7 +161,7 @@ class ObservedTerm:
 
     Attributes:
         name: Name in the source, or the name of the term's function.
-        scales: Factor, or a factor per element; None if the source states none that is known.
+        scales: Factor, or a factor per element; None if unknown.
         place: File and line.
         history: Number of time steps of the term in an observation; 0 if not stated.
         clip: Lower and upper bound before scaling; None if not stated.
@@ -178,7 +178,7 @@ class ObservedTerm:
 
     @property
     def scale(self) -> float | None:
-        """Factor on the first element of this term; None if the source states no known factor."""
+        """Factor on the first element of this term; None if unknown."""
         return self.scales[0] if self.scales else None
 
     @property
@@ -420,7 +420,7 @@ class LocatedValue:
     def make_statement(self, quantity: str, joint: str = "", **where: Any) -> Statement:
         """Create a `Statement` from this value: number of a quantity, taken in SI units.
 
-        A value that is no number is kept as the text of an expression.
+        A value that is no number becomes a text, ``expression``.
 
         Args:
             quantity: Quantity.

@@ -485,7 +485,7 @@ severity NOTE, since data sheets round these numbers. Chosen, not tuned.
 """
 
 _ANGLE_QUANTITIES = ("default angle", "action offset")
-"""Quantities that are joint angles. Equal differences with opposite signs, as of left and right
+"""Quantities that are joint angles. Numbers that differ only in the sign, as of left and right
 joints, are reported together.
 """
 

@@ -15,7 +15,7 @@ def guard(
     """List the disagreements between controller files, and between these files and the robot model.
 
     This function is called by the command `check`. The sources are files of training, policy,
-    deployment or motor drivers. No stand is computed.
+    deployment or motor drivers.
 
     Args:
         models: Path of the URDF or MJCF, or of both.

@@ -29,13 +29,13 @@ from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.tools.contract.facts import MAX_VALUES, LocatedValue, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
-"""Largest size [bit] of an integer in the evaluation of a source; a larger result counts as
-unknown. Larger integers would grow without bound in a loop. Chosen, not tuned.
+"""Largest size [bit] of an integer that an operation or function in the evaluation of a source may
+return; a larger result counts as unknown. Chosen, not tuned.
 """
 
 MAX_CALL_DEPTH: Final = 40
 """Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.
-Chosen, not tuned, so that Python's own recursion limit is not reached.
+Chosen, not tuned.
 """
 
 
@@ -116,10 +116,7 @@ class InstanceValue:
 
 
 class ModuleNames(UserDict[str, LocatedValue]):
-    """Names of an evaluated module, {name: value}.
-
-    While the module is evaluated, only the names defined so far are contained.
-    """
+    """Names of an evaluated module, {name: value}."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
         super().__init__({"__name__": LocatedValue(path.stem, Place(path))})
@@ -231,7 +228,7 @@ _ITEM_FUNCTIONS: Final = ("zip", "enumerate", "list", "tuple", "reversed", "sort
 """Functions whose result contains the items of the arguments."""
 
 _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
-"""{name: value} of constants that numeric modules define, such as ``np.pi``."""
+"""{name: value} of constants that numeric modules may define, such as ``np.pi``."""
 
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 """Names under which configurations import numeric modules, with constants such as pi."""

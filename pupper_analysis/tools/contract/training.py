@@ -261,7 +261,7 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
 
 
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
-    """Yield the scales and offsets of a policy's action.
+    """Yield the scales, offsets and bounds of a policy's action.
 
     The default joint angles ``angles`` are the offsets if ``use_default_offset`` is True or not
     stated.

@@ -248,7 +248,7 @@ class VersionedFile:
 
     Attributes:
         path: Path for reading, or robot in memory.
-        name: Name passed by the user; empty for a robot in memory without a name.
+        name: Name passed by the user; may be empty for a robot in memory.
         revision: Revision; empty for a file outside git.
         root: Folder with the extracted revision; None for a file outside git.
     """

@@ -311,7 +311,7 @@ class MassOrigin(StrEnum):
     use defaults: UsdPhysics the CoM (0, 0, 0), and the inertia of a ball of radius 10 cm.
     """
     WATER = "water"
-    """The body has no stated mass, and a shape has neither a stated mass nor a stated density.
+    """The body has no stated mass, and the file states neither mass nor density for a shape.
     Engines use the density of water for such a shape.
     """
     UNKNOWN = "unknown"
@@ -350,7 +350,7 @@ def read_body_mass(
         inertia are all stated, or the mass is negative, which `audit` reports.
 
     Raises:
-        ModelError: If an attribute has the wrong type or is NaN.
+        ModelError: If an attribute has the wrong type, for example.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass

@@ -316,8 +316,8 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 
 _MAX_RANGE = 1e6
-"""Largest magnitude of a joint limit [rad, m]. A larger or infinite limit is replaced by this
-value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
+"""Largest magnitude of a limit of a limited joint [rad, m]. A larger or infinite limit is replaced
+by this value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 """
 
 

@@ -171,10 +171,9 @@ not tuned."""
 
 
 def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
-    """Read a URDF, and turn its COLLADA meshes to their up axis if only then the links fit.
+    """Read a URDF; turn the COLLADA meshes to their up axis if several links fit only then.
 
-    RViz, MoveIt and Pinocchio do not turn meshes. A link fits if its shapes are close to the next
-    joints.
+    A link fits if its shapes are close to the next joints.
     """
     as_read = read_urdf_model(file)
     names = list_turned_links(file)

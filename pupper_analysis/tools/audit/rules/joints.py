@@ -89,8 +89,8 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
     A finding is a joint axis, at zero joint angles, at more than 60 degrees from the axis x, y or z
-    of the base frame that `infer_axis_from_name` derives. Robots whose y axis may not point
-    sideways are skipped.
+    of the base frame that `infer_axis_from_name` derives. Robots whose y axis probably does not
+    point sideways are skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -150,9 +150,8 @@ def axis_not_unit(robot: UrdfModel) -> Iterator[CheckFinding]:
 def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find joints of a URDF that mimic a missing joint, a fixed joint, or themselves.
 
-    A cycle of several joints counts as a joint that mimics itself. WARNING instead of ERROR if the
-    leading joint is fixed: engines read such a file, and the following joint is fixed, too, or
-    free.
+    A cycle of several joints counts as a joint that mimics itself. The severity is WARNING if the
+    leading joint is fixed, since engines read such a file.
     """
     leaders = {
         name: str(mimic.get("joint"))

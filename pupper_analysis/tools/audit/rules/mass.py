@@ -342,8 +342,8 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
     The tolerance of a negative moment depends on the greatest moment and on the rounding of the
-    stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each axis is a finding. Zero
-    moments are findings for moving links without fixed links, or with lighter fixed links.
+    stated numbers. Zero moments are findings for moving links without fixed links, or with lighter
+    fixed links.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -600,7 +600,7 @@ Chosen, not tuned: CAD programs write masses with three digits or more.
 def _compute_link_volume(body: Link) -> float | None:
     """Compute the volume of the visual shapes of a link [m^3], or else of the collision shapes.
 
-    None if unknown. Overlaps of shapes are counted twice.
+    None if unknown. The volumes of overlapping shapes are added.
     """
     for collides in (False, True):
         volumes = [shape.compute_volume() for shape in body.shapes if shape.collides == collides]

@@ -522,7 +522,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 
     I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection.
     An entry of S I S - I' may have up to 10 % of the largest entry, or more if the written digits
-    are rounded.
+    are rounded. A wrong sign of a product of inertia (`_has_wrong_sign`) is a finding, too.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):

@@ -88,10 +88,11 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 
 @rule
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
+    """Find capsules and cylinders from a joint towards the next that do not end there.
 
-    The length without caps may be about 2 % too long. It may be 20 % too short, since shapes are
-    often shortened on purpose to avoid contact with the neighbour.
+    The end may also be a foot. The length without caps may be about 2 % too long, or 20 % too
+    short, since shapes are often shortened to avoid contact with the neighbour. The length may also
+    be too short by one radius, so that the cap ends at the joint.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -220,8 +221,7 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The foot's sphere is the nearest collision sphere that moves with the frame; spheres with "foot"
     in the name of sphere or link have precedence. Frames farther than five radii from the centre
-    are skipped. The severity is NOTE if the frame is inside the sphere, which some models use for a
-    flat sole.
+    are skipped. The severity is NOTE if the frame is inside the sphere.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
@@ -374,8 +374,8 @@ DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
 is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
 
 MIN_OTHER_LINKS = 3
-"""Smallest number of comparable links or hinges with which a single exception is reported, or a
-median density is computed. Chosen, not tuned.
+"""Smallest number of other comparable links or hinges with which a single exception is reported, or
+a median density is computed. Chosen, not tuned.
 """
 
 

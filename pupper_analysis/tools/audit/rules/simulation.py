@@ -100,7 +100,7 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
     A foot is a geom of a moving body with "foot" in the name of geom or body, or at a site with
-    "foot" in the name. Empty if the model does not compile.
+    "foot" in the name. Empty without a compiled model.
     """
     model = robot.mj_model
     if model is None:
@@ -153,7 +153,7 @@ tuned."""
 
 
 def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the spherical geoms of feet, or else of spheres at the ends of limbs."""
+    """Return the ids of spherical geoms of feet; without named feet, of spheres that end limbs."""
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
         return [geom for geom in named if model.geom_type[geom] == spheres]

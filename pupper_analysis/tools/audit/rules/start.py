@@ -75,7 +75,7 @@ class StartPose:
 
 
 def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
-    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes; nothing if the model does not compile."""
+    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes; nothing without a compiled model."""
     model = robot.mj_model
     if model is None or not robot.links:
         return
@@ -120,9 +120,9 @@ def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 def _list_start_angles(
     robot: RobotModel,
 ) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
-    """Yield initial configurations: element (tag, name), title, {joint: position [rad, m]}.
+    """Yield initial configurations: element (tag, name), title, {joint: first entry in qpos}.
 
-    The position is that of a hinge or slide.
+    The entry is the position [rad, m] of a hinge or slide.
     """
     if not isinstance(robot, MjcfModel):
         if robot.base:

@@ -65,7 +65,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each size <= 0, length below 0 or mesh scale of 0 in a URDF."""
+    """Yield findings for sizes <= 0, lengths below 0 and mesh scales of 0 in a URDF."""
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":

@@ -72,9 +72,9 @@ def read(request: Request) -> Iterator[JointSource]:
 def _read_names(
     request: Request, evaluator: py.Evaluator, own_names: Mapping[str, LocatedValue]
 ) -> tuple[list[tuple[LocatedValue, JointSource]], list[JointSource]]:
-    """Return the joint numbers (`JointSource`) that the top-level names of a Python file define.
+    """Return the joint numbers (`JointSource`) that top-level names of a Python file define.
 
-    ``own_names`` is {name: value} of the module, without imported names.
+    ``own_names`` is {name: value} of the names to be read.
 
     Returns:
         (configuration, source) for each trainer's configuration, and the sources of tables ``{key:
@@ -120,10 +120,9 @@ def _select_whole_configurations(
 def _read_constants(
     request: Request, evaluator: py.Evaluator, own_names: dict[str, LocatedValue]
 ) -> Iterator[JointSource]:
-    """Yield the sources in the constants of a Python file that defines no tables.
+    """Yield the sources in the constants of a Python file, such as a part of a deployment.
 
-    Such a file is for example part of a deployment or a simulation. ``own_names`` is {name: value}
-    of the module.
+    ``own_names`` is {name: value} of the names to be read.
     """
     table = {
         name.lower(): _make_constant_table(evaluator, node)

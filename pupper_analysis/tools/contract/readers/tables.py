@@ -181,7 +181,8 @@ def read_nested_tables(
 
     Args:
         request: Request with the path of the file. With a name, the source with this name is read:
-            the key of the table, with or without the keys of the tables that contain it (``a/b``).
+            the key of the table in lower case, with or without the keys of the tables that contain
+            it (``a/b``); of a node of ROS 2, the key as written.
         document: Table {key: value or table}.
         role: Role of the sources; `Role.DRIVER` for nodes of ROS 2, ``TRAINER`` for configurations
             of trainers.
@@ -327,8 +328,8 @@ def _read_motors(
     """Read the motor number of each joint, in the joint order of the tables.
 
     Returns:
-        Motor numbers, empty if none can be used; notes; {"motors": message} about an unusable list,
-        otherwise empty.
+        Motor numbers, empty if none can be used; notes; {"motors": message} about a list of wrong
+        length, otherwise empty.
     """
     joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)
