@@ -952,8 +952,7 @@ def _turn_ancestors(
     """Return repairs of an ancestor's rotation that would mirror the positions of the links below.
 
     Returns:
-        A single repair, or a candidate for the ancestor on each side. Empty if no such rotation of
-        an ancestor explains the displacement.
+        A single repair, or a candidate for the ancestor on each side; otherwise empty.
     """
     joints = robot.file.tree.joints
     for below, beside in ((name, partner), (partner, name)):

@@ -573,7 +573,7 @@ class Evaluator:
         origins: dict[str, list[LocatedValue]],
         seen: set[tuple[object, ...]],
     ) -> Iterator[tuple[Any, Any, LocatedValue]]:
-        """Yield the lists, tables and fields that statements may change; nothing is changed here.
+        """Yield the lists, tables and fields that statements may change.
 
         Args:
             body: Statements.

@@ -622,7 +622,7 @@ def _find_articulation_roots(file: UsdFile) -> set[str]:
 
 
 class _JointForest:
-    """Trees of bodies and joints. Joints outside of the trees close loops.
+    """Trees of the bodies and joints of a USD file.
 
     Attributes:
         order: Bodies, parents before children.
