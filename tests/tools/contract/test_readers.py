@@ -85,6 +85,15 @@ def test_numbers_as_keys_of_a_python_table_are_accepted(key: str, tmp_path: Path
     assert source.order == ("hip",)
 
 
+@pytest.mark.parametrize("name", ["Go2", "go2", ""])
+def test_configuration_of_a_table_is_found_as_its_key_is_written(name: str, tmp_path: Path) -> None:
+    """Keys are compared in lower case; ``FILE:Go2`` was unknown."""
+    path = tmp_path / "robots.yaml"
+    path.write_text("Go2:\n  kp: 20.0\n  joint_names: [hip]\n")
+    [source] = tables.read(Request(path, name))
+    assert source.name == "robots.yaml:go2"
+
+
 def test_rtneural_file_gives_layer_sizes_and_no_weights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

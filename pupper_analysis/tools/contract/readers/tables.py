@@ -181,8 +181,7 @@ def read_nested_tables(
 
     Args:
         request: Request with the path of the file. With a name, the source with this name is read:
-            the key of the table in lower case, with or without the keys of the tables that contain
-            it (``a/b``); of a node of ROS 2, the key as written.
+            the key of the table, with or without the keys of the tables that contain it (``a/b``).
         document: Table {key: value or table}.
         role: Role of the sources; `Role.DRIVER` for nodes of ROS 2, ``TRAINER`` for configurations
             of trainers.
@@ -203,7 +202,7 @@ def read_nested_tables(
     is_trainer = training.is_trainer_config(document)
     whole = _View("", (lowered,), load_key_rules("table", request.path))
     for view in [whole] if is_trainer else _split_document(whole, 0):
-        if request.name in ("", view.key, view.key.rpartition("/")[2]):
+        if request.name.lower() in ("", view.key, view.key.rpartition("/")[2]):
             name = f"{request.path.name}:{view.key}" if view.key else request.path.name
             yield from _read_view(request, name, view, role, ())
 
