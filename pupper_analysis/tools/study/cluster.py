@@ -30,8 +30,7 @@ _SCHEDULER_ADDRESS: Final = re.compile(
 )
 """Pattern of the address of a scheduler: optional protocol, host and port: ``tcp://host:8786``.
 
-The group is the port. Packages can add protocols to Dask, for example ``ucxx`` and ``gateway``.
-Addresses of web pages, and of schedulers within a process, are refused.
+The group is the port. Addresses of web pages, and of schedulers within a process, are refused.
 """
 
 _LOCAL_NUMBER: Final = re.compile(r"[0-9]{1,4}")
@@ -55,8 +54,7 @@ _LOCAL_DASK_SETTINGS: Final = {
 """Dask settings of a cluster on this machine: no statistical profiler, whose results only a
 dashboard shows, and less frequent measurements of memory and load. Measured with two workers,
 processor time per second of elapsed time: 2 ms instead of 25 ms in each worker, 9 ms instead of 32
-ms in the scheduler and client. This time was up to 20 % of the evaluation on a machine with other
-load.
+ms in the scheduler and client.
 """
 
 

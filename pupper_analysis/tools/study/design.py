@@ -161,7 +161,7 @@ _FILE_OPTIONS = (
 
 
 def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
-    """Load the robot of a study from files, and remove visual geoms of the MJCF.
+    """Load the robot of a study from files, without unneeded visual geoms (`without_visuals`).
 
     Args:
         arguments: The files, as ``models`` (a sequence of paths) or as ``urdf``, ``mjcf`` or both;

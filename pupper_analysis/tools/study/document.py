@@ -147,10 +147,7 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _describe_extreme_designs(outcome: StudyOutcome, metric: str, sense: str) -> doc.Text:
-    """Return the variables that all designs with the smallest ("min") or largest value share.
-
-    Designs are equal as on the Pareto front of the metric.
-    """
+    """Return the variables that all designs with the smallest ("min") or largest value share."""
     rows = pareto_front(outcome.table, {metric: sense})
     shared = [name for name in outcome.variables if rows[name].nunique() == 1]
     count = len(rows)

@@ -38,8 +38,8 @@ from pupper_analysis.robot.contact import foot_site, stand_height
 from pupper_analysis.robot.robot import Robot
 
 _MIN_LINK_LENGTH = 1e-6
-"""Minimum length of a link that can be stretched [m]. A shorter link has no defined direction.
-Chosen, not tuned."""
+"""Minimum length [m], across the joint axis, of a link that can be stretched. A shorter link has no
+defined direction. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -317,8 +317,8 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    ``matrix`` is A, ``shift`` is b. Mesh geoms are appended to ``meshes``: {mesh name: [(geom,
-    factors along the geom's axes)]}.
+    ``matrix`` is A, ``shift`` is b. Spheres, for example, are only moved. Mesh geoms are appended
+    to ``meshes``: {mesh name: [(geom, factors along the geom's axes)]}.
     """
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)

@@ -93,7 +93,7 @@ class Design:
         """Servo gains of this design, as keyword arguments ``kp`` and ``kd``.
 
         Each array has the shape (nu,): ``kp`` [N m/rad, N/m], ``kd`` [N m s/rad, N s/m]. Empty if
-        `own_servos` is True: the robot then has the gains of the file.
+        `own_servos` is True.
         """
         if self.own_servos:
             return {}
@@ -165,7 +165,7 @@ class Design:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Verdict on the design's stand, the same as in the command ``stand``."""
+        """Verdict on the design's stand (`judge_stand`)."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
@@ -247,7 +247,7 @@ def _check_stand(design: Design) -> bool:
 
 
 SET_DOWN_HEIGHT = 0.002
-"""Height of the feet above the ground [m] from which the metric ``set_down`` drops the robot: a
+"""Height [m] by which the metric ``set_down`` raises the standing robot before the simulation: a
 disturbance that a stand must survive. Chosen, not tuned."""
 
 SET_DOWN_DURATION = 5.0

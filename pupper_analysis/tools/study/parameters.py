@@ -305,7 +305,7 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 
 
 def with_ground_friction(robot: Robot, friction: float) -> Robot:
-    """Return a robot with a given coefficient of sliding friction between feet and ground.
+    """Return a robot with a given coefficient of sliding friction of feet and ground.
 
     All geoms of the feet and of the world body get the coefficient, since MuJoCo uses the larger
     value of both geoms, or the value of the geom with higher priority.

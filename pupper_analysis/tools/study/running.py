@@ -251,9 +251,7 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Smallest intended processor time of a chunk of designs [s]. Chosen, not tuned: sending a chunk
-takes about 2 % of this time.
-"""
+"""Smallest intended processor time of a chunk of designs [s]. Chosen, not tuned."""
 
 MAX_CHUNK_SLOWDOWN = 4.0
 """Largest intended elapsed time of a chunk, relative to the intended processor time, if other
@@ -273,8 +271,8 @@ the bound limits this work. Chosen, not tuned.
 """
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
-"""Bounds of the results that are not written yet: number of rows, and time [s] since the last
-shard (Parquet file). Chosen, not tuned.
+"""Number of unwritten rows, and largest time [s] since the last shard (Parquet file), at which
+results are written. Chosen, not tuned.
 """
 
 FIRST_SHARD_SECONDS = 0.5
@@ -649,7 +647,7 @@ class StudyRun:
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
         """Restart the workers, or raise a StudyError for an executor of the caller.
 
-        Each unfinished design will be evaluated again, separately.
+        The submitted designs are scheduled again, separately.
         """
         for chunk, _ in self._in_flight.values():
             self._suspects.extend(_split_singly(chunk))

@@ -339,7 +339,7 @@ class Study:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
         ``time_limit`` is None for no time limit. Motors and functions of the user are represented
-        by name only, so `Study.of` may be unable to restore them.
+        by name, so `Study.of` may be unable to restore them.
         """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),

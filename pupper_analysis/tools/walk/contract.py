@@ -699,9 +699,7 @@ _KEYS_OF_DEPLOYMENT = {
     "kd": "kd",
     "effort": "effort",
 }
-"""{quantity of joints in a deployment: contract key}. Position limits and signs are not listed,
-since they belong to the motors and not to the policy.
-"""
+"""{quantity of joints in a deployment: contract key}."""
 
 _BOUNDS_OF_DEPLOYMENT = (
     ("lowest target", "lower", -math.inf),

@@ -245,8 +245,8 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Lower bound of the divisor [N m, N] that replaces a missing torque limit in the selection of the
-most loaded motor. The bound prevents a division by zero. Chosen, not tuned.
+"""Lower bound of the divisor [N m, N] that replaces a missing or zero torque limit in the selection
+of the most loaded motor. The bound prevents a division by zero. Chosen, not tuned.
 """
 
 
@@ -362,7 +362,7 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of a policy contract: main keys with value, origin and source.
 
-    A key that no file states, and that has a neutral value such as no latency, is left out.
+    A key that no file states, and that has the value of `_NEUTRAL_VALUES`, is left out.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(

@@ -51,11 +51,11 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 not tuned."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""Relative and absolute [m/s] tolerance of the error of the mean horizontal velocity. A run tracks
-the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL` and, if v is not 0, at
-most v / 2 (`MIN_FOLLOWED_FRACTION`). The cost of transport is not computed for a mean speed of up
-to `SPEED_ATOL`, which also bounds the divisor of `Candidate.error`. Chosen: Pupper's public policy
-reaches 0.93 of the command 0.5 m/s.
+"""Relative tolerance of the errors of the mean horizontal velocity and of the turning rate, and
+absolute tolerance [m/s] of the velocity error. A run tracks the commanded speed v if the error is
+at most `SPEED_RTOL` v + `SPEED_ATOL` and, if v is not 0, at most v / 2 (`MIN_FOLLOWED_FRACTION`).
+The cost of transport is not computed for a mean speed of up to `SPEED_ATOL`, which also bounds the
+divisor of `Candidate.error`. Chosen: Pupper's public policy reaches 0.93 of the command 0.5 m/s.
 """
 
 TURN_ATOL = 0.1
@@ -616,8 +616,7 @@ class GroundSupport(NamedTuple):
 
     The static torques, shape (nu,) [N m, N for slides], balance vertical forces at the contact
     points that carry the weight. The centre of pressure is as close as possible to the projected
-    centre of mass. A standing robot would tip if the projected centre of mass is outside of the
-    support polygon. The static torques are zero if `sample_ground_support` does not compute them.
+    centre of mass. The static torques are zero if `sample_ground_support` does not compute them.
     """
 
     feet: tuple[str, ...]

@@ -156,9 +156,10 @@ VARIED_QUANTITIES: Mapping[str, VariedQuantity] = {
     "push-left": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
 }
 """{name: varied quantity}. ``mass`` and ``com`` (forward) belong to the base body. ``friction`` is
-the sliding friction of all contacts. ``legs`` is a factor on the lengths beyond the first body of
-each limb with a foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM
-of the base. A push lasts for a single action; the value is impulse / mass of the robot.
+the sliding friction of all contacts. ``delay`` is added to the latency of the policy. ``legs`` is a
+factor on the lengths beyond the first body of each limb with a foot, at constant mass. ``payload``
+is a fraction of the robot's mass, at the CoM of the base. A push lasts for a single action; the
+value is impulse / mass of the robot.
 """
 
 _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
@@ -544,8 +545,8 @@ def read_measured_intervals(
 
     - ``mass`` is a factor on the stated mass of the base.
     - ``com`` is the forward displacement of the base's CoM [m].
-    - ``kp`` and ``kd`` are factors on the stated gains. The interval contains the intervals of all
-      joints.
+    - ``kp`` and ``kd`` are factors on the stated gains. The interval contains the intervals of the
+      joints with a positive gain.
     - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
 
     Args:

@@ -336,7 +336,7 @@ def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _multiply_matrices(first: Array, second: Array) -> Any:
-    """Return the matrix product. A product with a vector keeps the axis of runs, with size 1."""
+    """Return the matrix product. A vector counts as a row (left) or column (right) of a matrix."""
     if first.ndim == 1 and second.ndim > 2:
         first = first[None, :]
     if second.ndim == 1 and first.ndim > 2:
@@ -452,9 +452,9 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 
 IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
-"""ONNX operators that are evaluated as identity. For a single observation, these operators change
-neither the numbers nor the order of the numbers, except some Casts, for example to integers. Only
-the first input is used.
+"""ONNX operators that are evaluated as identity, except for constants. For a single observation,
+these operators change neither the numbers nor the order of the numbers, except some Casts, for
+example to integers. Only the first input is used.
 """
 
 OPERATION_MAKERS: dict[str, Make] = {

@@ -157,7 +157,7 @@ def rank_orders(
 
     The stated joint order, signs, scale or history of a policy may be wrong. Candidates are ranked
     by the number of tracked commands. Equal numbers are ranked by `Candidate.cost`. The candidates
-    are the stated interpretation, and interpretations that differ in one respect:
+    are the stated interpretation, and these changes:
 
     - Orders of limbs with equally many joints: all orders of up to four limbs, and exchanges of two
       limbs if there are more. Each order is also tried with the joints grouped by kind instead of

@@ -48,8 +48,6 @@ def write_template(
 ) -> tuple[Path, tuple[str, ...]]:
     """Write a template of the TOML file that defines a policy's observation and action.
 
-    Joints and start pose of the robot are suggestions.
-
     Returns:
         Path of the TOML file beside the policy; keys that the user must complete.
 
@@ -85,7 +83,7 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Suggest observation terms, joints and default pose: {contract key: TOML value}."""
+    """Suggest observation terms and, if the numbers of joints agree, joints and pose as TOML."""
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
     if robot.nu == outputs:
