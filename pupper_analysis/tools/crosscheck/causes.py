@@ -497,7 +497,8 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the common factor second / first of two or more pairs of proportional arrays, or None.
 
-    Tolerance 0.1 %. Arrays of zeros are ignored; a factor of about 1 does not count.
+    Tolerance 0.1 %. Pairs whose first array is zero are ignored; a factor of about 1 does not
+    count.
     """
     ratios = []
     for first, second in pairs:
@@ -794,14 +795,13 @@ difference only contains six numbers."""
 
 _MAX_SUBSET_LINKS = 12
 """Largest number of links of a body of which subsets are tested as the links that one file lacks:
-2^12 = 4096 subsets take some milliseconds. Of more links, the heaviest are tested.
+2^12 = 4096 subsets. Of more links, the heaviest are tested.
 """
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
 undone. Files with 5 to 6 digits leave some thousandths, if a link has a hundredth of the body's
-mass. A wrong subset of links leaves about as much as the subset removes. Subsets of links are
-tested if the mass fits within 1.5 times this fraction (`_list_subsets`).
+mass. Subsets of links are tested if the mass fits within 1.5 times this fraction (`_list_subsets`).
 """
 
 

@@ -164,9 +164,8 @@ def zero_moment_point(config: Configuration, load: Array, origin: Array, normal:
     """Compute the zero-moment point: origin + normal x M / (F . normal).
 
     F is the total contact force and M the moment about ``origin``, both from the six base rows of
-    the load. The robot tips if the point leaves the support region. At rest the point is below the
-    centre of mass. (Vukobratovic and Borovac 2004, "Zero-moment point - thirty five years of its
-    life".)
+    the load. The robot tips if the point leaves the support region. (Vukobratovic and Borovac 2004,
+    "Zero-moment point - thirty five years of its life".)
 
     Args:
         config: State of the robot.
@@ -227,8 +226,7 @@ def rolling_levers(
 
     MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, with ``condim`` 6
     also rolling, by a moment of at most mu_j f_n: the coefficient mu_j [m] of the contact times the
-    normal force. The limit is reached at a low angular velocity: about 0.04 rad/s of spinning and
-    0.08 rad/s of rolling for a foot that carries a fourth of Pupper v3. Below, the moment is
+    normal force. The limit is reached at a low angular velocity. Below, the moment is
 
         mu_j^2 / mu_1^2 (alpha + b omega) / R
 

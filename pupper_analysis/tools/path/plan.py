@@ -309,9 +309,9 @@ def stance_path(
     load fades out or in, so that torques are continuous.
 
     A loaded foot does not slip, but the sphere of the foot (radius r) rolls as the leg rotates with
-    angular velocity omega. The centre moves with omega x r n, with the normal n of the ground: 2 mm
-    if Pupper v3 squats by a fifth of its height. After the first stance, feet therefore deviate
-    from their positions in the stances by the rolled distance.
+    angular velocity omega. The centre moves with omega x r n, with the normal n of the ground.
+    After the first stance, feet therefore deviate from their positions in the stances by the rolled
+    distance.
 
     Args:
         robot: Robot with a floating base.

@@ -174,9 +174,7 @@ def path_commands(
 def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     """Adapt a path for rigid ground to MuJoCo's soft ground, by extending the legs.
 
-    Measured torque error if the Pupper variants v3, v3-heavy, v3-long-leg and original lift a foot
-    by 20 mm in 4 s: 5 to 13 % with commands for rigid ground, 2 to 3 % with extended legs. Creep of
-    rolling feet and the inertia of sinking legs are not modelled.
+    Creep of rolling feet and the inertia of sinking legs are not modelled.
 
     Returns:
         Configurations, shape (n, nq), and motor torques, shape (n, nu) [N m, or N for a slide].
@@ -235,8 +233,8 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
 
     MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with the force f, penetration r,
     impedance d, regularisation R, and stiffness k and damping b of the ground law. For a load that
-    is linear in ``time``, shape (n,) [s], the penetration is the static depth for the load at an
-    earlier time, by b / (k d): about 50 ms for Pupper v3.
+    is linear in ``time``, shape (n,) [s], the penetration is approximately the static depth for the
+    load at an earlier time, by b / (k d).
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))

@@ -61,8 +61,8 @@ again.
 """
 
 _SLOW_DURATION = 0.1
-"""Length [s] of the last part of a simulated interval. A robot counts as at rest if no velocity in
-this part exceeds `_MAX_SLOW_SPEED`; the simulation then ends early. Chosen, not tuned.
+"""Length [s] of the last part of a simulated interval. A robot does not count as at rest if a
+velocity in this part exceeds `_MAX_SLOW_SPEED`. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02
@@ -178,7 +178,7 @@ class PushBench:
     def creep_speed(self) -> float:
         """Largest speed of the base at the end of a run without a push [m/s].
 
-        The speed is not zero, because feet creep with MuJoCo's regularised friction.
+        Feet creep with MuJoCo's regularised friction.
         """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._measure_final_speed(states)
@@ -401,9 +401,8 @@ class PushBench:
 
         The predicted motion is ``_SPEED_FACTOR`` v min(T, 1 / d), with the speed v, the relative
         rate d at which v decreases, and the remaining time T (at least `HOLD_DURATION`). Growing
-        modes are tested, since a robot almost stops near a saddle point before the fall. Measured
-        on v3-long-leg: 0.1 mm/s after 14 s, and on the shanks after 35 s. ``states`` (n, size) are
-        the last states, for at least ``_REST_DURATION``.
+        modes are tested, since a robot almost stops near a saddle point before the fall. ``states``
+        (n, size) are the last states, for at least ``_REST_DURATION``.
         """
         most = _MAX_REMAINING_RATIO * self.upright.com_height / _SPEED_FACTOR
         left = self.longest_duration - float(states[-1, 0])

@@ -83,7 +83,7 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Suggest observation terms and, if the numbers of joints agree, joints and pose as TOML."""
+    """Suggest TOML values for ``observation`` and, if possible, ``joints`` and ``default``."""
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
     if robot.nu == outputs:
