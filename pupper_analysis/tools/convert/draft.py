@@ -211,7 +211,7 @@ class NewMjcf(MjcfXml):
             body: Body of the sphere.
             radius: Radius [m].
             place: Centre, shape (3,) [m], in the frame of the body.
-            like: Ignored; in a new MJCF all collision geoms have the same contact parameters.
+            like: Ignored in a new MJCF.
         """
         add_element(
             self.body(body),

@@ -85,8 +85,9 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
-"""Largest deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to the scale
-of the quantity. A larger deviation counts as a deviation of the engines. Chosen, not tuned.
+"""Largest accepted deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to
+the scale of the quantity. A larger deviation counts as a deviation of the engines. Chosen, not
+tuned.
 """
 
 

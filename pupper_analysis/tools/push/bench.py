@@ -61,7 +61,7 @@ again.
 """
 
 _SLOW_DURATION = 0.1
-"""Length [s] of the last part of a simulated interval. A robot does not count as at rest if a
+"""Length [s] of the last part of a simulated interval. A simulation does not end early if a
 velocity in this part exceeds `_MAX_SLOW_SPEED`. Chosen, not tuned.
 """
 

@@ -49,11 +49,10 @@ def command(
     """Find the largest horizontal push, in each direction, that standing robots survive.
 
     Each ROBOT is a variant, a URDF, an MJCF, or both: the URDF and then the MJCF. By default the
-    six variants are pushed (about three seconds each). Robot and stance are given as for `stand`. A
-    push lasts 20 ms and acts at the CoM of the base. A robot survives a push if the robot comes to
-    rest upright and only the feet touch the ground: within 6 s, or within 60 s if the robot still
-    moves after 6 s. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
-    ground.
+    six variants are pushed. Robot and stance are given as for `stand`. A push lasts 20 ms and acts
+    at the CoM of the base. A robot survives a push if the robot comes to rest upright and only the
+    feet touch the ground: within 6 s, or within 60 s if the robot still moves after 6 s. The legs
+    are lengthened by the depth to which the feet penetrate MuJoCo's soft ground.
 
     \b
     Examples:

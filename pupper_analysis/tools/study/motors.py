@@ -91,7 +91,7 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
 def assign_motors(
     robot: Robot, numbers: Mapping[str, float], motors: Mapping[float, Motor]
 ) -> dict[str, Motor]:
-    """Select the motor of each joint in a design, from the values of the motor variables.
+    """Select the motors of joints in a design, from the values of the motor variables.
 
     A variable ``motor:PATTERN`` has priority over ``motor``.
 
