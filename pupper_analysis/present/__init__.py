@@ -1,8 +1,4 @@
-"""Documents of results, and their output on a terminal, as HTML, Markdown, PNG and for CI services.
-
-Documents are built from finished results. Two modules compute more: ``stand_plots`` computes the
-contact forces of a stand that is drawn, and MuJoCo's viewer (``display``) simulates.
-"""
+"""Documents of results, and their output on a terminal, as HTML, Markdown, PNG and for CI."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

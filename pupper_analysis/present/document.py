@@ -41,15 +41,13 @@ SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE
 def text(key: str, **values: object) -> Text:
     """Create a text in English and Chinese from an entry of the text catalogue, with values.
 
-    The Chinese text is formed on access to ``Text.zh``.
-
     Args:
         key: Key in the catalogue (``texts.toml``, ``terms.toml`` or a table ``[texts]`` of a tool).
         **values: Values of the template's placeholders. A ``Text`` is inserted in the language of
             the result.
 
     Raises:
-        KeyError: If the catalogue has no such key, or non-empty ``values`` lack a placeholder.
+        KeyError: If the catalogue has no such key.
     """
     short = phrase(key, SHORT_FORM)
     return Text(
@@ -182,8 +180,7 @@ class Plot:
 
     Attributes:
         title: Title of the plot.
-        detail: Always False. Other blocks of a document may be details, which the short terminal
-            view omits. Terminals show no plots.
+        detail: Always False. Terminals show no plots.
     """
 
     kind: ClassVar[str] = "plot"
@@ -230,8 +227,7 @@ class Text:
 
     Attributes:
         en: English text.
-        chinese: Simplified Chinese text, or a function that creates the text. The function is
-            called on access to ``zh``, so English output does not need the time.
+        chinese: Simplified Chinese text, or a function that creates the text.
         mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (less weight) or empty.
         short: Short English form, for the short answer on a terminal; empty if there is none.
     """
@@ -479,8 +475,6 @@ Block = Table | Lines | FileFinding | Listing | Plot | SceneView
 class NextStep:
     """Proposed next command after a result, without the argument for the robot.
 
-    The command line adds the robot, and those typed options that the next command also accepts.
-
     Attributes:
         command: Name of the command.
         words: Further arguments and options, such as ``("--kp", "10")``.
@@ -505,9 +499,6 @@ class Document:
     - Line 1 is the verdict with the requested number: the first failure or finding.
     - Line 2 is the limit or the cause: the second failure or finding.
     - Line 3 is the next command.
-
-    Further failures and findings are warnings that change the meaning of the verdict. All other
-    statements are details.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.
@@ -583,8 +574,7 @@ def widen_format(form: str, values: Iterable[float]) -> str:
     """Return a fixed-point format with at least two significant digits for the largest magnitude.
 
     The format has the decimals of ``form``, such as ``"+.4f"``, or more, up to nine
-    (`_MAX_DECIMALS`). Reason: torques of a robot of a few grams may be 1e-3 N m, and ``".2f"``
-    would print 0.00.
+    (`_MAX_DECIMALS`).
     """
     start, decimals = form[:-1].split(".")
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
@@ -600,7 +590,7 @@ not tuned."""
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
     """Create two table cells with numbers to compare, with enough digits to show the difference.
 
-    The numbers are in the displayed unit. ``form`` has the smallest number of digits: ``".4g"``.
+    The numbers are in the displayed unit. ``form`` is a format such as ``".4g"``.
     """
     texts = format_pair(float(first) + 0.0, float(second) + 0.0, form)
     return Number(texts[0], float(first)), Number(texts[1], float(second))

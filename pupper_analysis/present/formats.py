@@ -1,7 +1,6 @@
 """Findings in machine-readable formats: GitHub annotations, JUnit XML and SARIF.
 
-Inputs are ``Annotation`` objects. Each writer returns a string. The other renderers also use
-`escape_control`.
+Inputs are ``Annotation`` objects. Each writer returns a string.
 
 Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; GitHub
 documentation, "SARIF support for code scanning".
@@ -264,8 +263,7 @@ def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-ana
 
     A test case passes if the level of the annotation is notice, or if a baseline contains the
     annotation. Without annotations, there is a single test case, which passes. ``suite_name`` is
-    the command and the files: CI servers show the results of several commands under the names of
-    the suites.
+    the name of the test suite.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]

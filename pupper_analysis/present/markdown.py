@@ -1,7 +1,7 @@
 """Documents as Markdown for comments on pull requests (GitHub's dialect, which GitLab also reads).
 
-Blocks marked as detail are folded. Names are escaped, so that no name acts as markup, as a mention
-(``@name``) or as a reference (``#12``).
+Blocks marked as detail are folded. Names are escaped: markup, mentions (``@name``) and references
+(``#12``).
 
 Source: GitHub Flavored Markdown Spec, version 0.29-gfm.
 """
@@ -48,8 +48,8 @@ text there to a mention, reference, link or emoji.
 """
 
 _WORD_JOINER = "\u2060"
-"""Zero-width character that is inserted into texts such as ``@name`` and ``#12``. With the
-character, GitHub does not convert these texts to a mention of a user or to a link to an issue.
+"""Zero-width character that is inserted into texts such as ``@name`` and ``#12``. Its purpose is
+that GitHub does not convert these texts to mentions or links.
 """
 
 
@@ -181,7 +181,7 @@ def _make_listing_parts(block: Listing) -> list[str]:
 
 
 def _format_code(text: str) -> str:
-    """Format a text as inline code of Markdown, so that no character acts as markup."""
+    """Format a text as inline code of Markdown."""
     shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""

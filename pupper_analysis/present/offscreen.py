@@ -2,7 +2,7 @@
 
 `pictures` starts this program in a separate process, for two reasons. MuJoCo selects OpenGL during
 the import, and an OpenGL driver may end the process. The folder contains ``model.mjb`` and
-``views.npz``; the program writes ``frames.npy``. Only MuJoCo and NumPy are imported.
+``views.npz``; the program writes ``frames.npy``.
 """
 
 from __future__ import annotations

@@ -44,8 +44,7 @@ DEFAULT_SIZE = (640, 480)
 """Width and height of a picture [pixel]. Chosen, not tuned."""
 
 ANIMATION_SIZE = (480, 360)
-"""Width and height of an animation [pixel]. Chosen, not tuned: the GIF of a turn around v3 has
-about 1.2 MB."""
+"""Width and height of an animation [pixel]. Chosen, not tuned."""
 
 AZIMUTH, ELEVATION = 135.0, -20.0
 """Direction of the camera in MuJoCo's convention [deg]: from the front right, from above."""
@@ -75,8 +74,7 @@ _MAX_PIXELS = 300_000_000
 """Largest number of pixels of all frames together: 0.9 GB in memory. Chosen, not tuned."""
 
 _DRAWING_TIMEOUT = 300.0
-"""Time [s] after which a drawing process is ended. Chosen, not tuned.
-"""
+"""Time [s] after which a drawing process is ended. Chosen, not tuned."""
 
 _OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
 """Values of MUJOCO_GL that are tried on Linux without a display; "" is MuJoCo's default."""

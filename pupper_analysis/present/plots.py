@@ -1,10 +1,7 @@
 """Plots of results in figures of ``pyplot``, for notebooks: ``Result.plot`` calls `plot_result`.
 
-The plot of a result type is a function that is registered with ``@draw_result.register``. The
-function is in the module that contains the builder of the document. The module
-``present.stand_plots`` contains the functions for stands, postures, their statics and their
-verification. For other results, the plots of the document are drawn. Matplotlib is imported at the
-first plot.
+The plot of a result type is a function that is registered with ``@draw_result.register``. For other
+results, the plots of the document are drawn. Matplotlib is imported at the first plot.
 """
 
 from __future__ import annotations

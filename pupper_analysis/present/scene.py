@@ -2,7 +2,7 @@
 
 ``collect_visible_shapes`` evaluates the shapes, ``describe_scene`` everything else. The page's
 viewer (``html/write``), the live page (``live/scene``) and the figures of poses (``figures/pose``)
-draw the results, each in a different style.
+draw the results.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class StandingScene:
 
     Attributes:
         ground: Ground.
-        contact_positions: Contact points on the rigid ground or steps, shape (n, 3) [m]. If the
-            stand has no contacts: the vertical projection of the base on height 0.
+        contact_positions: Contact points of the stand, shape (n, 3) [m]. If the stand has no
+            contacts: the vertical projection of the base on height 0.
         polygon: Corners of the support polygon, shape (m, 3) [m]. Each corner has the height of the
             contact point that is nearest in x and y. If the contacts are on several planes: corners
             of the support region, in the plane fitted to the contact points. If a part is welded to

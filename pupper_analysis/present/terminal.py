@@ -1,11 +1,11 @@
 """Print documents on a terminal: verdict, key figures, and tables that fit the width.
 
-The short view omits blocks marked as detail, and the tables and notes of a brief document. A
+The short view omits, for example, blocks marked as detail, and the tables of a brief document. A
 document begins with up to three lines: verdict, limit or cause, and the next command. A last line
 counts the omitted findings, tables and notes.
 
 In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
-table is printed in parts that repeat the first column. Names and numbers are never cut.
+table is printed in parts that repeat the first column.
 """
 
 from __future__ import annotations

@@ -41,8 +41,7 @@ motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 def utilisation_cell(share: float, limit: float) -> doc.Number:
     """Create a table cell with a motor utilisation in percent, with a bar and a warning colour.
 
-    ``share`` is |torque| / limit [1]. The cell shows a dash if the utilisation is unknown, for
-    example.
+    ``share`` is |torque| / limit [1].
     """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
@@ -85,10 +84,7 @@ def _floor(number: float) -> int:
 
 
 def proof_text(verification: StandVerification) -> doc.Text:
-    """Create the sentence that a simulation verified the predicted torques and foot forces.
-
-    The sentence contains the simulated time [s] and the relative errors of torques and forces.
-    """
+    """Create the sentence that a simulation verified the predicted torques and foot forces."""
     return text(
         "source-verified",
         seconds=f"{verification.duration:g}",

@@ -1,13 +1,9 @@
 """Create the document of a result, by the builder that is registered for the result's type.
 
 A builder is a function that is registered for the type of a result (``@build_document.register``).
-The builder is in the module ``document`` of the tool that computes the result. The builder of a
-result of the core is in the tool that shows the result: a ``Comparison``, for example, in
-``tools/crosscheck``.
+The builder is in the module ``document`` of the tool that computes or shows the result.
 
-The module is imported when a result of the type is shown for the first time. For example, an audit
-does not import the stance solver. If a result has no builder, the document lists all fields with
-their meanings.
+If a result has no builder, the document lists all fields with their meanings.
 """
 
 from __future__ import annotations
@@ -117,8 +113,7 @@ _PACKAGE_NAME = "pupper_analysis"
 def build_document(result: object, _: Robot | None = None) -> Document:
     """Create the document of a result; without a registered builder, a list of the fields.
 
-    The module of the builder must have been imported (`make_document`). Builders use the robot, for
-    example, for 3-D views.
+    The module of the builder must have been imported (`make_document`).
 
     Raises:
         TypeError: If ``result`` is no result.

@@ -28,10 +28,7 @@ def cite_page(name: str, heading: str) -> Text:
 
 
 def files_text(robot: Robot | None) -> Text:
-    """Create the sentence that names the model files from which results were computed.
-
-    Without a robot, no file is named.
-    """
+    """Create the sentence that names the model files from which results were computed."""
     if robot is None:
         return text("source-own-files")
     description = robot.description
@@ -59,7 +56,6 @@ def is_urdf_changed(robot: Robot) -> bool:
 def quote_line(place: str | None, *paths: str) -> str:
     """Quote the XML tag at a place in a model file: the line, with earlier lines of the tag.
 
-    The XML reader (lxml) reports the line on which a tag ends; earlier lines may belong to the tag.
     ``place`` is ``file:line``; ``paths`` are candidate files, relative to which included files are
     searched.
 

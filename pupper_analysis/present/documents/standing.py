@@ -137,8 +137,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss of the base [mm] in the last second of a simulation.
 
-    The loss is the requested height ``task`` [m] minus the mean height. ``run.height_loss`` belongs
-    to another interval, before the nudge.
+    The loss is the requested height ``task`` [m] minus the mean height.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
@@ -202,9 +201,7 @@ def simulated_table(run: StandVerification) -> doc.Table:
 
 
 SAG_QUANTITIES = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
-"""Catalogue keys of the height losses: total, from the servos, and from soft contacts. Both a
-simulation and the computed static deflection provide these quantities.
-"""
+"""Catalogue keys of the height losses: total, from the servos, and from soft contacts."""
 
 _RUN_QUANTITIES: tuple[
     tuple[str, str, Callable[[StandVerification], float | None], str, float], ...

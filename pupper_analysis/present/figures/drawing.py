@@ -99,8 +99,7 @@ _LETTER_HEIGHT = 12.0
 """Font size of the plots in HTML reports [CSS pixels]."""
 
 _NUM_COLUMNS = 2
-"""Default of the largest number of panels in a row of a figure. Chosen, not tuned.
-"""
+"""Default of the largest number of panels in a row of a figure. Chosen, not tuned."""
 
 
 def write_plots(
@@ -215,11 +214,7 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
 
 
 def _make_dot(kind: str) -> dict[str, Any]:
-    """Return the options of Matplotlib for a point: colour, shape, and a white edge.
-
-    Series differ in shape as well, so that they differ without colours; the edge separates points
-    that overlap.
-    """
+    """Return the options of Matplotlib for a point: colour, shape, and a white edge."""
     marker = _CLASS_MARKERS.get(kind, "o")
     return {"marker": marker, "color": _CLASS_COLOURS.get(kind, kind), "mec": "white", "mew": 0.5}
 
@@ -260,9 +255,7 @@ def _collect_legend(drawing: Drawing) -> dict[str, str]:
 
 
 _LEGEND_LINE_LENGTH = 3.6
-"""Length of the line of a legend entry, as a multiple of the font size: at least a period of the
-longest dash pattern if a row has a single panel. Chosen, not tuned.
-"""
+"""Length of the line of a legend entry, as a multiple of the font size. Chosen, not tuned."""
 
 _LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 5.6
 """Mean width of a letter of a legend, and width of a symbol with the gaps, as fractions of the font
@@ -335,7 +328,7 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with the given symbols below a figure, in as few rows as its width permits."""
+    """Add a legend with the given symbols below a figure."""
     for rows in range(1, len(handles) + 1):
         legend = figure.legend(handles=list(handles), loc="lower center",
                                ncols=-(-len(handles) // rows), fontsize=FONT_SIZE,

@@ -60,8 +60,7 @@ side of the silhouette [1]. Chosen, not tuned.
 """
 
 _NUM_GLOBE_POINTS = 200
-"""Number of points that represent a ball or an ellipsoid: the outline of a ball is then smaller
-than the ball by at most 2 %. Chosen, not tuned."""
+"""Number of points that represent a ball or an ellipsoid. Chosen, not tuned."""
 
 
 def _make_globe_points() -> Array:
@@ -118,8 +117,6 @@ class BasePart:
 @dataclass(frozen=True, eq=False)
 class Skeleton:
     """Lines and shapes that a figure draws for a robot in a configuration: limbs and base.
-
-    The positions are computed by MuJoCo's kinematics of the MJCF.
 
     Attributes:
         legs: {contact point: points of shape (n, 3) [m], in the world frame}. The points are the
@@ -249,8 +246,8 @@ _MAX_ARROW_RATIO = 0.35
 box around the support polygon [1]. Chosen, not tuned.
 """
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
-"""Dark and light colour of limbs. In a stand, the legs on the side of the viewer are dark, the legs
-on the other side of the base and other links are light."""
+"""Dark and light colour of limbs. In a stand, the legs on the side of the viewer are dark, other
+limbs are light."""
 _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
 """Colours of the base: faces, and edges with the polygon of the hips."""
 _SUPPORT_COLOUR = "#CFE8F7"
@@ -554,6 +551,4 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
 
 
 _SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Possible lengths of the scale bar [m], up to about 0.6 times the size of the support polygon.
-Chosen, not tuned.
-"""
+"""Possible lengths of the scale bar [m]. Chosen, not tuned."""

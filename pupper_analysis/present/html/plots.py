@@ -91,7 +91,7 @@ def draw_svg(plot: Plot) -> Drawing:
 
 _MIN_HEIGHT_RATIO = 1e-3
 """Lower bound of the range of a line plot's vertical axis, divided by the larger magnitude of its
-ends [1]. In a much smaller range, the tick labels, with six digits, would be equal.
+ends [1]. In a much smaller range, tick labels could be equal.
 """
 
 
@@ -272,7 +272,7 @@ def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.
 def _compute_range(values: Array, margin: float) -> tuple[float, float]:
     """Compute the bounds of an axis: the range of the values, extended by a fraction ``margin``.
 
-    If the values are equal, their magnitude replaces the range.
+    If the values are equal, their magnitude, or 1 if they are 0, replaces the range.
     """
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0

@@ -1,7 +1,6 @@
 """Write results as a single HTML file that needs no network and no other file.
 
-The page contains three.js for the 3-D views, taken from the installed package MeshCat, on which
-PlaCo depends. A scene contains the shapes and poses of a robot, and the loads on the robot.
+The page contains three.js for the 3-D views, taken from the installed package MeshCat.
 """
 
 from __future__ import annotations

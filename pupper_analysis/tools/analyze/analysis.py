@@ -1,8 +1,6 @@
 """Analysis of a robot: model data, nominal stand, simulation, gain sweep and cross-check.
 
 Input is a robot with a floating base and a stand task; output is an ``Analysis`` with all results.
-The stand is solved for MuJoCo's soft ground. Then two simulations, the gain sweep and the
-cross-check run in parallel threads.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ class JointSummary(Result):
     """Axis, limits and passive terms of a joint.
 
     Attributes:
-        name: Name of the joint, equal in both loaded models.
+        name: Name of the joint.
         motion: ``roll``, ``pitch`` or ``yaw`` if the axis is within 1 degree of x, y or z of the
             base at zero angles; otherwise ``oblique``. For a sliding joint ``along x``, ``along
             y`` or ``along z``; otherwise ``oblique slide``.

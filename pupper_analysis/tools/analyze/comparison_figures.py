@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 NUM_COLUMNS = 2
-"""Largest number of panels in a row of a figure. Chosen, not tuned.
-"""
+"""Largest number of panels in a row of a figure. Chosen, not tuned."""
 
 MIN_SHOWN_DEVIATION = 1e-4
 """Height deviation [mm] at the lower end of the colour scale of the heat maps. All smaller
@@ -58,7 +57,7 @@ between base height and height of the stand in this interval. Chosen, not tuned.
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw predicted and simulated motor torques, in percent of the effort limits, as a PNG file.
 
-    Magnitudes are drawn, in a panel per robot. Corresponding joints of all legs share a row.
+    Magnitudes are drawn, in a panel per robot.
 
     Raises:
         ConfigurationError: If there is no robot.

@@ -1,8 +1,6 @@
 """Document of an analysis, and the table that compares several robots.
 
-Input is an ``Analysis``. The document contains the verdict and two key figures, then tables of
-joints, masses, loads, simulations, gains, Jacobians and the cross-check. The table has a row of key
-figures per robot.
+Input is an ``Analysis``. The table has a row of key figures per robot.
 """
 
 from __future__ import annotations
@@ -458,8 +456,6 @@ def deviation_table(sweep: GainSweep, units: JointUnits) -> doc.Table:
 @dataclass(frozen=True, eq=False)
 class ComparisonRow(Result):
     """Key figures of a robot in the comparison.
-
-    Ratios refer to the unscaled base model; robots from files have none.
 
     Attributes:
         name: Name of the robot.

@@ -1,9 +1,8 @@
 """Height deviation of a disturbed stand, for a grid of servo gains.
 
 Inputs are a robot, a stand, and values of kp and kd. Each pair of gains is simulated in MuJoCo
-under a sinusoidal vertical force on the base. The amplitude of the force may be 0. The outputs for
-each pair are the standard deviation of the base height in the last second, and whether the robot
-stays at rest without the force.
+under a sinusoidal vertical force on the base. The outputs for each pair are the standard deviation
+of the base height in the last second, and whether the robot stays at rest without the force.
 """
 
 from __future__ import annotations
@@ -66,12 +65,10 @@ class GainSweep(Tabular):
         kd: Dampings, shape (m,) (N m s/rad or N s/m).
         height_deviation: Standard deviation of the base height in the last second, shape (n, m)
             (m); infinite if the robot does not stand at the end.
-        fell: True if the robot does not stand at the end, shape (n, m): the base is tilted by more
-            than 10 degrees, the robot has collapsed, a body other than a foot touches the ground,
-            or the simulation diverged.
-        lasts: True if the undisturbed robot comes to rest and remains at rest, shape (n, m). It
-            remains at rest if no mode grows so fast that the robot leaves the rest within 12 s
-            (``Stability.is_stable_for``).
+        fell: True if the robot does not stand at the end, shape (n, m): for example, the base is
+            tilted by more than 10 degrees, a body other than a foot touches the ground, or the
+            simulation diverged.
+        lasts: True if the undisturbed robot comes to rest and remains at rest, shape (n, m).
         amplitude: Amplitude of the force on the base (N).
         frequency: Frequency of the force (Hz).
         duration: Simulated time (s).

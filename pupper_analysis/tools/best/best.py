@@ -82,9 +82,9 @@ def best_stance(
       centre of the feet along the same axis.
 
     The smallest singular value of the Jacobian of each contact point must be at least
-    ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs, which need no
-    torque, would be optimal. Parts that are apart in the initial stand must not touch each other or
-    the ground; contacts between feet, and of parts with a step of the ground, are not checked.
+    ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs need little torque
+    but buckle. Parts that are apart in the initial stand must not touch each other or the ground;
+    contacts between feet, and of parts with a step of the ground, are not checked.
 
     Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
     the objective alone stalls. Therefore a common upper bound t of these functions is a variable of
@@ -92,8 +92,7 @@ def best_stance(
     hypercube samples. The random seed is fixed.
 
     For a payload, the search uses the first-order limit of `SmallPayload`; then `payload_limit`
-    computes the limit. Buckling matters, because almost stretched legs need little torque but
-    buckle.
+    computes the limit.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.

@@ -56,8 +56,7 @@ class SmallPayload:
         """Compute the inequalities a + b m >= 0 that a stand imposes on the payload mass m [kg].
 
         Torques and minimum-tangential contact forces are taken as linear in m, on the line through
-        two equilibria, without and with ``mass``. This is exact on level ground while every normal
-        force is positive.
+        two equilibria, without and with ``mass``.
 
         Returns:
             Rows (a, b), shape (k, 2) [1, 1/kg], or None if the stand is not stable without payload.

@@ -48,8 +48,7 @@ _RANKING_ITERATIONS = 8
 guesses. Chosen, not tuned."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents, those with the best results, that are continued. Chosen, not tuned.
-"""
+"""Number of first descents, those with the best results, that are continued. Chosen, not tuned."""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
@@ -123,8 +122,7 @@ class EvaluatedStance:
 
 _MIN_OBJECTIVE_STEP = 0.2
 """Smallest step of the objective to the next stance that is simulated before the initial stance,
-relative to the difference between the initial and the best stance. So at most five stances follow
-the best stance. Chosen, not tuned.
+relative to the difference between the initial and the best stance. Chosen, not tuned.
 """
 
 

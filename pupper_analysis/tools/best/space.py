@@ -270,8 +270,7 @@ class StanceSpace:
     def find_stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
         """Solve the stand for a vector of coordinates, or return None if no stand is found.
 
-        The CoM may be closer to the edge of the support region than the task requires. To save
-        time, other IK branches than those of the default initial guesses are not searched.
+        The CoM may be closer to the edge of the support region than the task requires.
 
         Args:
             coordinates: Coordinates, shape (n,) [m or rad].

@@ -1,7 +1,6 @@
 """Check of all models listed in a repository's configuration against the baseline.
 
-With a revision, changes since this revision are reported as well: a URDF specifies no contacts,
-options, keyframes and motors, so only the previous version shows an error there.
+With a revision, changes since this revision are reported as well.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Configuration ``pupper-analysis.toml``: models to be checked, and settings.
 
 `read_config` converts the file to a `GuardConfig`: the pairs of files, with patterns expanded, and
-the settings. Unknown keys, invalid values and missing files are errors, with the line of the key if
-the key is in the file.
-`write_config` writes a first configuration from the models below a folder.
+the settings. `write_config` writes a first configuration from the models below a folder.
 """
 
 from __future__ import annotations

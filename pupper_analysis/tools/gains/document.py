@@ -1,9 +1,6 @@
 """Document of stable gains: bounds of stiffness and damping, by joint class and as a plot.
 
-Input is a `GainStudy`; output is a document that is independent of the output format. The answer
-states bounds as factors on the present gains, or as gains if all joints have equal gains. If
-`GainStudy.by_inertia` is True, the answer states the range of gains that are proportional to
-inertia.
+Input is a `GainStudy`; output is a document that is independent of the output format.
 """
 
 from __future__ import annotations

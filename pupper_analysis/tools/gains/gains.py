@@ -1,11 +1,10 @@
 """Bounds of the stiffness and damping of a standing robot's servos.
 
 `study_gains` scales the gains of all joints together, and finds the factors between which the robot
-on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). The scaled
-gains are the present gains. If no tried factors on these are stable, the scaled gains are
-proportional to the inertia that each motor accelerates. The bounds for all joints together are
-repeated by bisection in simulations with all friction. Torque limits and encoders bound the gains
-of each joint separately.
+is stable under a sampled PD controller with a delay (`ControlledStand`). The scaled gains are the
+present gains. If no tried factors on these are stable, the scaled gains are proportional to the
+inertia that each motor accelerates. The bounds for all joints together are repeated by bisection in
+simulations with all friction. Torque limits and encoders bound the gains of each joint separately.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned
 
 _SHAKE_DURATION = 3.0
 """Duration [s] of a simulated stand in the search for the upper bound of stiffness or damping.
-Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
+Chosen, not tuned."""
 
 GAIN_MARGIN = 2.0
 """Smallest factor between the recommended stiffness and the bounds on both sides, and between the
@@ -83,7 +82,7 @@ recommended damping and the upper bound: the usual gain margin of 6 dB (Åström
 MIN_DAMPING_RATIO = 0.5
 """Required damping ratio [1] of lasting oscillations with the recommended damping. If no tried
 damping within the stability margins reaches this ratio, the tried damping with the largest ratio is
-recommended. A ratio of 0.5 causes an overshoot of 16 %. Chosen, not tuned.
+recommended. Chosen, not tuned.
 """
 
 MAX_NOISE_RATIO = 0.1
@@ -97,7 +96,7 @@ MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 
 _REFERENCE_FREQUENCY = 50.0
 """Natural frequency sqrt(kp / inertia) [rad/s] of the first tried gains that are proportional to
-inertia. Chosen, not tuned: 8 Hz."""
+inertia. Chosen, not tuned."""
 
 _NEAR_POWER = 6
 """Largest sum of the magnitudes of two exponents (of 2, for factors on kp and kd) up to which all
@@ -113,7 +112,7 @@ Chosen, not tuned."""
 
 _CURVE_HALF_LENGTH = 6
 """Number of points on each side of the reference stiffness in the plot of the largest stable
-damping over the stiffness: a factor of 8. Chosen, not tuned."""
+damping over the stiffness. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)

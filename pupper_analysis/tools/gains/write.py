@@ -1,7 +1,4 @@
-"""Write the recommended gains of a study into copies of the robot's files.
-
-Only the gains of the servos change; all other bytes of the files are copied.
-"""
+"""Write the recommended gains of a study into copies of the robot's files."""
 
 from __future__ import annotations
 

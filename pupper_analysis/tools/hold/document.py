@@ -41,9 +41,7 @@ from pupper_analysis.tools.hold.hold import VERIFIED_FRACTION, Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
 _NUM_DISTANCE_BINS = 12
-"""Number of bins of the tool's distance in the plot over the reach. Each bin contains on average 50
-of the 600 random postures. Chosen, not tuned.
-"""
+"""Number of bins of the tool's distance in the plot over the reach. Chosen, not tuned."""
 
 
 MIN_FURTHER_SHARE = 0.1

@@ -338,9 +338,8 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    A search maximises the torque over one joint after another. Under gravity and joint springs
-    alone, the torque over the angle q of an uncoupled hinge is a + b cos q + c sin q + k q, with a
-    maximum in closed form. Searches start from ``posture`` and from random postures.
+    A search maximises the torque over one joint after another. Searches start from ``posture`` and
+    from random postures.
 
     The result is not proven to be the global maximum.
 

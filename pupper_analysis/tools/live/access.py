@@ -46,9 +46,6 @@ def is_loopback(host: str) -> bool:
 class Access:
     """Rules by which the page server allows or refuses requests of browsers.
 
-    Checked are the host name by which the request names the server, the page from which it comes
-    (origin), and a secret token.
-
     Args:
         host: Address of the server.
 

@@ -140,12 +140,12 @@ FORCE_COLOUR: Colour = (0, 128, 96)
 """Colour of the arrows of contact forces."""
 
 INSIDE_COLOUR: Colour = (30, 140, 70)
-"""Colour of the CoM if the CoM margin is not negative, and of the polygon of a stance in balance.
+"""Colour of the CoM if the CoM margin is not negative, and of the polygon if the stance is also in
+balance.
 """
 
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
-"""Colour of the CoM if the CoM margin is negative, and of the polygon of a stance that is not in
-balance."""
+"""Colour of the CoM if the CoM margin is negative, and of a polygon without `INSIDE_COLOUR`."""
 
 LOAD_COLOUR: Colour = (90, 60, 140)
 """Colour of the payload."""

@@ -52,12 +52,11 @@ from pupper_analysis.simulation.verify import STABLE_DEVIATION
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 
 DROP_SECONDS = 6.0
-"""Duration of a simulated drop [s]. v3 lands after 0.18 s. From 2.4 s on, the standard deviation of
-its height in the last second is below 0.005 mm."""
+"""Duration of a simulated drop [s]. Chosen, not tuned."""
 
 DROP_HEIGHT = 0.15
 """Height [m] of the lowest foot above the ground at which a drop starts, if the lowest foot in the
-start pose is below half of this height. Chosen: about the foot height in v3's keyframe."""
+start pose is below half of this height. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +247,7 @@ def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
     """Create the message about motors without torque that may bear a load in the nominal stand.
 
     Damping and friction may hold the joints of such motors for longer than a drop is simulated.
-    None if no such motor bears a load, or springs replace the motors.
+    None without such a motor.
     """
     message = describe_zero_torque_limits(robot)
     if message is None:

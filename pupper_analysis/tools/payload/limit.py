@@ -206,9 +206,7 @@ class PayloadLimit(Result):
         motors: Bound of the motors: a larger mass needs a torque above the limit of a motor. The
             contact forces are those with the smallest tangential components.
         servos: Bound of the servos if torque limits are ignored: with a larger mass, a servo
-            command exceeds the range, or a deviation leaves the stand within 12 s. The bound is
-            computed from the eigenvalues of MuJoCo's step. Simulations check it near the smallest
-            bound.
+            command exceeds the range, or a deviation leaves the stand within 12 s.
         simulation: Bound of the simulation: the largest mass for which ``VERIFIED_FRACTION`` times
             the mass holds in simulation. Infinite if the smallest of the other bounds holds in
             simulation, or is 0 or infinite. 0 if the stance fails without payload.
@@ -539,8 +537,7 @@ failure."""
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the payload bound of the servos, raised if the robot holds more mass in simulation.
 
-    The given bound depends on the modes at the start of a simulation; `stand` evaluates them later,
-    after the feet have crept. A bound that is set by a command out of range is kept.
+    A bound that is set by a command out of range is kept.
     """
     bound = bounds["servos"]
     if not 0 < bound.mass < math.inf or bound.failure is Failure.COMMAND:
@@ -565,8 +562,7 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
 def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
     """Find the largest mass M for which ``VERIFIED_FRACTION`` times M holds in simulation.
 
-    Static bounds apply to an undisturbed stand: they miss a foot that lifts after a nudge, for
-    example. Infinite if ``static_limit`` [kg], the smallest static bound, holds.
+    Infinite if ``static_limit`` [kg], the smallest static bound, holds.
     """
 
     def find_cause(mass: float) -> FailureCause:

@@ -1,7 +1,7 @@
 """Documents of a stance, and of the preparation of a robot from the files.
 
 Inputs are a `Stance` or a preparation; outputs are documents that are independent of the output
-format, with values in printed units. The verdict and the limiting motor come first.
+format, with values in printed units.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 `study_stance` solves a stand task, computes torques and contact forces, predicts the equilibrium
 without feed-forward, and verifies both in MuJoCo. `simulate_stance` omits the bounds of the servo
-gains, which a search needs for its result only. `largest_presses` computes the largest force of
-each hand; `explain_loading` prepares a robot and lists the steps.
+gains. `largest_presses` computes the largest force of each hand; `explain_loading` prepares a robot
+and lists the steps.
 """
 
 from __future__ import annotations
@@ -190,8 +190,6 @@ def study_stance(
 class SimulatedStance:
     """Stance with simulations and verdict, without bounds of the servo gains.
 
-    A search that tries several stances completes only the stance that it returns, to save time.
-
     Attributes:
         robot: Robot, with the contacts of the stand.
         held: Stand on MuJoCo's soft ground if possible, otherwise on rigid ground.
@@ -305,8 +303,7 @@ class LargestPress(Result):
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
     """Compute the largest force of each hand against its plane in a stand, by a cone program.
 
-    The program maximises the normal force [N] of a hand. Variables are all contact forces, within
-    friction cones, balance and effort limits. Hand forces of the task are ignored.
+    Hand forces of the task are ignored.
 
     Args:
         robot: The robot.
@@ -351,8 +348,7 @@ class Preparation(Result):
         floating: Whether the base is free.
         joints: Names of the joints, in actuator order.
         feet: Names of the feet.
-        passes: Preparation passes that were run. The fixing of the base is the last pass. Empty if
-            no pass was needed.
+        passes: Preparation passes that were run. Empty if no pass was needed.
         notes: Findings in the files, and defaults that were added.
     """
 
