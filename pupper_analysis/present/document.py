@@ -494,11 +494,10 @@ class NextStep:
 class Document:
     """Content of a result to show: verdict, findings, tables, plots and notes.
 
-    The first three lines of a document in the short view are the answer:
+    The answer of the short view is up to three lines:
 
-    - Line 1 is the verdict with the requested number: the first failure or finding.
-    - Line 2 is the limit or the cause: the second failure or finding.
-    - Line 3 is the next command.
+    - Line 1 is the verdict with the first failure or finding. - Line 2 contains further failures or
+    findings, such as the limit or the cause. - Line 3 is the next command.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.

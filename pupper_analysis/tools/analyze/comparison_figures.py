@@ -221,7 +221,7 @@ def _group_joints(
 ) -> dict[str, list[tuple[int, int | None]]]:
     """Return {row title: (joint index, leg index) of each joint} for the rows of the torque figure.
 
-    A row contains corresponding joints of all legs (`_list_legs`), or a single other joint. The leg
+    A row contains corresponding joints of the legs (`_list_legs`), or a single other joint. The leg
     is None for a joint outside of legs, for example.
     """
     names = [joint.name for joint in analysis.joints]

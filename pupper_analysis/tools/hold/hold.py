@@ -377,8 +377,7 @@ class Hold(Tabular):
 
     Attributes:
         name: Name of the robot.
-        hangs: True if the base is free in the MJCF, but fixed in this posture. In this case the
-            ground touches no part of the robot.
+        hangs: True if the base is free in the MJCF, but fixed in this posture.
         posture: Commanded posture.
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
             in place of N m.

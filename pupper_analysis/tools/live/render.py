@@ -2,7 +2,7 @@
 
 `start_server` starts viser's web server with an access control, and without its log output. The
 ``render_...`` functions turn the parts of a `Document` into HTML with a `Translator`, which selects
-the language and deletes folder names. Plots and views are left out, since the 3-D scene shows both.
+the language and deletes folder names. Plots and views are left out.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ from pupper_analysis.tools.live.access import (
 from pupper_analysis.tools.live.scene import choose_utilisation_colour, to_css
 
 CLOSE_TIMEOUT = 0.3
-"""Time [s] that browsers have to confirm the end of a connection. A suspended browser never
-confirms. Chosen, not tuned."""
+"""Time [s] that browsers have to confirm the end of a connection. Chosen, not tuned."""
 
 
 def import_viser() -> Any:
@@ -149,7 +148,7 @@ def stop_server(server: Any) -> None:
 
 
 class NumberPanel:
-    """Panel at the left of the page that shows the numbers of the stance.
+    """Panel at the left of the page that shows numbers of a stance or a walk.
 
     On a phone, the panel is a folded section above the controls.
     """
@@ -300,10 +299,7 @@ def _render_box(mark: str, text: str) -> str:
 
 @singledispatch
 def _render_block(_: object, __: Translator) -> str:
-    """Render a block of a document as HTML; empty for types without a registered renderer.
-
-    Plots and 3-D views have no renderer, since the scene of the page shows their contents.
-    """
+    """Render a block of a document as HTML; empty for types without a registered renderer."""
     return ""
 
 

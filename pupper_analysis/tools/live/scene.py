@@ -1,8 +1,8 @@
 """3-D scene of a page: robot, forces, torques, ghost of the nearest stance, simulated twin.
 
 Inputs are robots and solved stances; outputs are nodes of viser's scene, in the world frame in m.
-The meshes of a robot are joined for each body and colour, so that a new configuration moves nodes
-and sends no geometry.
+The meshes of a robot are joined for each body and colour, so that a new configuration moves their
+nodes.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class State:
         return State(**{"place": self.place, **self.values, **values})
 
     def requested_values(self) -> Iterator[tuple[Field, Any]]:
-        """Yield (field, value in page units) of the stand task, for values other than the default.
+        """Yield (field, value in page units) for the values that define the stand task.
 
         The mode of the base position determines whether ``offset`` or ``com`` is yielded.
         """
