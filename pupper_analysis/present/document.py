@@ -496,8 +496,9 @@ class Document:
 
     The answer of the short view is up to three lines:
 
-    - Line 1 is the verdict with the first failure or finding. - Line 2 contains further failures or
-    findings, such as the limit or the cause. - Line 3 is the next command.
+    - Line 1 is the verdict with the first failure or finding.
+    - Line 2 contains further failures or findings, such as the limit or the cause.
+    - Line 3 is the next command.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.

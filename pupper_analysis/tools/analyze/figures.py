@@ -241,7 +241,6 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
 def _list_backends() -> tuple[str, ...]:
     """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
-    This process cannot select a backend by MUJOCO_GL, because MuJoCo reads the variable on import.
     Empty if MUJOCO_GL disables OpenGL.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
@@ -305,7 +304,7 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
 def _render_tile(tile: Tile) -> Pixels:
     """Render the picture of one robot, shape (height, width, 3) of the tile, 8 bits per colour.
 
-    Pixels without robot or ground have the `BACKGROUND_COLOUR`. An OpenGL context must be active.
+    Empty pixels have the `BACKGROUND_COLOUR`. An OpenGL context must be active.
     """
     model = _compile_model(tile)
     data = mujoco.MjData(model)

@@ -139,7 +139,7 @@ def failure_document(error: PupperAnalysisError) -> doc.Document:
 
 
 def unexpected_document(error: Exception) -> doc.Document:
-    """Create the report of an unexpected error for the live page, without folders of the server."""
+    """Create the report of an unexpected error for the live page."""
     description = strip_folders(f"{type(error).__name__}: {error}".rstrip(": "))
     messages = (text("unexpected", what=description),)
     return doc.Document(text("stance"), NO_TITLE, (), passed=False, failures=messages)

@@ -185,7 +185,7 @@ _NEXT_STEPS = {
     VerdictCode.DISAGREES: NextStep("crosscheck"),
     VerdictCode.FAILS: NextStep("best", ("margin",)),
 }
-"""{verdict code: command to run next}; all other codes lead to `payload`."""
+"""{verdict code: command to run next, unless `_select_next_step` finds a more specific one}."""
 
 
 def _select_next_step(stance: Stance) -> NextStep:
