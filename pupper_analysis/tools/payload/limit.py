@@ -802,8 +802,7 @@ class _PayloadSearch:
     def _confirm_servo_bound(self, bounds: dict[str, Bound]) -> Bound:
         """Check the payload bound of the servos by simulations, and correct a wrong bound.
 
-        The bound in ``bounds`` is computed from the eigenvalues of the linearised time step, which
-        takes milliseconds for each mass.
+        The bound in ``bounds`` is computed from the eigenvalues of the linearised time step.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         find_cause = self.find_servo_failure

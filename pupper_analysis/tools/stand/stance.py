@@ -144,10 +144,7 @@ class Stance(Tabular):
 
     @property
     def overloaded_motors(self) -> tuple[str, ...]:
-        """Names of joints whose static motor torque exceeds the effort limit.
-
-        Joints whose effort limit is zero or inverted are left out.
-        """
+        """Names of joints with positive effort limits that do not permit the static torques."""
         return self.verdict.overloaded_motors
 
     @property
