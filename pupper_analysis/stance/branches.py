@@ -1,4 +1,4 @@
-"""Branches of a leg's inverse kinematics (IK): all leg postures with the same foot position.
+"""Branches of a leg's inverse kinematics (IK): leg postures with the same foot position.
 
 A leg with three joints reaches a foot position with a few postures, for example knee forward or
 backward. With a fixed base the limbs are independent. Therefore the branches of each limb are found
@@ -141,9 +141,7 @@ def find_branches(
 
     Returns:
         {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
-        the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. Joint positions that
-        differ by whole turns mostly count as equal. For an unreachable target, the branches are
-        mostly near local minima of the foot error.
+        the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first.
 
     Raises:
         ModelError: If the robot has feet, and the lower limit of a joint is above its upper limit.

@@ -2,8 +2,7 @@
 
 `ClearanceShapes` evaluates both at a configuration, with their Jacobians by qvel. The shapes are
 MuJoCo's collision shapes, with convex hulls of meshes. Distances are computed with the library
-coal. Bounding spheres exclude most pairs of shapes. Pairs of neighbouring links, and feet on the
-ground, are left out.
+coal. Pairs of neighbouring links, and feet on the ground, are left out.
 """
 
 from __future__ import annotations
@@ -139,9 +138,8 @@ class ClearanceShapes:
         robot: Robot.
         shapes: Collision shapes of the robot (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
-        parts: Shapes that must be above the ground. Four kinds of shapes are left out: feet; shapes
-            that cannot touch the floor, if the model has a floor; shapes on a fixed or welded base;
-            and shapes on the joint of a sole, weld or grip.
+        parts: Shapes that must be above the ground, without feet and, for example, shapes on a
+            fixed or welded base.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -276,7 +274,7 @@ class ClearanceShapes:
         foot_targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Find the collision shape, except feet, with the smallest height above the ground.
+        """Find the collision shape in ``parts`` with the smallest height above the ground.
 
         Args:
             at: Kinematics of the configuration.
@@ -307,11 +305,10 @@ class ClearanceShapes:
         foot_targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> list[float]:
-        """Compute the heights [m] above the ground (slope and steps) of the shapes in ``parts``.
+        """Compute the heights [m] of the shapes in ``parts`` above slope, steps and planes.
 
-        If all steps are below the slope, the heights are measured from the slope. If a part, such
-        as a calf, intersects the sphere of a foot, the penetration of this foot is added to the
-        height of the part: the part may be as deep in the ground as the foot.
+        If a part, such as a calf, intersects the sphere of a foot, the penetration of this foot is
+        added to the height of the part: the part may be as deep in the ground as the foot.
 
         Args:
             at: Kinematics of the configuration.
@@ -372,7 +369,7 @@ class ClearanceShapes:
     def _measure_above_steps(
         self, at: Kinematics, ground: Ground, foot_targets: Mapping[str, Array]
     ) -> Iterator[SurfaceDistance]:
-        """Yield the smallest distance [m] of each shape in ``parts`` from the slope and all steps.
+        """Yield the smallest distance [m] of each shape in ``parts`` from slope, steps and planes.
 
         For shapes on the joint of a hand, the surface that this hand touches is ignored.
         """

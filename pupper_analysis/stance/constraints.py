@@ -29,9 +29,7 @@ another tolerance (`CLEARANCE_TOLERANCE`). Chosen, not tuned: far below any manu
 tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
-"""Largest violation of a required clearance [m] that is accepted as rounding. The nonlinear program
-may violate a clearance by half of this value, since the program is inexact at the limit of reach.
-Chosen, not tuned."""
+"""Largest violation of a required clearance [m] that is accepted as rounding. Chosen, not tuned."""
 
 
 class Constraint:
@@ -319,9 +317,9 @@ class GroundClearance(Constraint):
         return self._shapes.height_jacobian(at, targets.task.ground, targets.rigid_targets)
 
     def smallest_clearance(self, targets: StandTargets, at: Kinematics) -> Clearance | None:
-        """Return the lowest collision shape except those of feet: height above ground [m], link.
+        """Return the lowest shape in ``ClearanceShapes.parts``: height above ground [m], link.
 
-        None without such collision shapes, or without ground.
+        None without such shapes, or without ground.
         """
         return self._shapes.find_lowest_part(
             at, targets.task.ground, targets.rigid_targets, targets.depths

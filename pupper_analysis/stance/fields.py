@@ -36,7 +36,7 @@ UNIT_BY_KIND = {
 """{kind of a field: SI unit of its numbers}. The angle of a contact with a slope is in rad."""
 
 _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
-"""{kind of a field: axes of the point}; other kinds have no axes."""
+"""{kind of a field: axes of the point}; other kinds, such as ``place``, are not included."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Field:
 
     @property
     def axes(self) -> str:
-        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty for other kinds of fields."""
+        """Axes of this field's point, ``"xy"`` or ``"xyz"``; empty for other kinds and "place"."""
         return _AXES_BY_KIND.get(self.kind, "")
 
     @property

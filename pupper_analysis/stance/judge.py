@@ -65,8 +65,7 @@ class Posed(Protocol):
 class Stand(Pictured, Tabular):
     """Stand of a task, or the best failure of a search if ``solved`` is False.
 
-    The errors are computed with Pinocchio from ``qpos``. A stand without feet is, for example, a
-    posture of a robot with a fixed base (``held_stand``).
+    A stand without feet is, for example, a posture of a robot with a fixed base (``held_stand``).
 
     Attributes:
         task: Task, with height and CoM filled in.
@@ -77,7 +76,7 @@ class Stand(Pictured, Tabular):
         normals: {stance point: unit normal out of the ground, shape (3,)}.
         contact_points: {stance point: position of the contact, shape (3,) (m)}.
         foot_error: Largest of several errors (m or rad): distances of the contact points from the
-            targets, openings of closed loops and joint couplings, violations of joint limits with
+            targets, deviations of closed loops and joint couplings, violations of joint limits with
             margin, and violations for which this class has no other attribute.
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
@@ -429,8 +428,8 @@ def evaluate_stand(
 def is_base_in_ground(shapes: ClearanceShapes, targets: StandTargets) -> bool:
     """Return True if the required base height and orientation violate the ground clearance.
 
-    No stand of such a task exists. Shapes of the base link, and of links that are fixed to the
-    base, are tested on level ground. False on slopes, and for robots with a weld or grip.
+    Shapes of the base link, and of links that are fixed to the base, are tested on level ground.
+    False on slopes, and for robots with a weld or grip.
     """
     if targets.task.ground.slope or shapes.robot.fixed_parts:
         return False

@@ -352,8 +352,7 @@ class SelfClearanceTask(PostureTask):
     """Smallest distance between links that are not neighbours, measured on MuJoCo's shapes.
 
     Links that the MJCF excludes from contact, and links that overlap in the home configuration, may
-    overlap. Shapes of a fixed base are checked; floors and height fields are not. If the base is
-    MuJoCo's world body, all other shapes that are fixed in the world count as the base.
+    overlap. Shapes of a fixed base are checked; floors and height fields are not.
 
     Attributes:
         distance: Required distance [m], at least 0.

@@ -41,13 +41,13 @@ tuned."""
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
 """{number of contact points of a foot: number of degrees of freedom of the foot that planted points
-fix}. Three or more points fix all 6. With two points, the foot may rotate about the line through
-the points."""
+fix}; 6 for three or more points."""
 
 
 _NUM_RANDOM_POSES = 3
-"""Number of random joint positions at which `can_move_com` tests the mobility of the CoM, since a
-single configuration may be singular. Chosen, not tuned."""
+"""Upper bound of the number of random joint positions at which `can_move_com` tests the mobility of
+the CoM, if each foot is a single point. A single configuration may be singular. Chosen, not
+tuned."""
 
 _MIN_COM_RATE = 1e-6
 """Horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and m mixed),
@@ -62,7 +62,7 @@ off level cause smaller ratios. Chosen, not tuned."""
 def has_redundant_joints(robot: Robot) -> bool:
     """Return True if nv exceeds the number of coordinates that held poses of base and feet fix.
 
-    Some joints can then usually still move. Loops and couplings are ignored.
+    Loops and couplings are ignored.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv
@@ -107,7 +107,7 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
 class Support:
     """Support region of contacts (`support_corners`), computed at first access.
 
-    Several `StandTargets` share an object of this class.
+    Several `StandTargets` may share an object of this class.
 
     Args:
         contacts: Contact points, shape (n, 3) [m].
@@ -150,9 +150,8 @@ class StandTargets:
         contact_by_foot: {stance foot: position of the contact, shape (3,) [m]}.
         normals: {stance foot: unit normal out of the ground, shape (3,)}.
         support: Support region.
-        centre: Mean of the contacts, shape (3,) [m]. Hands, and feet on steep planes, are left out
-            of the mean. Feet with separate planes are left out of the height of the mean. If no
-            contact would remain, none is left out. `feet_centre` describes welded and lifted feet.
+        centre: Reference point of the stand, shape (3,) [m]: in general the mean of the contacts
+            (`feet_centre`).
         height: Height of the base frame [m].
         base_quaternion: Orientation of the base (w, x, y, z).
         place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
@@ -197,7 +196,7 @@ class StandTargets:
 
     @property
     def com_is_free(self) -> bool:
-        """Whether the CoM may be anywhere in the support region, reduced by the task's margin."""
+        """Whether neither CoM nor base has a required horizontal position."""
         return self.task.com == "inside" and not self.by_base
 
 
@@ -249,7 +248,7 @@ class _Defaults(NamedTuple):
 
     Attributes:
         com: CoM requirement: ``centre`` or ``inside``.
-        targets: Targets of the nominal stand; None if the robot has no such stand.
+        targets: Targets of the nominal stand; None if they cannot be computed.
         limits: Pinocchio's position limits when the targets were computed.
     """
 
@@ -279,7 +278,8 @@ def _build_targets(
 ) -> StandTargets:
     """Convert a task to targets for a robot, and reuse parts of existing targets ``like``.
 
-    ``com`` is the CoM requirement if the task specifies none: "centre" or "inside".
+    ``com`` is the CoM requirement if the task specifies neither CoM nor offset: "centre" or
+    "inside".
     """
     if task.contacts:
         task = _add_planes(robot, task)
@@ -430,7 +430,10 @@ def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...])
 
 
 def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Complete a task with default height, default CoM (``com``), and units of the posture."""
+    """Complete a task with default height, CoM requirement, and units of the posture.
+
+    ``com`` is the default CoM requirement of a task without offset.
+    """
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture)).replace_unchecked(
             ground=task.ground
@@ -477,9 +480,8 @@ def select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     """Select the contact points that carry load in a task, after checks of robot and names.
 
     Raises:
-        ConfigurationError: If the base is fixed, gravity does not point downward, the robot has no
-            feet, welds or grips, or the robot lacks the contacts of the task. For a robot without
-            weld or grip, also if fewer than three contact points carry load.
+        ConfigurationError: If the base is fixed, or fewer than three contact points carry load and
+            the robot has no weld or grip, for example.
         UnknownNameError: If the task contains an unknown foot.
     """
     robot.check_floating()
@@ -543,10 +545,9 @@ def _compute_nominal_points(robot: Robot) -> tuple[tuple[str, Array], ...]:
 
 
 def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
-    """Return {foot: default horizontal target position, shape (2,) [m]}, in the world frame.
+    """Return {foot: horizontal position in the nominal pose, shape (2,) [m]}, in the world frame.
 
-    The position is the mean of the foot's sphere centres at the nominal joint positions, with the
-    base upright at the origin.
+    The position is the mean of the foot's sphere centres, with the base upright at the origin.
     """
     places = nominal_point_positions(robot)
     return {
@@ -560,10 +561,10 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 
 
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Return {foot: horizontal position that a task requires, shape (2,) [m]} in the world frame.
+    """Return {foot: horizontal position (2,) [m]} by ``feet`` and ``foot_offsets`` of a task.
 
-    The position is that in ``task.feet``, or else the default (`nominal_foot_positions`), plus the
-    offset in ``task.foot_offsets``.
+    Positions are in the world frame. The default is that in the nominal pose
+    (`nominal_foot_positions`).
     """
     nominal = nominal_foot_positions(robot)
     return {
@@ -575,8 +576,8 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Compute {contact point: target of its sphere centre, (3,) [m]} on rigid ground for a task.
 
-    Targets are in the world frame. A sole is flat on the plane or slope, rotated from the default
-    orientation by the shortest rotation. A swing foot is above the ground by the swing height.
+    Targets are in the world frame. A sole is laid on its plane or slope by the shortest rotation
+    from the nominal pose.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     foot_targets: dict[str, Array] = {}
@@ -692,7 +693,7 @@ def _fit_upward_normal(points: Array) -> Array:
 
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
-    """Return {contact point: unit normal (3,) out of the ground below the point}, world frame."""
+    """Return {contact point: unit normal (3,) out of the ground at the point}, world frame."""
     if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}

@@ -140,7 +140,7 @@ class RequirementVector:
 
         Args:
             values: New values in the order of ``keys``, shape (n,) [m, rad].
-            checked: If True, check the values. Values between ``low`` and ``high`` need no check.
+            checked: If True, check the values.
         """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
@@ -307,8 +307,7 @@ def round_outward(
 ) -> StandTask:
     """Round the relaxed values of a task for a report, away from the requested values.
 
-    The reported stand is thus usually at least as relaxed as the computed stand. A value changes by
-    at most 0.1 mm or 0.1 deg.
+    A value changes by at most 0.1 mm or 0.1 deg.
 
     Args:
         robot: Robot.

@@ -1,8 +1,8 @@
 """Search for a stand that meets numeric targets (`StandTargets`), from several initial guesses.
 
 `search_stand` tries, in this order: PlaCo's IK from the default joint positions (the task's
-``ik_seed``, home, middle of the ranges); IK from combinations of the legs' IK branches; and, if the
-CoM is free or joints are redundant, the nonlinear program of all constraints (`stance.programme`)
+``ik_seed``, home, middle of the ranges); IK from combinations of the legs' IK branches; and in some
+cases, for example with a free CoM, the nonlinear program of all constraints (`stance.programme`)
 from several initial configurations. The result is a solved stand, or the best failure.
 """
 
@@ -42,7 +42,8 @@ round (see `_BRANCH_ROUNDS`). Derived from four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
 """Upper bound of the number of rounds of a stand search. A round determines the IK branches of the
-limbs near the best configuration, and tries combinations of these branches. Chosen, not tuned."""
+limbs for the base pose of the best configuration, and tries combinations of these branches. Chosen,
+not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] of the best stand so far, below which a search also tries initial guesses with a
@@ -61,14 +62,11 @@ _MIN_AGREEING_GUESSES = 8
 of reach: all but one were found before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
-"""Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
-leg usually has no exact IK branches. Measured on 48 stands of six bipeds: the guesses found one
-additional stand."""
+"""Number of random initial guesses for robots with a sole on a leg of fewer than six joints.
+Measured on 48 stands of six bipeds: the guesses found one additional stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
-"""Names of the clearance constraints, which searches for the smallest foot error omit. The
-nonlinear program also omits these constraints if the required base pose violates the ground
-clearance."""
+"""Names of the clearance constraints, which searches for the smallest foot error omit."""
 
 
 def search_stand(
@@ -180,7 +178,7 @@ class _StandSearch:
         closest: Stand with the smallest minimised foot error; None before a minimisation.
         misses: Minimised foot errors [m] (`minimise_foot_errors`), one per initial configuration.
         points: Results of the IK solver that were added by `add`.
-        reached: Stands with the feet in place.
+        reached: Stands with the feet in place, or nearly in place.
         found: IK branches of each limb in the last round.
     """
 
@@ -201,7 +199,7 @@ class _StandSearch:
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
         """Solve IK from one initial guess after another, and return the first stand.
 
-        If the required base pose violates the ground clearance, the stand is not solved.
+        If the required base pose violates the ground clearance, the stand may violate it, too.
 
         Args:
             joints: Initial guesses of the joint positions, shape (nu,) [rad, m] each.
@@ -522,8 +520,7 @@ def relax_foot_orientation(
 NEAR_MISS = 1e-3
 """Largest foot error [m], or constraint violation of the nonlinear program [m, rad], with which IK
 refines a configuration, since a small displacement of the CoM may bring the feet to their targets.
-Also a reserve in estimates of the required base displacement (`bound_com_shift`). Chosen, not
-tuned."""
+Also a reserve in `bound_com_shift` and `branch_initial_guesses`. Chosen, not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a

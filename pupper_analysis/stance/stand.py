@@ -3,8 +3,8 @@
 Inputs are a robot and stand tasks. Outputs are stands with errors below 1e-9 m or rad, or 0.05 mm
 for soles on legs with fewer than six joints. If a task has no stand, an error states the
 requirements that must be relaxed. `solve_stand` solves a task by inverse kinematics from several
-initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, each from an
-extrapolation of the previous stands. `stand_statics` computes joint torques [N m] and contact
+initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, if possible
+from extrapolations of previous stands. `stand_statics` computes joint torques [N m] and contact
 forces [N].
 """
 
@@ -209,8 +209,6 @@ def solve_stands(
     If neither leads to a stand near the previous stand, the task is solved as by `solve_stand`.
     Tasks whose result depends on the initial guess, for example with a free CoM or redundant
     joints, are always solved as by `solve_stand`.
-
-    The errors of each stand are bounded as in `solve_stand`.
 
     Args:
         robot: Robot with a floating base.

@@ -1,6 +1,6 @@
 """Stand task: the requirements on ground, feet, base and centre of mass (CoM) of a stand.
 
-`StandTask` contains requirements only, as attributes in m and rad, and checks them. The table
+`StandTask` contains the requirements, as attributes in m and rad, and checks them. The table
 ``stance/fields.toml`` defines names, bounds and texts. `stance.problem.compute_targets` converts a
 task to numbers for one robot, and `describe` to a text in English or Chinese.
 """
@@ -34,9 +34,8 @@ class StandTask:
 
     The default is the nominal stand. All feet are on level ground at z = 0. Each foot is at its
     horizontal position for the robot's nominal joint positions, with the base at the origin. The
-    CoM is above the centre of the feet, which is the mean of the stance contacts. Legs that move in
-    one plane cannot move the CoM to each place, since they cannot place feet sideways. The default
-    of ``com`` is then ``"inside"``.
+    CoM is above the centre of the feet, which is the mean of the stance contacts, if the legs can
+    move it there (see ``com``).
 
     Attributes:
         height: Height of the base frame above the centre of the feet (m), positive without
@@ -47,28 +46,28 @@ class StandTask:
         yaw: Rotation about z, up (rad), relative to the feet.
         offset: (x, y) of the base from the centre of the feet, in world axes (m). If an offset is
             given, the position of the CoM is a result. It must keep ``com_margin`` only if this
-            margin is positive. Without an offset, ``com`` determines the position of the base.
+            margin is positive.
         feet: {foot: (x, y) in the world (m)}, instead of the nominal position.
         foot_offsets: {foot: (x, y) from the nominal position (m)}.
         swing: {foot without load: height of the sphere above the ground (m)}.
         ground: Plane and steps.
         contacts: {foot, link, site, body or geom: surface in contact instead of the ground
             (``Contact``), or fixation in the world (``Weld``)}. The ``base`` can be welded as well.
-            Hands, and feet on planes steeper than 60 deg, do not count for the centre of the feet.
-            Feet on separate planes do not count for the height of the centre.
+            If other feet remain, hands and feet on planes steeper than 60 deg do not count for the
+            centre of the feet, and feet on separate planes do not count for its height.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: any place in the
             support polygon with ``com_margin``, above the centre if possible. Default: centre, or
             inside if the legs cannot move the CoM in two directions.
         com_margin: Smallest distance of the projected CoM from the edge of the polygon (m).
-        joint_margin: Smallest distance of each joint from the limits (rad).
-        ground_clearance: Smallest height of all parts except the feet above the ground (m).
+        joint_margin: Smallest distance of each joint from the limits (rad, m).
+        ground_clearance: Smallest height of parts except the feet above the ground (m).
         self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
             default.
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
             If several patterns match a joint, the last counts. Other joints that carry no foot
             start at ``ik_seed`` in a search, or else at ``home``.
-        ik_seed: Initial guess of the joint positions, shape (nu,) (rad), which selects an IK branch
-            of the legs. Default: the robot's ``home``.
+        ik_seed: Initial guess of the joint positions, shape (nu,) (rad, m), which selects an IK
+            branch of the legs. Default: the robot's ``home``.
     """
 
     height: float | None = field(default=None, metadata={"unit": "m"})

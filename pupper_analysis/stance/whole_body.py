@@ -125,8 +125,9 @@ class SolvedPosture(Pictured, Tabular):
         contacts: Contact points, and welded and gripping parts, that kept their positions.
         iterations: Number of solved or attempted quadratic programs.
         stand: Stand of the posture, for ``stand_statics``, ``verify_stand`` and other functions for
-            stands. None if the base is free and the start was not a stand. With a free base,
-            ``stand.blocked`` lists the CoM margin and clearances that the posture violates.
+            stands. None if the base is free, and the start was neither a stand nor a posture with a
+            stand. With a free base, ``stand.blocked`` lists the CoM margin and clearances that the
+            posture violates.
     """
 
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})

@@ -168,7 +168,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 _LIMIT_DISTANCE = 0.01
 """Distance [rad, m] of a moved joint from its limit (with margin) below which the limit is reported
 as the reason for the end of an interval. Also the displacement above which a joint counts as moved.
-Chosen, not tuned: larger than the joint displacements in the last steps of the search."""
+Chosen, not tuned."""
 
 _EDGE_DISTANCE = 1e-3
 """Excess [m] of a margin or clearance over its required value, below which this requirement is

@@ -68,7 +68,7 @@ def friction_utilisation_of(
 
     Returns:
         Utilisation [1]. For a tangential force of ``tiny`` or more: infinite if the normal force or
-        the friction coefficient is zero, and negative if the contact pulls.
+        the friction coefficient is zero, otherwise negative if the contact pulls.
     """
     pressing, tangential = split_force(force, normal)
     if tangential < tiny:
@@ -139,14 +139,12 @@ _MAX_VISCOSITY_ITERATIONS = 50
 class ForceDistribution(StrEnum):
     """Criterion that selects contact forces if balance does not determine the forces.
 
-    MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces.
-    MuJoCo's regularised friction lets feet creep until tangential forces that act against each
-    other have vanished. On level ground and steps, gravity requires no tangential force, so feet do
-    not creep. On a slope all feet creep downhill together. The criterion is the
-    minimum of sum f_t^2 / c, with the tangential force f_t and the viscosity c of each contact
-    (`GroundLaw.viscosity`). The optimality condition is f_t = c (v + omega x r), with the creep
-    velocities v and omega and the contact position r. On level ground, for example in a motion, all
-    viscosities count as equal. Use these torques for a robot or a simulator.
+    MIN_TANGENTIAL minimises the tangential forces, and with a much smaller weight the normal
+    forces. MuJoCo's regularised friction lets feet creep until tangential forces that act against
+    each other have vanished. On level ground and steps, gravity requires no tangential force, so
+    that feet do not creep. The criterion is the minimum of sum f_t^2 / c, with the tangential force
+    f_t and the viscosity c of each contact (`GroundLaw.viscosity`). On level ground, for example in
+    a motion, all viscosities count as equal. Use these torques for a robot or a simulator.
 
     If a part is welded, contacts have no tangential force: the weld carries the rest of the load.
     The normal forces then minimise the sum of squared motor torques, or equal the prescribed

@@ -699,7 +699,7 @@ def find_sag_failure(
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
     """Return the reason why an equilibrium does not count as standing; None if the robot stands.
 
-    The reason is a failure of the equilibrium, or a base that sinks to half of its height.
+    The reason is a failure of the equilibrium, or a base that sinks to half of its height or lower.
 
     Args:
         robot: Robot, with the contacts of the stand.

@@ -47,8 +47,7 @@ units. Smaller values take longer, since the feed-forward is then removed in man
 
 _LEAST_KP = 1 / 4096
 """Lower bound of the servo stiffness kp down to which `minimum_stiffness` searches a bracket, in
-units of `EquilibriumScales.stiffness` (robot weight x height). A robot that stands with this kp,
-for example on straight legs, needs no servos. Chosen, not tuned."""
+units of `EquilibriumScales.stiffness` (robot weight x height). Chosen, not tuned."""
 
 _LEAST_STEP = 0.1
 """Smallest step of ln(kp) with which an equilibrium is continued to another kp: if a step of about
@@ -59,9 +58,8 @@ _FIRST_CREEP_RATIO = 0.04
 first. Measured: creep raises the least kp by 4 to 8 % (original, Go2, v3)."""
 
 _MAX_PREDICTIONS = 4
-"""Number of simulations of creep (slow yielding) that `_bisect_stiffness` runs at predicted kp,
-before
-the bracket is halved. Chosen, not tuned.
+"""Upper bound of the number of creep simulations after which `_bisect_stiffness` halves the bracket
+instead of predicting kp. Chosen, not tuned.
 """
 
 _ESTIMATE_TOLERANCE = 0.02
@@ -132,9 +130,8 @@ def estimate_minimum_stiffness(
 ) -> float:
     """Estimate the smallest servo stiffness kp [N m/rad] for a stand without feed-forward.
 
-    Unlike in `minimum_stiffness`, a prediction replaces the bisection with creep.
-    Measured: 0 to 5 % above `minimum_stiffness` for T1 and v3-long-leg, within 2 % for v3, original
-    and Go2.
+    In general, a prediction replaces the bisection of `minimum_stiffness` with creep. Measured: 0
+    to 5 % above `minimum_stiffness` for T1 and v3-long-leg, within 2 % for v3, original and Go2.
 
     Args:
         robot: Robot.
