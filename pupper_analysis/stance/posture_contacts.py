@@ -126,7 +126,8 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
     """Return a stand's task that requires base pose, CoM and footless joints of a configuration.
 
-    Footless joints move no foot. An arm (hands only) has a base position instead of the CoM.
+    `find_footless_joints` defines footless joints. An arm (hands only) has a base position instead
+    of the CoM.
     """
     roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(at.base_rotation()))
     centre, first = stand.centre(robot), robot.nq - robot.nu

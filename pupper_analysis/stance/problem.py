@@ -3,8 +3,8 @@
 Targets are foot positions, base pose and CoM position; limits are joint limits.
 
 `compute_targets` combines a robot and a `StandTask` into `StandTargets`. The function places the
-contact points on the ground and determines the support region. It rejects tasks that no stand can
-satisfy, for example a CoM outside the support region. Positions are in the world frame.
+contact points on the ground and determines the support region. It rejects some tasks that no stand
+can satisfy, for example with a CoM outside the support region. Positions are in the world frame.
 """
 
 from __future__ import annotations
@@ -217,8 +217,7 @@ def compute_targets(
             are not included.
         like: Targets of the same robot with the same depths. Parts are reused if the task has equal
             requirements, which saves time. Default: targets of the nominal stand, if possible.
-        checked: If True, reject tasks that no stand can satisfy, for example with a CoM outside the
-            support region.
+        checked: If True, also reject tasks with, for example, a CoM outside the support region.
 
     Raises:
         ConfigurationError: If the base is fixed, or the task is rejected, for example.

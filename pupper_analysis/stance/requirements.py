@@ -36,7 +36,7 @@ from pupper_analysis.stance.problem import (
 from pupper_analysis.stance.task import StandTask
 
 _FIELDS_BY_REQUIREMENT: dict[str, list[Field]] = {}
-"""{requirement (attribute of `StandTask`): its fields in ``fields.toml``}."""
+"""{requirement (attribute of `StandTask`): its relaxable fields in ``fields.toml``}."""
 for _field in FIELDS.values():
     if _field.relaxation != "no":
         _FIELDS_BY_REQUIREMENT.setdefault(_field.attribute, []).append(_field)

@@ -1,8 +1,8 @@
 """Solve stand tasks (configurations with planted feet), and compute the statics of stands.
 
 Inputs are a robot and stand tasks. Outputs are stands with errors below 1e-9 m or rad, or 0.05 mm
-for soles on legs with fewer than six joints. If a task has no stand, an error states the
-requirements that must be relaxed. `solve_stand` solves a task by inverse kinematics from several
+for soles on legs with fewer than six joints. If no stand is found, an error states the reason, if
+possible with requirements to relax. `solve_stand` solves a task by inverse kinematics from several
 initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, if possible
 from extrapolations of previous stands. `stand_statics` computes joint torques [N m] and contact
 forces [N].

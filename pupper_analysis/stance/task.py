@@ -64,8 +64,7 @@ class StandTask:
         self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
             default.
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
-            If several patterns match a joint, the last counts. Other joints that carry no foot
-            start at ``ik_seed`` in a search, or else at ``home``.
+            If several patterns match a joint, the last counts.
         ik_seed: Initial guess of the joint positions, shape (nu,) (rad, m), which selects an IK
             branch of the legs. Default: the robot's ``home``.
     """
