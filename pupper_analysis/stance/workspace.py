@@ -2,7 +2,7 @@
 
 `base_workspace` searches each coordinate separately from the stand of a task, outward in both
 directions. A step is halved if no stand is found after the step (bisection). The IK of each step
-starts at the last stand; other initial guesses are tried if it fails.
+starts at the last stand; other initial guesses are tried as well.
 """
 
 from __future__ import annotations

@@ -798,9 +798,8 @@ _REPORTED_FORCE_MARGIN = 1e-3
 is accepted if a user enters it. Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload mass to robot mass above which a payload counts as unlimited, and the search of
-`payload_limit` ends. The lever arm of a motor that limits such a payload may be a rounding error.
-Chosen, not tuned."""
+"""Ratio of payload mass to robot mass above which a payload counts as unlimited. The lever arm of a
+motor that limits such a payload may be a rounding error. Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per mass of robot or payload [N m/kg] up to which a motor or passive joint counts as not
