@@ -352,7 +352,7 @@ class SelfClearanceTask(PostureTask):
     """Smallest distance between links that are not neighbours, measured on MuJoCo's shapes.
 
     Links that the MJCF excludes from contact, and links that overlap in the home configuration, may
-    overlap. Shapes of a fixed base are checked; floors and height fields are not.
+    overlap. Shapes of a fixed base are checked; the floor is not.
 
     Attributes:
         distance: Required distance [m], at least 0.
