@@ -169,8 +169,8 @@ def solve_posture(
     """Find a configuration that satisfies posture tasks within the joint limits (whole-body IK).
 
     PlaCo minimises the weighted squared residuals, from ``start`` and then from a few random
-    postures. Without a ``SelfClearanceTask``, links of the result may collide. See
-    ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
+    postures. Without a ``SelfClearanceTask``, links of the result may collide. ``posture.show()``
+    shows the result.
 
     If ``start`` is a stand, its contacts and welds stay in place. Base and joints stay near the
     stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
