@@ -44,9 +44,8 @@ class Limb:
     def is_similar_to(self, other: Limb) -> bool:
         """Return True if two limbs have equal joint types, and similar dimensions or masses.
 
-        One of the two similarities is sufficient, because a single wrong value of a file affects
-        only masses or only dimensions. Dimensions are distances between joints, and angles between
-        axes.
+        One of the two similarities is sufficient, because the file may contain a wrong mass or a
+        wrong dimension. Dimensions are distances between joints, and angles between axes.
 
         Args:
             other: Limb of the same robot.
@@ -197,8 +196,8 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 def name_joints(names: Sequence[str]) -> str:
     """Return one short name for several joints, for example ``leg_*_1``.
 
-    The common beginning and end of the names, cut at underscores, are joined by ``*``. Names
-    without common part are listed or counted.
+    The common beginning and end of the names, cut at underscores, are joined by ``*``. Without
+    common parts, the result consists of the first two names and the number of the others.
     """
     if len(names) <= 1:
         return "".join(names)

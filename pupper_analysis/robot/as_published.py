@@ -1,12 +1,11 @@
 """Results about the robot as published: own simulation, servos, and causes of deviations.
 
-A prepared robot differs from its published file. Verdicts therefore also simulate the unmodified
+A prepared robot differs from its published file. Verdicts therefore also simulate the published
 file: from its own keyframe (`OwnRun`), and from a computed equilibrium, which is compared with the
 simulation (`PublishedRun`). The module contains these results, and the limits above which a run
 counts as failed or deviating. `ServosUsed` describes the servos that a result depends on.
 
-Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates the results, and
-``present/verdict.py`` formats the results.
+Other modules compute, evaluate and format these results.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ class ServosUsed:
         source: Origin of the gains. ``FILE``: the MJCF. ``ADDED``: this package added servos at
             joints for which the MJCF has no servo or an invalid servo. ``GIVEN``: passed by the
             caller.
-        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos if no
-            servo was added, or the caller passed gains.
+        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos if ``source`` is
+            ``ADDED``, otherwise of the servos in use.
         kd: Minimum and maximum damping (N m s/rad or N s/m) of the same servos.
         made: Added servos that are in use; empty if the caller passed gains.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
@@ -157,25 +156,24 @@ deviation, which alone does not make the verdict FAILS."""
 
 MAX_OWN_TILT = math.radians(10.0)
 """Largest accepted tilt of the base [rad] at the end of a simulation of the published file from its
-keyframe (`BodyMotion.lean`). With a larger tilt, the run fails (`OwnRun.is_tilted`). Chosen, not
-tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1)."""
+keyframe (`BodyMotion.lean`). With a larger tilt, a standing robot is tilted (`OwnRun.is_tilted`).
+Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1)."""
 
 MAX_OWN_TRAVEL_RATIO = 0.5
 """Largest accepted horizontal travel of a robot, relative to its initial CoM height [1], in a
-simulation of the published file from its keyframe. With a larger travel, the run fails
-(`OwnRun.has_left_stance`). Chosen between measured values: public MJCFs that stand give at most
-0.04 (Spot with arm). Pupper v3 with 1.2 times its leg length leans on its soft servos, which gives
-0.36. A knee servo of ANYmal C with a gear of -1 gives 0.54."""
+simulation of the published file from its keyframe. With a larger travel, the robot has left its
+stance (`OwnRun.has_left_stance`). Chosen between measured values: public MJCFs that stand give at
+most 0.04 (Spot with arm). Pupper v3 with 1.2 times its leg length leans on its soft servos, which
+gives 0.36. A knee servo of ANYmal C with a gear of -1 gives 0.54."""
 
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
     """Simulation of a published file from its keyframe, with small nudges (`simulate_keyframe`).
 
-    An MJCF is simulated without changes; for a URDF see ``imported``. The tilt ``lean`` is relative
-    to the upright start pose if it is smaller than that relative to reset, or if the robot ends
-    fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on its trunk, or tilted by more
-    than 90 deg.
+    The tilt ``lean`` is relative to the upright start pose if it is smaller than that relative to
+    reset, or if the robot ends fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on
+    its trunk, or tilted by more than 90 deg.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
@@ -191,9 +189,9 @@ class OwnRun(BodyMotion):
             False without a keyframe, or if its ctrl contains joint angles instead of torques.
         worst: Joint with the largest displacement; None if the simulation diverged.
         unheld: Joint with the largest displacement among the joints that a servo should hold, but
-            does not; coupled and passive joints are not considered. None if no such displacement
-            exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have
-            a servo, or if the simulation diverged.
+            does not. None if no such displacement exceeds 0.05 rad or m
+            (``MIN_UNHELD_DISPLACEMENT``), if at most half of the joints have a servo, or if the
+            simulation diverged.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions. None otherwise, if most joints have no servo, or if an actuator has a
             built-in controller such as ``pid``.
@@ -277,8 +275,7 @@ class OwnRun(BodyMotion):
         """True if the published file does not stand in this simulation.
 
         - If most joints cannot hold a position (``limp``): False.
-        - With a keyframe: True if the robot ``falls``, ``is_tilted`` or ``has_left_stance``. The
-          commands are the ctrl of the keyframe, or zeros if the keyframe has no ctrl.
+        - With a keyframe: True if the robot ``falls``, ``is_tilted`` or ``has_left_stance``.
         - Without a keyframe: True if a joint is not held (``unheld``).
         """
         if self.limp:
@@ -294,8 +291,6 @@ class OwnRun(BodyMotion):
 @dataclass(frozen=True)
 class PublishedRun:
     """Simulation of the published file from a computed equilibrium, compared with this state.
-
-    An MJCF is simulated without changes; for a URDF see ``imported``.
 
     Attributes:
         feedforward: Whether the commands include feed-forward; otherwise positions only.

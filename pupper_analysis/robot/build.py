@@ -262,7 +262,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 
 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report MJCF settings with effect at rest; turn gravity compensation into a passive force.
+    """Report sleep and passive forces; turn gravity compensation into a passive force.
 
     The model is changed in place: gravity compensation by actuators would be part of motor torques.
     """

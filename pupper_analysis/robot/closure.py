@@ -249,8 +249,8 @@ class Closure:
 
         Args:
             qpos: Initial guess, shape (nq,), whose loops may be open.
-            moving: Step weight of each joint, shape (nu,), 0 to 1. A joint with a lower weight
-                moves less. A joint with weight 0 does not move.
+            moving: Step weight of each joint, shape (nu,), 0 to 1. A joint with weight 0 does not
+                move.
             give: Constraint violations that the result must have, shape (m,) [m, rad]: the static
                 deflections under a load. Default: 0.
 
@@ -267,7 +267,8 @@ class Closure:
         A four-bar linkage, for example, has two assembly modes: with and without crossed rods. The
         mode of a loop counts as different if det(A^T A_ref) < ``-_RANK_RTOL``. A is the Jacobian of
         the loop equations with respect to the dependent joints of the loop, A_ref its value in the
-        reference configuration: qpos0 or a keyframe, if its loops are closed.
+        reference configuration: qpos0 or a keyframe with closed loops, otherwise qpos0 after its
+        loops were closed.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -133,8 +133,8 @@ class GroundLaw:
         """Return the normal force [N] on a contact point at rest.
 
         Args:
-            depth: Penetration [m]. Below -``margin``, the result is an extrapolation, and negative;
-                the force in MuJoCo is then zero.
+            depth: Penetration [m]. Below -``margin``, the result is an extrapolation; the force in
+                MuJoCo is then zero.
         """
         d, _ = self._impedance_and_slope(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)

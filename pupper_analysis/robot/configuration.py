@@ -183,7 +183,7 @@ class Configuration(Pictured):
         """Return the time derivative dJ/dt, shape (6, nv), of ``frame_jacobian`` at ``qvel``.
 
         With ``reference`` "local_world_aligned", the acceleration of the point is J qacc + dJ/dt
-        qvel. Computed by ``pin.getFrameJacobianTimeVariation``.
+        qvel.
 
         Args:
             name: Name of the link.
@@ -830,8 +830,7 @@ _DIFFERENCE_STEP = 1e-6
 class AtRest:
     """Passive forces of the MJCF at zero velocity, such as springs (MuJoCo's ``qfrc_passive``).
 
-    Obtain an instance by ``borrow``, which reuses instances: creating MuJoCo's data takes longer
-    than many evaluations.
+    Obtain an instance by ``borrow``, which reuses instances.
 
     Args:
         robot: The robot.

@@ -149,8 +149,6 @@ class EngineModels:
     def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
         """Convert Pinocchio's q and v to qpos and qvel (MuJoCo's convention).
 
-        This is the inverse of `to_pinocchio`, up to full turns of continuous joints.
-
         Args:
             q: Pinocchio's configuration, shape (pin_model.nq,).
             v: Pinocchio's velocity, shape (pin_model.nv,).

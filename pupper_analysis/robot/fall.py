@@ -4,7 +4,7 @@ Heights are heights of the robot's centre of mass (CoM) above the supporting gro
 the base frame is not used, because a file may place that frame anywhere.
 
 Each reference value is measured at reset, before the judged motion. The initial height is the CoM
-height above the ground at reset, minus the clearance of the robot's lowest point at reset.
+height above the ground at reset, minus the clearance at reset.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def simulate_keyframe(
     The first run starts with a nudge (`nudge_velocity`), the second with the opposite nudge,
     because a robot may fall to one side only. The third run has no nudge. The result is the first
     run in which the robot collapses, otherwise the first run. In a model without activations, a run
-    that equals the first run halfway is not completed.
+    that nearly equals the first run halfway is not completed.
 
     Args:
         model: MuJoCo model.

@@ -177,7 +177,7 @@ class Ground:
         - Separate plane: the top of the box is in the plane.
         - Bar: a cylinder with the radius and direction of the bar.
 
-        A box extends 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot.
+        A box extends at least 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot.
 
         Args:
             places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points
@@ -279,5 +279,5 @@ _BAR_LENGTH_FACTOR = 3.0
 of a box for the same foot [1]. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
-"""Distance [m] by which the top of a step's box extends beyond the contact points of its foot. A
-foot that slips less than this distance stays on the box. Chosen, not tuned."""
+"""Minimum distance [m] by which the top of a step's box extends beyond the contact points of its
+foot. A foot that slips less than this distance stays on the box. Chosen, not tuned."""

@@ -29,7 +29,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
-"""Motion types of a hinge, and of a slide, whose axis is not parallel to a world axis
+"""Motion types of a hinge, and of a slide, whose axis is more than 1 deg off each world axis
 (`joint_motions`)."""
 
 
@@ -41,8 +41,8 @@ def joint_motions(robot: Robot) -> dict[str, str]:
 
     Returns:
         {joint: motion}. The motion of a hinge about x, y or z is ``roll``, ``pitch`` or ``yaw``.
-        The motion of a slide is ``along x``, ``along y`` or ``along z``. For axes in other
-        directions, the motion is ``oblique`` (hinge) or ``oblique slide``.
+        The motion of a slide is ``along x``, ``along y`` or ``along z``. For axes more than 1 deg
+        off these directions, the motion is ``oblique`` (hinge) or ``oblique slide``.
     """
     zero_configuration = Configuration(robot, robot.neutral())
     return {

@@ -253,7 +253,7 @@ class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
     A foot touches with its collision geometry. A hand touches with a massless sphere that is fixed
-    to its link, and that collides only with the plane of the contact. A sole (foot with several
+    to its link, and that collides at most with the plane of the contact. A sole (foot with several
     contact points) can neither touch a bar nor grip.
 
     Attributes:

@@ -168,8 +168,7 @@ tuned: a robot may still sag slowly after the settling time."""
 
 _MIN_THROWING_DOUBLINGS = 6
 """Number of doublings of a mode within the settling time, above which the mode explains a motion
-out of the initial state: 6 doublings turn 1 mm into 64 mm. Otherwise the initial state was no
-equilibrium, and its modes are meaningless."""
+out of the initial state: 6 doublings turn 1 mm into 64 mm."""
 
 _MIN_NAMED_SHARE = 0.5
 """Lower bound of the amplitude of a joint that a message about a mode names, relative to the

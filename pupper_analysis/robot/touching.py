@@ -49,7 +49,7 @@ environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Prepare a robot for the contacts of a stand task: contact points, friction and welds.
 
-    - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
+    - A hand (a part that is no foot) gets a contact point: a massless sphere that collides at most
       with its plane. The spheres of welded or gripping hands do not collide.
     - The friction coefficient of a plane, if stated, becomes the coefficient of a contact without
       grip.

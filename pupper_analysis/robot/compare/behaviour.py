@@ -203,8 +203,8 @@ limits. Chosen, not tuned."""
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
-    - Joint positions: uniform within the limits of the URDF, clipped to 1000 rad or m; +-pi [rad,
-      m] replaces a missing limit.
+    - Joint positions: uniform within the joint limits, clipped to 1000 rad or m; +-pi [rad, m]
+      replaces a missing limit.
     - Torques: uniform within the effort limits, clipped to 1e6 N m or N; +-1 replaces a missing
       limit.
     - Velocities: normally distributed with a standard deviation of 1 [m/s, rad/s].

@@ -211,7 +211,7 @@ def _collect_limb_shapes(
 
 
 def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of geoms that can touch the world; all, if the world has no such geom."""
+    """Return the ids of geoms that can touch the world; all that can collide, if it has none."""
     ids = sorted(find_collidable_geoms(model))
     world_geoms = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
     if not world_geoms:
@@ -338,7 +338,7 @@ def report_base_tilt(
         tolerances: Tolerances of the comparison.
 
     Returns:
-        Diagnostic; None without a tilt beyond the tolerance for rotations.
+        Diagnostic; None, for example, without a tilt beyond the tolerance for rotations.
     """
     robot = matched.robot
     if robot.floating:

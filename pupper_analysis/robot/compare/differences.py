@@ -96,8 +96,8 @@ KIND_ORDER = (
     "option",
     "key",
 )
-"""All kinds of differences between two models. Differences of equal urgency and effect are listed
-in this order."""
+"""Kinds of differences between two models. The order is a sorting key for differences of equal
+urgency and effect (`Difference.rank`)."""
 
 CONVENTION_KINDS = ("base frame", "zero")
 """Kinds of differences that change only the coordinates (qpos), not the robot."""
@@ -130,8 +130,8 @@ class Effect(Result):
         deviation: Largest absolute deviation of the quantity, if only this difference is present.
         relative: ``deviation``, divided by the scale of the quantity.
         share: ``deviation``, divided by the deviation of all differences together. The share may
-            exceed 1, because differences may cancel. The share is infinite if the deviation of all
-            differences is a rounding error or infinite.
+            exceed 1, because differences may cancel. The share is infinite, for example, if the
+            deviation of all differences is a rounding error.
     """
 
     deviation: float = field(metadata={"unit": "varies"})
@@ -677,10 +677,10 @@ def changes_between(
 def apply_changes(
     first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> MultibodyTree:
-    """Return the first tree with all differing values of the second tree.
+    """Return the first tree with the differing values of the second tree, without tolerances.
 
-    Differences of any size are included. Properties that `changes_between` does not compare are
-    unchanged, for example the armature if the trees are from a URDF and an MJCF.
+    Properties that `changes_between` does not compare are unchanged, for example the armature if
+    the trees are from a URDF and an MJCF.
 
     Args:
         first: First tree; not modified.

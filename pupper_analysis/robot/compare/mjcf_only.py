@@ -2,10 +2,10 @@
 
 A URDF contains a tree of bodies, and damping and friction of joints. MuJoCo's smooth dynamics have
 further terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``, ``qfrc_fluid``),
-inertia of tendons and actuators, and equality constraints. Each such element of a compiled model is
-listed with the array entries that must be zero to disable the element. The list may be incomplete
-(for example without flexes and plugins). The callers check its completeness: they disable the
-listed elements, and compare the remaining model with a model without such elements.
+inertia of tendons and actuators, and equality constraints. Such elements of a compiled model are
+listed with the array entries that must be zero to disable an element. The list may be incomplete
+(for example without flexes and plugins). `explain_differences` therefore compares a model whose
+listed elements are disabled with the URDF.
 
 Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality". Array
 names are names in ``mjModel``.

@@ -4,8 +4,8 @@ Link frames are a convention. Mechanically, a hinge is a line, a slide is a dire
 has a mass, a CoM and an inertia. The axes of a link frame do not affect the robot. The position of
 the origin on the axis of a hinge has no effect either. Before two trees are compared, the link
 frames of the second tree are transformed to the frames of the first tree, joint by joint from the
-base outwards. For each joint, the candidate frame with the smallest total deviation is selected:
-the sum of log2(1 + deviation / tolerance).
+base outwards. Candidate frames of a joint are compared by their total deviation: the sum of
+log2(1 + deviation / tolerance).
 """
 
 from __future__ import annotations
