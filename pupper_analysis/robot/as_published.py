@@ -195,9 +195,9 @@ class OwnRun(BodyMotion):
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions. None otherwise, if most joints have no servo, or if an actuator has a
             built-in controller such as ``pid``.
-        standing: Whether the robot stands on the ground. If False, the base is fixed.
+        standing: Whether the base is free, so that the robot stands on the ground.
         causes: Causes of a failure, if found.
-        missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
+        missing: Missing files that the published MJCF requires, such as meshes.
         redirected: Joint with the largest displacement among the joints that the ctrl moves away
             from the initial position (`JointOff.commanded_away`); None if there is none.
         lifted_leg: Joint with the largest displacement in the legs that are on the ground at

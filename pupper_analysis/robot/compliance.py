@@ -155,7 +155,7 @@ class GroundLaw:
         return self.normal_stiffness(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:
-        """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
+        """Return the penetration [m] at rest under a normal force.
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
         penetration. The geometric mean of the bounds (half of the upper bound if the lower bound is
@@ -171,8 +171,8 @@ class GroundLaw:
                 none.
 
         Returns:
-            Penetration [m]; at most -margin without a positive force. Infinite for a positive force
-            on ground without contact force (``solref`` of zero).
+            Penetration [m]; at most -margin (linear extrapolation) without a positive force.
+            Infinite for a positive force on ground without contact force (``solref`` of zero).
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force

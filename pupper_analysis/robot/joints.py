@@ -338,7 +338,7 @@ def get_joint_units(robot: Robot, joint: str) -> JointUnits:
 def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> None:
     """Raise a ConfigurationError if a rotary motor is assigned to a slide.
 
-    The force of a slide with a rotary motor depends on the lead of a screw, which no file states.
+    Reason: the transmission from a rotary motor to a slide is unknown.
 
     Args:
         robot: Robot.

@@ -196,7 +196,7 @@ class Bar:
         return replace(self, point=(*self.point[:2], number))
 
     def point_above(self, x: float, y: float) -> Position3:
-        """Return a point (x, y, z) [m] above the axis of this bar, near a horizontal position [m].
+        """Return a point (x, y, z) [m] above the axis of this bar, for a horizontal position [m].
 
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
         perpendicular to the axis, by 1 m times the cosine of the bar's inclination: by 0 for a

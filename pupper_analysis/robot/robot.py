@@ -371,9 +371,8 @@ class Robot(EngineModels):
     def before_servos(self) -> Robot:
         """Robot for kinematics and statics, without the postponed servo tuning and visual meshes.
 
-        Servos change neither configurations nor torques at rest. The result has the start pose,
-        collision shapes, contacts and effort limits of this robot. It is this robot itself if
-        nothing is postponed.
+        The result has the start pose, collision shapes, contacts and effort limits of this robot.
+        It is this robot itself if nothing is postponed.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):

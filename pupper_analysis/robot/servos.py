@@ -343,8 +343,7 @@ def _narrow_force_ranges(
 
 MAX_GAIN = 1e9
 """Largest kp [N m/rad, N/m] and kd [N m s/rad, N s/m] that a user may request; larger gains are
-refused. Chosen: far above the gains of real machines, but small enough that simulations do not
-overflow."""
+refused. Chosen, not tuned: far above the gains of real machines."""
 
 MIN_STIFFNESS = 1e-9
 """Smallest kp [N m/rad, N/m] of a motor that a user may request, or that a search tries; smaller

@@ -144,8 +144,7 @@ _MAX_SETTLING_TIME = 600.0
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
 """Distance from a joint limit [rad, m], up to which a joint counts as near the limit, and at which
 its spectrum is then evaluated on either side of the limit. Reason: centred differences across a
-limit mix two regimes. ANYmal at a knee limit seemed to oscillate at 9 Hz, but came to rest in
-simulations."""
+limit mix two regimes."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying

@@ -168,7 +168,7 @@ def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
 MAX_DISTANCE_RATIO = 10.0
 """Largest distance of a point from the origin of its frame, relative to the robot's size
 (`measure_size`) [1]. A point that is farther away is rejected, as a length in mm. Chosen, not
-tuned: no payload is carried at a distance of ten sizes."""
+tuned."""
 
 
 def measure_size(robot: Robot) -> float:
@@ -345,8 +345,7 @@ def _find_end_link(robot: Robot) -> str:
 
 MAX_MASS_RATIO = 20.0
 """Mass of a payload, relative to the mass of the robot [1], above which the loaded robot has a
-note. Chosen, not tuned: legged robots carry up to a few times their mass, and a mass in g is 1000
-times the mass in kg."""
+note. Chosen, not tuned: a mass in g is 1000 times the mass in kg."""
 
 _PAYLOAD_NAME = "payload"
 """Name of the link and of the body of a payload; underscores are appended if the name is in use."""
@@ -361,7 +360,7 @@ def with_payload(
     """Return a robot with a point mass welded to both models, as a payload.
 
     Joints, limits, gains, feet, and the default base height are unchanged. Exception: MuJoCo
-    computes the damping of servos with ``dampratio`` anew. Contacts become stiffer or softer,
+    computes the damping of servos with ``dampratio`` anew. Contacts may become stiffer or softer,
     because MuJoCo derives their softness from the masses (``body_invweight0``).
 
     Args:

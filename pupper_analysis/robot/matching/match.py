@@ -687,7 +687,7 @@ def delete_ball_joints(
 def drop_other_objects(
     spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None
 ) -> list[Diagnostic]:
-    """Delete bodies of a scene, such as objects with other joints, from an MJCF, in place.
+    """Delete scene objects, such as tables, that do not belong to the robot, in place.
 
     The robot is the child body of the world with the largest number of joints. MuJoCo's import of a
     URDF merges a fixed base with the world: the limbs are then children of the world, identified by
