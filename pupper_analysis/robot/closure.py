@@ -267,8 +267,8 @@ class Closure:
         A four-bar linkage, for example, has two assembly modes: with and without crossed rods. The
         mode of a loop counts as different if det(A^T A_ref) < ``-_RANK_RTOL``. A is the Jacobian of
         the loop equations with respect to the dependent joints of the loop, A_ref its value in the
-        reference configuration: qpos0 or a keyframe with closed loops, otherwise qpos0 after its
-        loops were closed.
+        reference configuration: qpos0 or a keyframe with closed loops, otherwise qpos0, if possible
+        after its loops were closed.
 
         Args:
             qpos: Configuration, shape (nq,).
