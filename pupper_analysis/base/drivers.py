@@ -93,7 +93,7 @@ _BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 """Environment variable with the number of threads of the BLAS in the wheels of NumPy and SciPy."""
 
 _BLAS_VARIABLES = (_BLAS_THREADS, "GOTO_NUM_THREADS", "OMP_NUM_THREADS")
-"""Environment variables from which this BLAS reads the number of threads."""
+"""Environment variables from which OpenBLAS reads the number of threads."""
 
 
 def use_one_blas_thread() -> None:

@@ -450,7 +450,7 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
-    """Raise a ModelError if an element has larger sizes than `_MAX_PRODUCTS` permits."""
+    """Raise a ModelError if a product of size attributes of an element exceeds `_MAX_PRODUCTS`."""
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)

@@ -105,10 +105,10 @@ class ObjectFiles:
     def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
         """Add armature and gravity of the Pinocchio model to an MJCF; a URDF cannot state them.
 
-        Meshes of the temporary folder become assets in memory.
+        Meshes in `folder` become assets in memory.
 
         Returns:
-            Modified copy; ``mjcf`` itself if no object is a Pinocchio model.
+            Modified copy; ``mjcf`` itself without a Pinocchio model.
 
         Raises:
             ModelError: If MuJoCo does not compile the result, for example.

@@ -134,10 +134,11 @@ class Closure:
         return openings
 
     def jacobian(self, qpos: Array) -> Array:
-        """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
+        """Return the Jacobian of the loop and coupling errors (`residual`), shape (m, nu).
 
-        Columns are in actuator order; the columns of joints outside of loops and couplings are
-        zero.
+        The derivatives are by the joint positions, in actuator order; columns of joints outside of
+        loops
+        and couplings are zero.
 
         Args:
             qpos: Configuration, shape (nq,).

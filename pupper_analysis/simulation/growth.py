@@ -57,9 +57,9 @@ may stop a small nudge along these modes. Chosen larger than the deviation that 
 holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Simulated time [s] after which a growth test without a result ends. Derived: `DOUBLINGS` of a
-mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
-motion.
+"""Simulated time [s] after which a test for exponential growth without a result ends. Derived:
+`DOUBLINGS` doublings of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION``
+for the decay of other motion.
 """
 
 LEAVING_ANGLE = 1e-2

@@ -102,7 +102,9 @@ as the rounding of configurations in files.
 """
 
 _SAMPLE_TIME = 0.05
-"""Time between the states that are evaluated [s]. Chosen, not tuned."""
+"""Time between the states of a nudged simulation that are tested for a failure [s]. Chosen, not
+tuned.
+"""
 
 _CHECK_INTERVAL = 0.5
 """Simulated time [s] between two tests whether a nudged simulation may end, rounded to whole

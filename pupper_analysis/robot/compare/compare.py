@@ -575,8 +575,8 @@ def compare_files(
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
     """Find mistakes in a file, such as wrong units, that explain differences.
 
-    A tool with a module ``causes`` finds the mistakes; ``of`` contains its arguments: robot, tree
-    of the MJCF, differences, tolerances, and bodies of the MJCF whose mass is computed from geoms.
+    ``of`` contains the arguments of the module ``causes`` of a tool: robot, tree of the MJCF,
+    differences, tolerances, and bodies of the MJCF whose mass is computed from geoms.
     """
     modules = (
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()

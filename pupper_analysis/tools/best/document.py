@@ -29,7 +29,7 @@ _OBJECTIVE_TEXTS = {
 
 @build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
-    """Create the document of a best stance: the simulated stand, and the result of the search."""
+    """Create the document of a search for the best stance: the simulated stand, and the search."""
     stand_document = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
     # The largest motor load is a detail: line 1 states it if it is the objective.

@@ -74,10 +74,11 @@ if derivatives are not known in closed form (`StanceSearch.differentiate_rows`).
 tuned."""
 
 _SLACK_REDUCTION = 1e-6
-"""Amount by which the nonlinear program reduces the slacks (distances from the bounds) of its
-constraints, so that descents end at stances without violations despite SLSQP's tolerance. It is
-1e-6 rad for joint limits and 0.1 um for the CoM margin; see `StanceSlack.to_vector`. The slack of
-the penetration is not reduced. Chosen, not tuned."""
+"""Amount by which the nonlinear program reduces the scaled slacks (distances from the bounds) of
+its
+constraints, so that descents end at stances without violations despite SLSQP's tolerance. The slack
+of the penetration is not reduced. Chosen, not tuned.
+"""
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum

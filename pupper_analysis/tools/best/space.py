@@ -210,7 +210,7 @@ class StanceSpace:
 
     @property
     def is_symmetric(self) -> bool:
-        """True if the initial stand task counts as left-right symmetric.
+        """True if base pose, ground and feet of the initial stand task are left-right symmetric.
 
         Tasks with moved feet or steps do not count as symmetric. Contacts, for example, are not
         checked.

@@ -69,7 +69,10 @@ class Role(StrEnum):
 FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
     Path(__file__).with_name("fields.toml").read_text("utf-8")
 )
-"""Content of ``fields.toml``: quantities, and names of concepts in each format."""
+"""Content of ``fields.toml``: the compared quantities, such as kp, and the names of keys in each
+file
+format.
+"""
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]
 """{concept, such as joint names: keys that file formats use for the concept, the preferred first}.

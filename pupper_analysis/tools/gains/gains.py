@@ -95,8 +95,9 @@ MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 """Bounds of the accepted resolution of a joint encoder [bits per turn]. Chosen, not tuned."""
 
 _REFERENCE_FREQUENCY = 50.0
-"""Natural frequency sqrt(kp / inertia) [rad/s] of the first tried gains that are proportional to
-inertia. Chosen, not tuned."""
+"""Natural frequency sqrt(kp / inertia) [rad/s] of each joint with the first gains of a search for
+gains that are proportional to joint inertia. Chosen, not tuned.
+"""
 
 _NEAR_POWER = 6
 """Largest sum of the magnitudes of two exponents (of 2, for factors on kp and kd) up to which all
@@ -269,7 +270,7 @@ class GainStudy(Result):
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
-        """Joint classes whose present kp or kd exceeds the bound of a torque limit or encoder."""
+        """Joint classes whose kp exceeds the bound of a torque limit, or kd that of the encoder."""
         return tuple(
             one
             for one in self.classes

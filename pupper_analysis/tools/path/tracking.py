@@ -337,9 +337,9 @@ def study_path(
 
 
 def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
-    """Return the stances of a path to a stand, from the nominal base pose and CoM position.
+    """Return the stand tasks on a path that starts at the nominal base pose and ends at a stand.
 
-    If the stand lifts a foot, a stance with all feet on the ground is in between.
+    If the stand lifts a foot, a task with all feet on the ground is in between.
     """
     task = stand.task
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()

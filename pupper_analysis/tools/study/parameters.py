@@ -223,9 +223,10 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 def _add_offsets(
     offsets: dict[str, Array], robot: Robot, name: str, pattern: VariablePattern, offset: float
 ) -> None:
-    """Add an offset [m] of the CoM to the offsets of all matching bodies, in place.
+    """Add an offset [m] along an axis to the CoM offsets of all bodies that match a variable.
 
-    ``offsets`` is {joint that moves the body, "" for the base: offset of the body's CoM, (3,) [m]}.
+    ``offsets`` is {joint that moves the body, "" for the base: offset of the body's CoM, (3,) [m]},
+    and changed in place.
     """
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))

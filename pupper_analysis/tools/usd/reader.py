@@ -324,7 +324,8 @@ by this value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
     """Return the inertials of root and moving bodies with mass, each merged with the fixed bodies.
 
-    MuJoCo refuses a degenerate ``fullinertia``, for example that of a thin rod, even on a fixed
+    Reason: MuJoCo refuses a degenerate ``fullinertia``, for example that of a thin rod, also of a
+    fixed
     body.
     """
     inertials: dict[str, Inertial] = {}

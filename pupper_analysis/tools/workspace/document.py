@@ -229,5 +229,7 @@ _ROW_HEIGHT, _PANEL_HEIGHT = 0.3, 0.7
 """Height of a direction, and of title and axis of a panel [inch]. Chosen, not tuned."""
 
 _LABEL_MARGIN = 0.3
-"""Free width on each side of the bars of a panel, relative to their common range, for the limits.
-Chosen, not tuned."""
+"""Free width on each side of the bars of a panel for the labels of the limits, relative to the
+common
+range of the bars. Chosen, not tuned.
+"""

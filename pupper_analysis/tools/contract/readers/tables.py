@@ -546,7 +546,7 @@ def _describe_unread_terms(view: _View) -> dict[str, Diagnostic]:
 
 
 def _find_unread_operation(name: str, term: LocatedValue) -> str | None:
-    """Return an operation of a term that `ObservedTerm` cannot contain; None without.
+    """Return an operation of an observation term that `ObservedTerm` cannot contain; None without.
 
     The offset of joint positions as first operation is a default angle, and can be read.
     """

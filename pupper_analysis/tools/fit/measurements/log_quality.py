@@ -256,7 +256,7 @@ def find_degrees(
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
     """Compare the units of two column groups: median over joints of std(first) / std(second) [1].
 
-    Both arrays have the shape (n, joints); NaN is ignored. None if no joint is suited.
+    Both arrays have the shape (n, joints); NaN is ignored. None if no joint moves in both.
     """
     is_finite = np.isfinite(first) & np.isfinite(second)
     pairs = [
