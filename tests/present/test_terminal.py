@@ -244,31 +244,6 @@ def test_answers_have_at_most_100_characters(name: str) -> None:
             assert len(line) <= MAX_ANSWER_WIDTH == 100
 
 
-_PAYLOAD_VALUES = {
-    **{"mass": "66.89 kg", "place": "0, 0, 0", "link": "base", "ground": ""},
-    "conditions": text("payload-conditions", alone="39.54 kg", peak=True, count=0),
-}
-_PUSH_VALUES = {"impulse": "15.11", "speed": "0.94", "direction": "240", "mass": "16.09"}
-_PATH_VALUES = {"still": True, "share": "14", "joint": "FL_calf_joint", "time": "0.40"}
-
-
-@pytest.mark.parametrize(
-    ("verdict", "key", "values"),
-    [
-        ("CARRIES (URDF only)", "payload-at-place", _PAYLOAD_VALUES),
-        ("WITHSTANDS (URDF only)", "weakest-at-directiondeg-impulse", _PUSH_VALUES),
-        ("TRACKED (URDF only)", "path-in-short", {"seconds": "4", **_PATH_VALUES}),
-    ],
-)
-def test_first_lines_fit_100_characters_with_a_long_name_of_a_robot(
-    verdict: str, key: str, values: dict[str, object]
-) -> None:
-    """Go2 from its URDF: these lines had up to 117 characters."""
-    line = text(key, **values).short
-    assert line
-    assert len(f"{verdict} go2_description: {line}") <= MAX_ANSWER_WIDTH
-
-
 def test_short_view_counts_the_findings_beyond_the_first() -> None:
     """Findings keep their numbers, by which `sync --take` selects them."""
     blocks = tuple(FileFinding(Name(f"finding {number}"), ()) for number in range(1, 12))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from pupper_analysis.present.document import Text
+from pupper_analysis.present.document import Text, text
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.path.command import command
@@ -38,3 +38,11 @@ def test_path_without_motion_names_the_options_of_a_goal() -> None:
     assert options >= {word.strip(",") for word in second.short.split() if word.startswith("--")}
     assert options >= set(re.findall(r"--[a-z]+", second.en))
     assert len(second.short) < MAX_ANSWER_WIDTH / 2
+
+
+def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
+    """Go2 from its URDF: the line had up to 117 characters."""
+    values = {"still": True, "share": "14", "joint": "FL_calf_joint", "time": "0.40"}
+    line = text("path-in-short", seconds="4", **values).short
+    assert line
+    assert len(f"TRACKED (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH

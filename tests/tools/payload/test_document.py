@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pupper_analysis.present.document import Text
+from pupper_analysis.present.document import Text, text
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
@@ -61,3 +62,12 @@ def test_short_answer_states_the_mass_without_the_limit() -> None:
         if isinstance(words, Text) and words.short.startswith("limit: ")
     ]
     assert limit.endswith("; without this limit 4.56 kg")
+
+
+def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
+    """Go2 from its URDF: the line had up to 117 characters."""
+    conditions = text("payload-conditions", alone="39.54 kg", peak=True, count=0)
+    values = {"mass": "66.89 kg", "place": "0, 0, 0", "link": "base", "ground": ""}
+    line = text("payload-at-place", conditions=conditions, **values).short
+    assert line
+    assert len(f"CARRIES (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH

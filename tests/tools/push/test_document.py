@@ -10,8 +10,9 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import NextStep
+from pupper_analysis.present.document import NextStep, text
 from pupper_analysis.present.figures import drawing
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.simulation.verdict import Question, judge_stance
@@ -115,3 +116,11 @@ def test_push_limit_states_that_its_servos_were_added() -> None:
     result = make_push_result("one", 0.0, 0.00311)
     result.verdict = judge_added_servos(Question.LASTS)
     assert ADDED_SERVOS_TEXT in " ".join(print_words(push_document(result)))
+
+
+def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
+    """Go2 from its URDF: the line had up to 117 characters."""
+    values = {"impulse": "15.11", "speed": "0.94", "direction": "240", "mass": "16.09"}
+    line = text("weakest-at-directiondeg-impulse", **values).short
+    assert line
+    assert len(f"WITHSTANDS (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
