@@ -488,8 +488,8 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
                 raise click.UsageError(str(diagnose(code, given=given, wanted=wanted)), context)
 
 
-_NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?[a-z°]*", re.IGNORECASE)
-"""Pattern of a word that is a number with or without a unit: ``8``, ``-45deg``, ``1e-3``."""
+_NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?([a-z°µ]*|%)", re.IGNORECASE)
+"""Pattern of a word that is a number, with or without letters or % as unit: ``8``, ``-45deg``."""
 
 
 def _refuse_separate_values(

@@ -228,7 +228,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     Raises:
         ModelError: For example if a package or a description is not found, or the name is a web
             address.
-        UnknownNameError: If MuJoCo Menagerie has no such robot.
+        UnknownNameError: If a name with the prefix ``mujoco_menagerie/`` is unknown.
     """
     word = str(model)
     if found := _PACKAGE_START.match(word):

@@ -121,6 +121,10 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         (("stand", "v3-heavy.urdf"), "did you mean v3-heavy?"),
         (("stand", "zebra.urdf"), "zebra.urdf: there is no such file\n"),
         (
+            ("fit", "v3", "--plan", "3", "--prior", "mass", "20%"),
+            "write one word without blanks: --prior mass=20%",
+        ),
+        (
             ("audit", "GO2"),
             "'GO2' is not valid; did you mean unitree_go2? known variants: original",
         ),

@@ -63,8 +63,8 @@ PATTERN_KINDS = {
         LINK_STANCE_KINDS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"
     ),
 }
-"""{kind of a study variable ``KIND:PATTERN``: meaning}. The values of a variable are factors on
-numbers of the model files, except for `ADDITIVE_KINDS`."""
+"""{kind of a study variable ``KIND:PATTERN``: meaning}. The values of a variable are factors,
+except for `ADDITIVE_KINDS`."""
 
 COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
 """Kinds of variables ``KIND:PATTERN`` that are offsets of centres of mass [m], along x, y and z of
