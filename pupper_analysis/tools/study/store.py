@@ -184,10 +184,12 @@ class Store:
         for path in sorted(self.shards.glob("*.parquet")):
             try:
                 # A memory-mapped file would stay open.
-                yield pq.read_table(path, columns=columns, memory_map=False)
-            except (OSError, pa.ArrowException) as error:
+                table = pq.read_table(path, columns=columns, memory_map=False)
+                table.column("design")
+            except (OSError, KeyError, pa.ArrowException) as error:
                 finding = diagnose("shard-damaged", file=path.name, problem=str(error))
                 raise StudyError(self.folder, finding) from error
+            yield table
 
 
 def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:

@@ -601,16 +601,18 @@ def read_study(folder: str | Path) -> pd.DataFrame:
     Raises:
         StudyError: If the folder contains no study, the definition is damaged or has another
             format, or a file with results (shard) is damaged.
-        MissingPackageError: If pandas is not installed.
+        MissingPackageError: If pandas or pyarrow is not installed.
     """
     check_type("folder", folder, str | Path)
-    require_library("pandas")
+    for library in ("pandas", "pyarrow"):
+        require_library(library)
     store = Store(Path(folder))
     request = store.read_request()
     try:
         study, digest = request["study"], str(request["digest"])
         variables = {name: make_variable(name, values) for name, values in study["vary"].items()}
         check_type("seed", study["seed"], int)
+        check_type("samples", study.get("samples"), int | None)
         sampling = Sampling(variables, study.get("samples"), study["seed"])
     except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
         problem = getattr(error, "diagnostic", str(error))

@@ -476,6 +476,9 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
     shard.write_bytes(shard.read_bytes()[:-5])
     with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*delete the file"):
         pa.read_study(tmp_path)
+    pd.DataFrame({"other": [1.0]}).to_parquet(shard)
+    with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*design"):
+        pa.read_study(tmp_path)
     for values in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="does not contain a valid request"):
@@ -486,6 +489,11 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="seed"):
             pa.read_study(tmp_path)
+    sampled = request | {"seed": 0, "samples": 2.5, "vary": {"kp": {"uniform": [5, 6]}}}
+    values = {"format": 1, "digest": "a", "study": sampled}
+    (tmp_path / "study.json").write_text(json.dumps(values))
+    with pytest.raises(pa.StudyError, match="samples"):
+        pa.read_study(tmp_path)
     (tmp_path / "study.json").write_text('{"format": 99}')
     with pytest.raises(pa.StudyError, match="another version"):
         pa.read_study(tmp_path)
