@@ -175,7 +175,7 @@ class Pictured:
         closed, and None is returned.
 
         Args:
-            robot: Robot of the result; necessary for a result from another process.
+            robot: Robot of the result; necessary, for example, for a stand from another process.
             **options: Of the picture: ``size`` (width, height) [pixel], ``azimuth`` and
                 ``elevation`` of the camera in MuJoCo's convention [deg].
 
@@ -194,7 +194,7 @@ class Pictured:
         package ``imageio[ffmpeg]`` an MP4; ``animation.frames`` contains the pixels.
 
         Args:
-            robot: Robot of the result; necessary for a result from another process.
+            robot: Robot of the result; necessary, for example, for a stand from another process.
             **options: ``size`` (width, height) [pixel], ``azimuth`` and ``elevation`` of the camera
                 in MuJoCo's convention [deg].
 

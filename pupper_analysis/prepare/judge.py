@@ -414,8 +414,9 @@ tungsten. The radius is chosen, not tuned."""
 def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies that are denser than tungsten for any possible shape.
 
-    The volume of a body is that of a ball around the CoM. The ball contains the geoms, the frame of
-    the body and the frames of the child bodies. Bodies without geoms, for example, are omitted.
+    The volume of a body is that of a ball around the CoM, of at least a minimum radius. The ball
+    contains the geoms, the frame of the body and the frames of the child bodies. Bodies without
+    geoms, for example, are omitted.
 
     Returns:
         The message; None without such bodies.

@@ -376,7 +376,7 @@ class Published:
     def worst(self) -> PublishedRun | None:
         """Worst simulation that deviates from the computed equilibrium; None if none does.
 
-        A simulation with a collapse is worse than a simulation without a collapse.
+        A collapse is worst, then the simulation with feed-forward torques.
         """
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

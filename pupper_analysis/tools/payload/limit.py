@@ -282,7 +282,7 @@ class PayloadLimit(Result):
 
     @property
     def unknown_reasons(self) -> tuple[Diagnostic, ...]:
-        """Reasons why ``mass`` is not a number: torque limits or link masses that no file states.
+        """Reasons why ``mass`` is not a number: unknown torque limits, or links without valid mass.
 
         Empty if ``mass`` is known.
         """
