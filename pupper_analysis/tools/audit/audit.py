@@ -92,6 +92,7 @@ def audit_model(
         )
         message = diagnose("rules-unknown", names=unknown, alike=list(alike), known=RULES)
         raise ConfigurationError("disabled", message)
+    request = make_xacro_request([path], packages, xacro=xacro, arguments=xacro_args)
     reader = reader_of(path)
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
         warnings.simplefilter("ignore")  # MuJoCo's warnings are replaced by findings
@@ -99,7 +100,6 @@ def audit_model(
             assert isinstance(path, str | Path)  # objects have no reader
             read = reader.read_file(Path(path))
             return _run_rules(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
-        request = make_xacro_request([path], packages, xacro=xacro, arguments=xacro_args)
         file = read_model(path, packages, request)
         name = str(file.path if is_object(path) else path)
         return _run_rules(name, file, _read_stated_model(file), unwanted, {})

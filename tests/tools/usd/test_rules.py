@@ -109,3 +109,9 @@ def test_sound_usd_file_has_no_finding_of_usd_rules(tmp_path: Path) -> None:
     assert audit.format == "usd"
     assert audit.passed
     assert not {found.rule for found in audit.findings} & set(SLIPS)
+
+
+def test_xacro_arguments_of_a_usd_file_are_refused(tmp_path: Path) -> None:
+    for options in ({}, {"xacro": True}):
+        with pytest.raises(pa.ConfigurationError, match="xacro"):
+            pa.audit_model(usd.write(tmp_path), xacro_args={"a": "b"}, **options)
