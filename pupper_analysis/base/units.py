@@ -100,7 +100,7 @@ MIXED_UNITS: Final = JointUnits(
 def combine_joint_units(units: Iterable[JointUnits]) -> JointUnits:
     """Return the units for a table of several joints: the common units, or `MIXED_UNITS`.
 
-    `HINGE_UNITS` without joints.
+    Without joints, the result is `HINGE_UNITS`.
     """
     different = set(units)
     return MIXED_UNITS if len(different) > 1 else next(iter(different), HINGE_UNITS)

@@ -217,7 +217,7 @@ _NAN_FREE_FIELDS = (
 """Fields of ``mjModel``, such as ranges and gains, that must not contain NaN; infinity is valid."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
-"""{prefix of an array of ``mjModel``: tag of the element in an MJCF}, if both differ."""
+"""{key of `_BOUNDED_FIELDS`: tag of the element in an MJCF}, if both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:

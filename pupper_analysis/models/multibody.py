@@ -301,7 +301,7 @@ def _find_links(model: pin.Model) -> dict[int, str]:
 
 
 _BODY_FIELDS = ("mass", "com", "inertia")
-"""Fields of `TreeBody` that a comparison of two models evaluates; also the kinds of differences."""
+"""Fields of `TreeBody` that a comparison evaluates; also the kinds of differences of bodies."""
 
 _JOINT_FIELDS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},

@@ -194,7 +194,7 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
     """Return the names of actuators; without a name, the name of the joint, else "#3" etc."""
 
     def find_name(actuator: int) -> str:
-        """Return the name of an actuator; without a name, the name of its joint, else "#3" etc."""
+        """Return the name of an actuator; without a name, that of its hinge or slide, else "#3"."""
         named = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, actuator)
         if named or not is_at_one_joint(model, actuator):
             return named or f"#{actuator}"
@@ -291,7 +291,7 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield servo biases, gains unequal to the stiffness, and delays as candidate causes."""
+    """Yield servo biases, gains unequal to the stiffness, and delays as causes of a deviation."""
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]

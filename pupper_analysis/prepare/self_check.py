@@ -710,7 +710,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def _list_pose_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the keyframe of a simulation as cause if its base is tilted from the start pose."""
+    """Return the keyframe of a simulation as cause if it tilts the base far from the start pose."""
     upright = place_published(published, robot, robot.home)
     if not run.keyframe or upright is None:
         return ()

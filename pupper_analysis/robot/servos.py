@@ -439,12 +439,14 @@ def find_servos_used(
 ) -> ServosUsed:
     """Summarise the servos of a robot for a report: source, smallest and largest gains.
 
-    If this package added servos, the gains are those of the added servos, unless gains are passed.
+    The gains are ``kp`` and ``kd`` if passed, else those of servos that this package added, else
+    those
+    of the model.
 
     Args:
         robot: Robot.
-        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
-        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
+        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,); None if not passed.
+        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,); None if not passed.
 
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range.

@@ -36,9 +36,10 @@ with dry friction have a spectral radius of 1.041 with ``DIFFERENCE_STEP``, and 
 step."""
 
 _RATE_TOLERANCE = 0.3
-"""Largest relative difference between the growths per time step, |eigenvalue| - 1, of two modes
-that count as the same mode [1]. The modes come from the spectra with the two finite-difference
-steps. Chosen, not tuned."""
+"""Largest relative difference [1] between the growths per time step, |eigenvalue| - 1, of two modes
+that count as the same mode. The modes are computed with two finite-difference steps. Chosen, not
+tuned.
+"""
 
 _EQUAL_GROWTH_RTOL = 1e-3
 """Upper bound of the relative difference between the growths per time step [1] of a mode with and a

@@ -43,8 +43,10 @@ _FOOT_ERROR_STEP = 1e-6
 depends on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
-"""Step [rad or m] to which costs of branch combinations are rounded before sorting, so that the
-order rarely depends on rounding errors. Chosen, not tuned."""
+"""Step [rad or m] to which joint distances of combined IK branches are rounded before sorting, so
+that
+the order rarely depends on rounding errors. Chosen, not tuned.
+"""
 
 _MAX_BRANCHES = 6
 """Upper bound of the number of IK branches that are kept per limb: those with the smallest foot

@@ -269,7 +269,7 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
-        """Return the distances of the joints from the finite joint limits, shape (n,) [rad, m].
+        """Return the distances of the joints from the finite limits in ``targets``, (n,) [rad, m].
 
         First the distances from lower limits, then from upper limits; negative beyond a limit.
         """

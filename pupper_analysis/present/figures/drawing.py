@@ -328,7 +328,7 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with the given symbols below a figure."""
+    """Add a legend with the given symbols at the lower edge of a figure."""
     for rows in range(1, len(handles) + 1):
         legend = figure.legend(handles=list(handles), loc="lower center",
                                ncols=-(-len(handles) // rows), fontsize=FONT_SIZE,

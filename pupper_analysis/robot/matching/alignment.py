@@ -137,10 +137,11 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation of a joint and its body between two trees, in bits.
+    """Return the deviation of a joint and its body between two trees, as a number without unit.
 
-    The result is the sum of the `measure_deviation_bits` of the joint, the body that it moves, the
-    frames on this body, and the placements of the child joints.
+    The result is a sum of `measure_deviation_bits`, log2(1 + deviation / tolerance), of the joint,
+    the
+    body that it moves, the frames on this body, and the placements of the child joints.
 
     Args:
         first: First tree.

@@ -254,13 +254,14 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
 
 
 def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Fix the floating and planar joints of a URDF, in place; list all movable joints by type.
+    """Change floating and planar joints of a URDF to fixed joints, in place; list the other joints.
 
     Args:
         root: Root element of the URDF; modified.
 
     Returns:
-        Names of the hinges and slides; names of the fixed joints; diagnostics of the fixed joints.
+        Names of the hinges and slides; names of the changed joints; diagnostics of the changed
+        joints.
     """
     moving, others, notes = [], [], []
     for name, joint in UrdfTree(root).joints.items():

@@ -41,7 +41,9 @@ of a motor that is not known to reach its limit. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Lowest and highest accepted temperature [degC] of the air and of the limit. Chosen, not tuned."""
+"""Lowest and highest accepted temperature [degC] of the ambient air and of the winding's limit.
+Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)

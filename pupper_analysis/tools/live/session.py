@@ -129,7 +129,7 @@ class Panels:
 
 QUIET_SECONDS = 0.15
 """Age [s] of the shown stance from which the slower analysis (static deflection, stability,
-explanation of a refusal) starts, unless a simulation is queued. Chosen, not tuned."""
+explanation of a refusal) starts, if no simulation is queued. Chosen, not tuned."""
 
 _FRAME_PERIOD = 1 / 30
 """Time [s] between two pictures of a simulated motion. Chosen, not tuned."""

@@ -428,7 +428,7 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
-    """Return the part of an error message with the time [s] and the two stances of a sample.
+    """Return the part of an error message with the time [s] of a sample and the stances around it.
 
     ``index`` is the index of the sample in the path; a segment has the duration ``duration`` [s].
     """

@@ -303,7 +303,7 @@ def try_files(
     mjcf: tuple[MjcfFile, Path | None],
     names: Mapping[str, str],
 ) -> None:
-    """Verify new model files: read copies with both engines, and check the requested numbers.
+    """Verify new model files: read temporary copies with both engines, and check the new numbers.
 
     Args:
         contents: {path in the folder: content}.

@@ -164,7 +164,7 @@ only numbers of joints and actuators are read from such a file."""
 
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yield kp [N m/rad, N/m] and kd [N m s/rad, N s/m] of an actuator at a joint, with lines.
+    """Yield kp [N m/rad, N/m] and kd [N m s/rad, N s/m] of a servo at a joint, with lines.
 
     ``drive`` is the id of the actuator.
     """
