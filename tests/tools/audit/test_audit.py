@@ -1759,3 +1759,24 @@ def test_efforts_are_not_compared_with_placeholder_masses(mass: str, tmp_path: P
     rules = {finding.rule for finding in audit_model(path).findings}
     expected = "inertial-placeholder" if mass == "0.01" else "effort-placeholder"
     assert rules & {"inertial-placeholder", "effort-placeholder"} == {expected}
+
+
+def test_visual_geoms_add_no_mass_if_inertias_are_not_computed_from_geoms(tmp_path: Path) -> None:
+    """With inertiafromgeom="false" MuJoCo computes no mass from geoms."""
+    path = tmp_path / "robot.xml"
+    body = (
+        '<body name="{name}" pos="0 {y} 1"><joint name="{name}"/>{inertial}'
+        '<geom name="{name}_ball" size="0.05"/>'
+        '<geom name="{name}_box" type="box" size="0.1 0.1 0.1" contype="0" conaffinity="0"/></body>'
+    )
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+    bodies = body.format(name="a", y=0, inertial=inertial)
+    for option, count in (("auto", 1), ("false", 0)):
+        path.write_text(
+            f'<mujoco><compiler inertiafromgeom="{option}" boundmass="1e-6"/><worldbody>{bodies}'
+            f"{body.format(name='b', y=1, inertial='')}</worldbody></mujoco>"
+        )
+        audit = audit_model(path)
+        findings = [item for item in audit.findings if item.rule == "visual-adds-mass"]
+        found = [item.element for item in findings]
+        assert found == ["geom 'b_box'"] * count, option

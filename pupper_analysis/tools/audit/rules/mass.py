@@ -249,10 +249,12 @@ reports this link instead of the base as too heavy for the motors. Chosen, not t
 def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find visual geoms without stated mass that add to a mass which MuJoCo computes from geoms.
 
-    If all mass of a body is from visual geoms, the mass may be intended: then meshes of MuJoCo's
+    If the mass of a body is only from such geoms, it may be intended: then only meshes of MuJoCo's
     default density are reported.
     """
     compiler = robot.file.spec.compiler
+    if compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
+        return
     low, high = compiler.inertiagrouprange
     for body in robot.file.spec.bodies:
         if body.name == "world" or (body.explicitinertial and compiler.inertiafromgeom != 1):
