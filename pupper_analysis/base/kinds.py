@@ -169,7 +169,7 @@ RECORD_KIND: Final = OutputKind(
 those of a plan of stands (`PLAN_KIND`)."""
 
 OFFSETS_KIND: Final = OutputKind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
-"""CSV file with the fitted offset of each joint."""
+"""CSV file with the fitted encoder offsets of joints."""
 
 MODEL_KIND: Final = OutputKind("model")
 """Model file. Users edit models, so an existing file with another content is replaced only with

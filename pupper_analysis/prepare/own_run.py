@@ -118,11 +118,11 @@ def own_run(robot: Robot) -> OwnRun | None:
 def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     """Return the compiled model of the published file, with the MuJoCo options that the caller set.
 
-    The published file is the MJCF of the user, or MuJoCo's import of a URDF without MJCF.
+    The published file is usually the MJCF of the user, or MuJoCo's import of a URDF without MJCF.
 
     Returns:
-        Model, with a floor if necessary (`compile_published_model`). None, for example, if the
-        robot has no file.
+        Model, with a floor if necessary (`compile_published_model`). None, for example, if MuJoCo
+        cannot import the URDF.
     """
     if robot.published is None:
         return None

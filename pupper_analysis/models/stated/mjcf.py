@@ -289,7 +289,8 @@ ParameterValues = tuple[float, ...]
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
-    If the attribute is not set, the result is the location of the geom or its body.
+    If the attribute is not set, the result is the location of the geom or its body. For a geom
+    without a name, it may be the location of a neighbouring geom.
 
     Args:
         file: The file.

@@ -132,7 +132,7 @@ QUIET_SECONDS = 0.15
 explanation of a refusal) starts, if no simulation is queued. Chosen, not tuned."""
 
 _FRAME_PERIOD = 1 / 30
-"""Time [s] between two pictures of a simulated motion. Chosen, not tuned."""
+"""Pause [s] after each picture of a simulated motion. Chosen, not tuned."""
 
 
 class Session:

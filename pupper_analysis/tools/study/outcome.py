@@ -247,8 +247,7 @@ def compute_main_effects(
 
     For a full factorial (all combinations of lists of values), the fraction is eta squared: the
     variance of the group means of the metric, divided by the total variance. A group contains the
-    designs with the same value of the variable. The remainder to 1 is due to several variables
-    together.
+    designs with the same value of the variable.
 
     For samples, the fraction is epsilon squared, which corrects eta squared for the number of
     designs. If a variable has more than `MAX_VALUE_CELLS` different values, the groups are

@@ -53,7 +53,7 @@ def write_template(
 
     Raises:
         ModelError: If the policy cannot be read.
-        OutputError: If the file cannot be written, or exists and the run does not replace files.
+        OutputError: If the file cannot be written, or would replace another file.
     """
     network, statements = read_statements(policy, deployment)
     stated = {key: one for one in statements for key in one.values}
