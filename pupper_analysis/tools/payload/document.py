@@ -99,15 +99,26 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
     return text(
         "carries-with-limits",
         file=name_only_format(limit.verdict.converted),
+        compensated=_carries_only_with_feedforward(limit),
         **_describe_torque_limits(limit),
     )
+
+
+def _carries_only_with_feedforward(limit: PayloadLimit) -> bool:
+    """Return True if the payload needs gravity compensation and no mass without it is computed."""
+    return limit.depends_on_feedforward and math.isnan(limit.mass_by_commands_alone)
+
+
+def _describe_mass_by_commands_alone(limit: PayloadLimit) -> doc.Words | str:
+    """Return the mass that is carried without gravity compensation; "" if not computed."""
+    mass = limit.mass_by_commands_alone
+    return "" if math.isnan(mass) else mass_text(mass)
 
 
 def _describe_torque_limits(limit: PayloadLimit) -> dict[str, object]:
     """Return the conditions of a payload as values of a text, such as the kind of torque limits."""
     count = len(limit.joint_torques) - len(limit.continuous) if limit.continuous else 0
     return {
-        "compensated": limit.depends_on_feedforward,
         "continuous": bool(limit.continuous) and not count,
         "peak": not limit.continuous,
         "part": bool(count),
@@ -124,6 +135,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
         mass=mass_text(limit.upper_bound),
+        alone=_describe_mass_by_commands_alone(limit),
         ground=ground_word(limit.stand.depths.values()),
         beside=bool(np.any(limit.point)),
         none=limit.upper_bound == 0,
@@ -133,11 +145,10 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 def _describe_conditions(limit: PayloadLimit) -> doc.Text:
     """Return the conditions of a payload: gravity compensation, mass without it, torque limits."""
-    mass = limit.mass_by_commands_alone
     return text(
         "payload-conditions",
-        alone="" if math.isnan(mass) else mass_text(mass),
-        only=limit.depends_on_feedforward and math.isnan(mass),
+        alone=_describe_mass_by_commands_alone(limit),
+        only=_carries_only_with_feedforward(limit),
         **_describe_torque_limits(limit),
     )
 

@@ -71,3 +71,19 @@ def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     line = text("payload-at-place", conditions=conditions, **values).short
     assert line
     assert len(f"CARRIES (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
+
+
+def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
+    """The answer with `-v` stated "only with gravity compensation", without the second mass."""
+    result = make_payload_result()
+    result.depends_on_feedforward = True
+    result.mass_by_commands_alone = 0.5
+    answer = payload_document(result)
+    (mass,) = [
+        words
+        for words in answer.findings
+        if isinstance(words, Text) and words.en.startswith("largest payload ")
+    ]
+    assert mass.en.startswith("largest payload 1.23 kg with gravity compensation, 0.50 kg without")
+    assert " gravity-compensated, 0.50 kg without" in mass.short
+    assert "only with gravity compensation" not in " ".join(print_words(answer))
