@@ -18,9 +18,9 @@ import re
 import statistics
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -188,11 +188,11 @@ def measure_both(
     if not commit or ask("rev-parse", "--is-shallow-repository") == "true":
         return now, then
     with tempfile.TemporaryDirectory() as folder:
-        packed = Path(folder) / "state.tar"
+        packed = Path(folder) / "state.zip"
         make = ["git", "-C", str(root), "archive", "-o", str(packed), commit]
         subprocess.run(make, check=True)
-        with tarfile.open(packed) as archive:
-            archive.extractall(Path(folder) / "state", filter="data")
+        with zipfile.ZipFile(packed) as archive:
+            archive.extractall(Path(folder) / "state")
         for _ in range(TRIES):
             for state, found in ((root, now), (Path(folder) / "state", then)):
                 for name, ratio in measure_state(state, variant, names).items():
