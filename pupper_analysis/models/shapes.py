@@ -7,12 +7,14 @@ are computed from these terms, independently of the kind of shape.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import product
 from typing import Final, NamedTuple
+from weakref import WeakValueDictionary
 
 import coal  # comes with pin
 import mujoco
@@ -97,14 +99,26 @@ class Mesh:
         return Mesh(self.vertices[numbers], new_numbers[faces])
 
     def hull(self) -> Mesh:
-        """Return the convex hull of this mesh, or the mesh itself if it has no hull (flat)."""
+        """Return the convex hull of this mesh, or the mesh itself if it has no hull (flat).
+
+        Meshes with equal vertices share a hull while it is in use: two versions of a file usually
+        have equal meshes, and a hull takes about 30 ms.
+        """
         from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
+        content = hashlib.sha256(self.vertices.tobytes()).digest()
+        if (known := _HULLS.get(content)) is not None:
+            return known
         try:
             hull = ConvexHull(self.vertices)
         except (QhullError, ValueError):
             return self
-        return self.select(hull.vertices, hull.simplices)
+        _HULLS[content] = result = self.select(hull.vertices, hull.simplices)
+        return result
+
+
+_HULLS: WeakValueDictionary[bytes, Mesh] = WeakValueDictionary()
+"""{SHA-256 of the vertices of a mesh: its convex hull}, of hulls that are in use."""
 
 
 def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
