@@ -196,7 +196,8 @@ def remove_parts(
     """
     if not any(removals):
         return []
-    urdf, mjcf = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
+    urdf = urdf_tree(trees[0].root, files[0])
+    mjcf = mjcf_tree(compile_spec(trees[1].spec.copy(), files[1]))
     notes = []
     for tree, alternatives_by_joint, own_tree, other_tree, file_types in (
         (trees[0], removals[0], urdf, mjcf, ("URDF", "MJCF")),
@@ -430,7 +431,7 @@ def _prepare_trees(urdf: UrdfFile, mjcf: MjcfFile, *, with_shapes: bool) -> _Pre
     scene_model = compile_spec(spec.copy(), mjcf.path)  # includes the objects removed below
     scene_notes = drop_other_objects(spec, mjcf.path, root)
     mjcf_joints, balls, ball_notes = delete_ball_joints(spec, mjcf.path)
-    tree = mjcf_tree(spec, mjcf.path)
+    tree = mjcf_tree(compile_spec(spec.copy(), mjcf.path))
     root, root_notes = strip_roots(root, urdf.path, tree)
     urdf_joints, other_urdf_joints, fixed_notes = fix_other_joints(root)
     notes = [*naming_notes, *([joined] if joined else [])]
@@ -803,22 +804,22 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 
 
 def mjcf_tree(
-    spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
+    compiled: mujoco.MjModel, base: str = "", frames: Iterable[str] = ()
 ) -> multibody.MultibodyTree:
-    """Return the multibody tree of an MJCF, expressed in the base frame.
+    """Return the multibody tree of a compiled MJCF, expressed in the base frame.
 
     Args:
-        spec: The MJCF. All joints, except a free joint, must be hinges or slides with names.
-        source: File, for messages.
+        compiled: MuJoCo model. All joints, except a free joint, must be hinges or slides with
+            names.
         base: Name that the base gets in the tree.
         frames: Bodies and sites that become frames of the tree.
-
-    Raises:
-        ModelError: If MuJoCo cannot compile the spec.
     """
-    compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
-    names = [joint.name for joint in spec.joints if joint.type != JointKind.FREE]
+    names = [
+        compiled.joint(joint).name
+        for joint in range(compiled.njnt)
+        if compiled.jnt_type[joint] != JointKind.FREE
+    ]
     tree = multibody.from_pinocchio(model, base, names, {name: name for name in frames})
     if tree.floating or not names:
         return tree

@@ -161,7 +161,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     }
     return Version(
         file=published,
-        tree=with_null_efforts(mjcf_tree(spec, file.path, base, frames), null_efforts(file)),
+        tree=with_null_efforts(mjcf_tree(model, base, frames), null_efforts(file)),
         extra_values={**others, **_collect_motor_values(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,
