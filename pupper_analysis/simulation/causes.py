@@ -51,7 +51,7 @@ with the solvers CG and PGS, 0.02 to 0.12 of the nudge.
 
 
 def find_instability(
-    stability: Stability, nudge: Nudge | None, *, bounces: bool = False
+    stability: Stability, nudge: Nudge | None, *, is_harmless: bool = False
 ) -> list[Diagnostic]:
     """Create the messages that state why a stand is not stable: growing mode, or effect of a nudge.
 
@@ -62,13 +62,14 @@ def find_instability(
     Args:
         stability: Modes at the settled state of the simulation.
         nudge: Response to the nudge; None if the stand was not nudged.
-        bounces: Whether the remaining motion comes from a foot with almost no load that bounces,
-            and does not grow. If True, missing decay is not reported.
+        is_harmless: Whether the remaining motion is small and has a known harmless cause: a foot
+            with almost no load that bounces, or an error of MuJoCo's constraint solver
+            (`is_solver_error`). If True, missing decay is not reported.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
     is_noise = nudge is not None and nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
-    if nudge is not None and not (nudge.decayed or is_noise or bounces or messages):
+    if nudge is not None and not (nudge.decayed or is_noise or is_harmless or messages):
         after = Quantity(nudge.duration, "s")
         messages.append(
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)

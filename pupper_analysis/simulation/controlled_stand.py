@@ -32,10 +32,10 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.stability import (
-    DIFFERENCE_SOLVER_TOLERANCE,
     HOLD_DURATION,
     copy_data,
     select_most_moving,
+    use_converged_solver,
 )
 from pupper_analysis.simulation.rollout import StandStart
 
@@ -215,7 +215,7 @@ class ControlledStand:
         model = copy.copy(self.model)
         model.dof_frictionloss[:] = 0.0
         model.tendon_frictionloss[:] = 0.0
-        model.opt.tolerance = min(float(model.opt.tolerance), DIFFERENCE_SOLVER_TOLERANCE)
+        use_converged_solver(model)
         model.opt.enableflags &= ~mujoco.mjtEnableBit.mjENBL_SLEEP.value
         size = 2 * model.nv + model.na
         state, inputs = np.zeros((size, size)), np.zeros((size, model.nu))

@@ -40,6 +40,7 @@ from pupper_analysis.simulation.shaking import (
 from pupper_analysis.simulation.stability import (
     count_nudged_steps,
     find_final_spectrum,
+    is_solver_error,
     measure_response,
     nudge_state,
 )
@@ -158,7 +159,10 @@ def comes_to_rest(
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
     response_alone = replace(spectrum, unstable=())
-    if find_instability(response_alone, nudge) or _has_left_stand(reference, nudged_states[-1]):
+    is_harmless = is_solver_error(model, state, held.ctrl, nudge, last_second)
+    if find_instability(response_alone, nudge, is_harmless=is_harmless) or _has_left_stand(
+        reference, nudged_states[-1]
+    ):
         return False
     touching = monitor.ContactSampler(held.robot, model).find_ground_bodies(nudged_states[-1])
     if not reference.check_stand(nudged_states[-1], touching).stands:

@@ -10,6 +10,7 @@ nudged simulation of the unmodified model confirms or refutes the modes that gro
 from __future__ import annotations
 
 import contextlib
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -24,7 +25,13 @@ from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.robot.fall import NUDGE_SPEED, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
-from pupper_analysis.robot.stability import SETTLING_TIME, Stability, judge_settled, step_stability
+from pupper_analysis.robot.stability import (
+    SETTLING_TIME,
+    Stability,
+    judge_settled,
+    step_stability,
+    use_converged_solver,
+)
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.rollout import (
@@ -426,26 +433,59 @@ with which the motion does not grow. Chosen between 1 and 5: the ratio of irregu
 about 1, and growth that doubles in 12 s has a ratio of 2^(28/12) = 5."""
 
 
-def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:
+def remains_small(
+    model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge, creep: Array | None = None
+) -> bool:
     """Continue a nudged simulation; return True if the remaining motion stays small.
 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. This
     is no failure if joint displacements stay small for `BOUNCING_TIME`, and speeds are small at the
-    end.
+    end. Errors of the constraint solver are no failure under the same conditions.
 
     Args:
         model: MuJoCo model.
         end: State at the end of the nudged simulation (mjSTATE_FULLPHYSICS).
         ctrl: Actuator commands, shape (model.nu,).
         nudge: Response in the nudged simulation.
+        creep: States before the nudge, with which `measure_response` has measured ``nudge``.
     """
     known = max(nudge.motion, nudge.left)
     steps = round(BOUNCING_TIME / float(model.opt.timestep))
     states = simulate_commands(model, end, np.tile(ctrl, (steps, 1)))
-    further = measure_response(model, end, states)
+    further = measure_response(model, end, states, creep)
     is_finite = not monitor.has_diverged(states, float(model.opt.timestep))
     highest = min(_MAX_BOUNCE_RATIO * known, MAX_RESTING_SPEED)
     return is_finite and further.left <= highest and further.stays
+
+
+def is_solver_error(
+    model: mujoco.MjModel,
+    before: Array,
+    ctrl: Array,
+    nudge: Nudge,
+    creep: Array | None = None,
+) -> bool:
+    """Return True if the motion after a nudge is an error of MuJoCo's constraint solver.
+
+    The solvers CG and PGS end before contact forces converge, and the errors move a robot at rest.
+    Measured on Pupper v3 with CG: 4e-4 rad/s, and 4e-7 rad/s with the tolerance 1e-14. The nudge is
+    simulated again with converged forces (Newton). The motion is an error if it is slow
+    (`MAX_RESTING_SPEED`), moves no joint far, and decays with converged forces.
+
+    Args:
+        model: MuJoCo model; not changed.
+        before: State before the nudge (mjSTATE_FULLPHYSICS).
+        ctrl: Actuator commands, shape (model.nu,).
+        nudge: Response in the nudged simulation of ``model``.
+        creep: States before the nudge, with which `measure_response` has measured ``nudge``.
+    """
+    if nudge.decayed or not (nudge.stays and max(nudge.motion, nudge.left) < MAX_RESTING_SPEED):
+        return False
+    exact = copy.copy(model)
+    use_converged_solver(exact)
+    states = simulate_nudge(exact, before, ctrl, nudge.duration)
+    converged = measure_response(exact, before, states, creep)
+    return converged.decayed and converged.stays
 
 
 def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str]:

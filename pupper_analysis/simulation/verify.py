@@ -56,6 +56,7 @@ from pupper_analysis.simulation.stability import (
     BOUNCING_TIME,
     Nudge,
     evaluate_final_stability,
+    is_solver_error,
     measure_response,
     remains_small,
     simulate_nudge,
@@ -277,7 +278,8 @@ def verify_stand(
        prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height. Without
        feed-forward, the robot does not collapse (`StandVerification.collapses`).
     3. The robot comes to rest again near the stand after a nudge: a velocity of all coordinates
-       (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`).
+       (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`),
+       and the constraint solver may have small errors (`is_solver_error`).
     4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless a simulation
        refutes the mode.
 
@@ -352,7 +354,7 @@ def verify_stand(
     )
     result = replace(result, feedforward=feedforward)
     has_light_foot = len(loaded) < len(shares)
-    failures, stays, bounces = _evaluate_standing(
+    failures, stays, rest_cause = _evaluate_standing(
         robot, stand, held, run, record, reference, result, has_light_foot=has_light_foot
     )
     if feedforward:
@@ -363,7 +365,9 @@ def verify_stand(
     elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
-    notes = _describe_light_feet(record.lifted, shares, result.nudge if bounces else None)
+    notes = _describe_light_feet(record.lifted, shares)
+    if rest_cause is not None and result.nudge is not None:
+        notes.append(_describe_remaining_motion(rest_cause, result.nudge))
     if not result.collapses:
         notes += describe_refuted(result.stability)
     judged = replace(
@@ -388,29 +392,32 @@ def _evaluate_standing(
     result: StandVerification,
     *,
     has_light_foot: bool,
-) -> tuple[list[Diagnostic], bool, bool]:
-    """Return the failures of standing, whether the robot stays, and whether a foot bounces.
+) -> tuple[list[Diagnostic], bool, str | None]:
+    """Return the failures of standing, whether the robot stays, and a code of the remaining motion.
 
-    ``has_light_foot`` is True if a foot has a predicted load below `LIGHT_FOOT_LOAD`, and may
-    bounce.
+    The code is that of the note about the harmless cause of motion after the nudge (a bouncing
+    foot, or an error of the constraint solver); None without such motion. ``has_light_foot`` is
+    True if a foot has a predicted load below `LIGHT_FOOT_LOAD`, and may bounce.
     """
     failures = _find_standing_failures(robot, reference, run.states, record, result)
     if failures:
         failures += find_creep(robot, stand, held.prediction)
     nudge = result.nudge
-    # A light foot may bounce although the samples of the record show no lift.
-    bounces = bool(
-        has_light_foot
-        and not failures
-        and nudge is not None
-        and not nudge.decayed
-        and remains_small(held.drive.model, run.states[-1], held.ctrl, nudge)
-    )
-    failures += find_instability(result.stability, nudge, bounces=bounces)
+    cause = None
+    if not failures and nudge is not None and not nudge.decayed:
+        model = held.drive.model
+        # A light foot may bounce although the samples of the record show no lift.
+        if has_light_foot:
+            cause = "light-foot-bounces"
+        elif is_solver_error(model, run.last[-1], held.ctrl, nudge, run.last):
+            cause = "solver-error-moves"
+        if cause and not remains_small(model, run.states[-1], held.ctrl, nudge, run.last):
+            cause = None
+    failures += find_instability(result.stability, nudge, is_harmless=cause is not None)
     stays = not result.collapses and (
         not failures or _stands_despite_idle_feet(robot, record, result, failures)
     )
-    return failures, stays, bounces
+    return failures, stays, cause
 
 
 def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
@@ -460,13 +467,13 @@ def _is_fixed_without_feet(robot: Robot, stand: Stand) -> bool:
 
 
 def _describe_light_feet(
-    lifted: Mapping[str, float], shares: Mapping[str, float], bounce: Nudge | None
+    lifted: Mapping[str, float], shares: Mapping[str, float]
 ) -> list[Diagnostic]:
-    """Create a note for each foot with little load that left the ground, and a note about bouncing.
+    """Create a note for each foot with little load that left the ground.
 
     ``lifted`` contains the times of the first lifts [s], ``shares`` the fractions of the load [1].
     """
-    notes = [
+    return [
         diagnose(
             "light-foot-lifts",
             subject=("foot", foot),
@@ -475,11 +482,12 @@ def _describe_light_feet(
         )
         for foot, moment in lifted.items()
     ]
-    if bounce is not None:
-        after = Quantity(bounce.duration, "s")
-        further = Quantity(BOUNCING_TIME, "s")
-        notes.append(diagnose("light-foot-bounces", left=bounce.left, after=after, further=further))
-    return notes
+
+
+def _describe_remaining_motion(code: str, nudge: Nudge) -> Diagnostic:
+    """Create the note with this code about small motion that does not decay after a nudge."""
+    after, further = Quantity(nudge.duration, "s"), Quantity(BOUNCING_TIME, "s")
+    return diagnose(code, left=nudge.left, after=after, further=further)
 
 
 CREEP_TIME = 10.0

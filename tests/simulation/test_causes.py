@@ -100,6 +100,6 @@ def test_response_that_proves_unrest_is_a_failure_with_all_excuses(
         speed=0.0,
         uses_noslip_solver=False,
     )
-    bounces = left < MAX_RESTING_SPEED
-    reported = find_instability(stability, nudge, bounces=bounces)
+    is_harmless = left < MAX_RESTING_SPEED
+    reported = find_instability(stability, nudge, is_harmless=is_harmless)
     assert proves_unrest(nudge) == bool(reported)

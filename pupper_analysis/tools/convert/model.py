@@ -54,6 +54,7 @@ from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import (
     Nudge,
+    is_solver_error,
     judge_stability,
     measure_response,
     simulate_nudge,
@@ -415,7 +416,8 @@ def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRu
     start = full_state(model, data)
     nudge = measure_response(model, start, simulate_nudge(model, start, data.ctrl.copy(), duration))
     stability = judge_stability(model, data)
-    failures = tuple(find_instability(stability, nudge))
+    is_harmless = is_solver_error(model, start, data.ctrl.copy(), nudge)
+    failures = tuple(find_instability(stability, nudge, is_harmless=is_harmless))
     return KeyframeRun(model.key(0).name, stability, nudge, failures)
 
 
