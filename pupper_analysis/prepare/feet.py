@@ -414,25 +414,28 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
     )
 
 
-_CONTACT_POINT_TOLERANCE = 1e-6
+CONTACT_POINT_TOLERANCE = 1e-6
 """Upper bound of the displacement of a contact point between two successive fits of spheres to
 ellipsoids [m]. If a point moves farther, the fit is repeated. Chosen, not tuned.
 """
 
 
-def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
-    """Return True if a contact point differs by more than 1 um between two fits of the same feet.
+def measure_point_displacement(before: Sequence[Foot], after: Sequence[Foot]) -> float:
+    """Return the largest displacement of a contact point between two fits of the same feet [m].
 
-    Positions are compared in the frame of the geom's body. The result is False if ``before`` and
+    Positions are compared in the frame of the geom's body. The result is 0 if ``before`` and
     ``after`` contain different feet or geoms.
     """
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip
     if [(name, point.geom) for name, point in points[0]] != [(n, p.geom) for n, p in points[1]]:
-        return False
-    return any(
-        np.linalg.norm(old.center - new.center) > _CONTACT_POINT_TOLERANCE
-        for (_, old), (_, new) in zip(*points, strict=True)
+        return 0.0
+    return max(
+        (
+            float(np.linalg.norm(old.center - new.center))
+            for (_, old), (_, new) in zip(*points, strict=True)
+        ),
+        default=0.0,
     )
 
 
