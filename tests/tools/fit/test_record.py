@@ -409,6 +409,38 @@ def test_skipped_stand_names_the_part_that_touches_or_the_feet_that_carry(
     assert str(caught.value.finding) == f"stand s0 was skipped: {reason}"
 
 
+def test_foot_that_touches_another_leg_is_no_foot_on_the_ground() -> None:
+    """Reference: the bodies of contacts in bare MuJoCo, with the robot 1 m above the ground.
+
+    The normal force of such contacts counted as the ground's load on a foot. (The feet of v3 touch
+    no other part, by ``contype``.)
+    """
+    robot = load_variant("original")
+    one, random = SimulatedRobot(robot, 3), np.random.default_rng(0)
+    model, data = one._drive.model, one._data
+    data.qpos[2] = 1.0
+    while not data.ncon:
+        data.qpos[one._loaded.mj_convention.qpos_index[7:]] = random.uniform(-2, 2, robot.nu)
+        mujoco.mj_forward(model, data)
+    bodies = [model.body(model.geom_bodyid[geom]).name for geom in data.contact[0].geom]
+    assert any(int(geom) in one._loaded.foot_geoms for geom in data.contact[0].geom)
+    found = one.feet_up(tuple(robot.feet), ())
+    assert str(found) == f"{bodies[0]} touches {bodies[1]}"
+
+
+@pytest.mark.parametrize("timestep", [0.002, 0.003, 0.007])
+def test_clock_of_a_simulated_robot_is_that_of_the_simulation(
+    robot: Robot, timestep: float
+) -> None:
+    """Reference: MuJoCo's own time. With 3 ms steps, 0.020 s counted for 0.021 s."""
+    one = SimulatedRobot(robot, 3)
+    one._drive.model.opt.timestep = timestep
+    for _ in range(200):
+        one.wait(0.02)
+        assert one.now() == pytest.approx(one._data.time, abs=timestep / 2 + 1e-9)
+    assert one.now() == pytest.approx(4.0)
+
+
 class Faulty(SimulatedRobot):
     """Simulated robot with faults at given times [s]: a servo that stops following or has no
     torque, lost messages, a push, and a pressed key.

@@ -82,7 +82,7 @@ class SimulatedRobot:
         self.total_mass = self.robot.total_mass
         self.sent: list[Array] = []
         self._kd = gains.kd
-        self._time = 0.0
+        self._time = self._simulated_time = 0.0
         self._attach_loads({})
         self.send(robot.nominal + self.offset)
         self._place_on_feet(())
@@ -122,12 +122,16 @@ class SimulatedRobot:
     def wait(self, seconds: float) -> None:
         """Simulate the robot in MuJoCo for a duration [s] with the last command.
 
-        The duration is rounded to whole time steps, at least one.
+        The sum of all durations is rounded to whole time steps, since the rounding errors of
+        single durations would add up.
         """
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
-        mujoco.mj_step(model, data, nstep=max(1, round(seconds / model.opt.timestep)))
         self._time += seconds
+        steps = round((self._time - self._simulated_time) / model.opt.timestep)
+        if steps > 0:
+            mujoco.mj_step(model, data, nstep=steps)
+            self._simulated_time += steps * model.opt.timestep
 
     def close(self) -> None:
         """Do nothing: a simulation has no connection to close."""
@@ -180,7 +184,7 @@ class SimulatedRobot:
         """Return the names of the feet with hardly any normal force in the simulation.
 
         The result is a diagnostic if the stand cannot be used; for example, another part touches
-        the ground.
+        the ground, or a foot touches the robot.
 
         Args:
             feet: All feet of the robot.
@@ -193,7 +197,8 @@ class SimulatedRobot:
         for number in np.flatnonzero(find_acting_contacts(data)).tolist():
             geoms = data.contact[number].geom
             touching_feet = [feet_of[int(geom)] for geom in geoms if int(geom) in feet_of]
-            if not touching_feet:
+            is_on_ground = not bodies[number].all()  # the world has the id 0
+            if not (touching_feet and is_on_ground):
                 names = [model.body(body).name for body in bodies[number].tolist() if body]
                 return diagnose("part-touches", link=names[0], other=next(iter(names[1:]), None))
             mujoco.mj_contactForce(model, data, number, force)
