@@ -174,7 +174,8 @@ class Stand(Pictured, Tabular):
         """Return the height loss of the base [m] that displacements of the stance feet cause.
 
         A plane is fitted to the vertical displacements, and evaluated at the base. Feet on separate
-        planes, such as walls, are left out if possible.
+        planes, such as walls, are left out if possible. A base that is fixed or welded loses no
+        height: there the legs follow the displacements of the feet.
 
         Args:
             robot: Robot.
@@ -184,7 +185,7 @@ class Stand(Pictured, Tabular):
         apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
         places = np.array([(1.0, *self.foot_targets[foot][:2]) for foot in own])
-        if not own:
+        if not own or robot.is_base_fixed:
             return 0.0
         plane = np.linalg.lstsq(places, np.array([drops[foot][2] for foot in own]))[0]
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))

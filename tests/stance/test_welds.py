@@ -636,3 +636,23 @@ def test_a_posture_of_hold_typed_into_stand_gives_its_torques_and_verdict(
     np.testing.assert_allclose(stance.statics.joint_torques, held.statics.joint_torques, atol=1e-6)
     assert stance.verdict.code == held.verdict.code
     assert stance.passed
+
+
+@pytest.mark.slow
+def test_welded_base_loses_no_height_although_its_feet_sink() -> None:
+    """Reference: 3 s of MuJoCo without feed-forward. The legs' weight presses the feet down.
+
+    The deflection of the joints was reported as a height gain of 0.32 mm, compensated by the feet.
+    """
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(contacts={"base_link": pa.Weld()}))
+    rest = pa.steady_state(robot, stand)
+    run = pa.verify_stand(robot, stand, feedforward=False, duration=3.0, nudged=0.0)
+    for sag in (rest, run):
+        assert sag.height_loss == pytest.approx(0.0, abs=1e-6)
+        assert sag.servo_sag == pytest.approx(sag.height_loss, abs=1e-12)
+        assert sag.contact_sag == 0.0
+    deflections = rest.qpos[7:] - stand.qpos[7:]
+    assert np.abs(deflections).max() > 0.05
+    dry_friction = 0.01 / 5.0  # frictionloss / kp: deadband of a joint [rad]
+    np.testing.assert_allclose(run.joint_positions, rest.qpos[7:], atol=dry_friction)
