@@ -8,7 +8,7 @@ payload, effort limits and MuJoCo options to the robot, and returns the stand ta
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial, wraps
 from pathlib import Path
@@ -594,7 +594,8 @@ def _names_motor(text: str) -> bool:
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
     """Parse the texts ``[JOINTS=]NUMBER`` of ``--kp`` or ``--kd`` into servo gains.
 
-    Later texts have priority. Joints that no text names keep the gain of the model.
+    Later texts have priority. Joints that no text names keep the gain of the model. For kp this
+    requires that the servos of these joints are valid in the MJCF, or were missing.
 
     Args:
         option: ``kp`` (N m/rad; N/m for a slide) or ``kd`` (N m s/rad; N s/m).
@@ -607,7 +608,8 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
     Raises:
         ConfigurationError: If a text has another form.
         UnknownNameError: If a pattern matches no joint, and the last text is not for all joints.
-        ModelError: If a gain of the model is needed, and a joint has no position servo.
+        ModelError: If a gain of the model is needed, and a joint has no position servo; or if a
+            stiffness is needed, and the servo of the MJCF has an invalid stiffness.
     """
     from pupper_analysis.robot.servos import model_with_servos
 
@@ -616,9 +618,10 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         return None
     if values[-1][0] == "*":
         return values[-1][1]
-    gains = None
+    gains, named = None, set[str]()
     for pattern, value in values:
         matches = match_joint_pattern(option, pattern, robot)
+        named |= {name for name, at in zip(robot.joint_names, matches, strict=True) if at}
         if gains is None:
             gains = (
                 [value] * robot.nu
@@ -629,7 +632,19 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
             value if matches_pattern else gain
             for matches_pattern, gain in zip(matches, gains, strict=True)
         ]
+    if option == "kp":
+        _refuse_replaced_stiffness(robot, named)
     return gains
+
+
+def _refuse_replaced_stiffness(robot: Robot, named: Collection[str]) -> None:
+    """Raise a ModelError if a joint that is not in ``named`` has an invalid servo in the MJCF."""
+    from pupper_analysis.base.errors import ModelError
+
+    for servo in robot.description.made_servos:
+        if servo.instead_of.has_invalid_stiffness and servo.joint not in named:
+            problem = diagnose("stiffness-of-invalid-servo", subject=("joint", servo.joint))
+            raise ModelError(robot.description.mjcf_source, problem)
 
 
 def draw_requested_stand(

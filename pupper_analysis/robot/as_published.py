@@ -39,7 +39,7 @@ class ServosUsed:
         kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos if ``source`` is
             ``ADDED``, otherwise of the servos in use.
         kd: Minimum and maximum damping (N m s/rad or N s/m) of the same servos.
-        made: Added servos that are in use; empty if the caller passed gains.
+        made: Added servos whose stiffness is in use; empty if the caller passed ``kp``.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
         damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
     """

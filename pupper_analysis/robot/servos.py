@@ -440,8 +440,7 @@ def find_servos_used(
     """Summarise the servos of a robot for a report: source, smallest and largest gains.
 
     The gains are ``kp`` and ``kd`` if passed, else those of servos that this package added, else
-    those
-    of the model.
+    those of the model. If ``kd`` alone is passed, the stiffness of added servos remains in use.
 
     Args:
         robot: Robot.
@@ -457,7 +456,8 @@ def find_servos_used(
     joints = {servo.joint for servo in made}
     chosen = np.array([name in joints for name in robot.joint_names])
     if kp is not None or kd is not None:
-        source, made, chosen = ServoSource.GIVEN, (), found.kp > 0
+        source, chosen = ServoSource.GIVEN, found.kp > 0
+        made = made if kp is None else ()
     else:
         source = ServoSource.ADDED if made else ServoSource.FILE
         passive = [name in robot.description.passive_joints for name in robot.joint_names]

@@ -10,6 +10,7 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.cli.stance_options import parse_gain
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import get_published_model, own_run
@@ -18,7 +19,10 @@ from pupper_analysis.prepare.published_model import (
     has_few_servos,
     with_unstated_options,
 )
+from pupper_analysis.tools.gains.gains import study_gains
 from tests.prepare.test_own_run import load_slip
+from tests.prepare.test_self_check import write_slip
+from tests.support.every_command import Truth, simulate_truth
 from tests.support.legged import quadruped, rewrite_file
 
 _GAINS = r'kp="[^"]*"( kv="[^"]*")?'
@@ -140,3 +144,28 @@ def test_velocity_servos_without_commands_do_not_count_as_a_fall(tmp_path: Path)
     assert own.limp
     assert not own.fails
     assert own.held is None
+
+
+@pytest.mark.slow
+def test_damping_alone_does_not_excuse_servos_that_push_away_from_the_command(
+    tmp_path: Path,
+) -> None:
+    """In bare MuJoCo the unmodified file does not stand: a servo's stiffness has the wrong sign.
+
+    With ``--kd`` alone, or a ``--kp`` for other joints, the stiffness of the added servo was used,
+    and the stand passed. With a stiffness for each joint, the verdict is about these gains.
+    """
+    pair = write_slip(tmp_path, "kp of one has the wrong sign", seed=3)
+    assert simulate_truth(pair.mjcf, pair.mjcf) is not Truth.STANDS
+    robot = pa.load_robot(*pair)
+    (made,) = robot.description.made_servos
+    stand = pa.solve_stand(robot)
+    verdict = judge_stand(robot, stand, kd=4)
+    assert not verdict.passed
+    assert verdict.servos.replacement_servos == (made,)
+    assert not study_gains(robot, stand, kd=4).passed
+    assert judge_stand(robot, stand, kp=80, kd=4).passed
+    other = next(name for name in robot.joint_names if name != made.joint)
+    with pytest.raises(pa.ModelError, match=f"the servo of joint '{made.joint}' has an invalid"):
+        parse_gain("kp", (f"{other}=80",), robot)
+    assert parse_gain("kp", (f"{made.joint}=80",), robot) is not None

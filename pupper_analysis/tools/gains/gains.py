@@ -274,8 +274,8 @@ class GainStudy(Result):
         return tuple(
             one
             for one in self.classes
-            if one.kp > (one.largest_kp_of_torque or math.inf)
-            or one.kd > (one.largest_kd_of_encoder or math.inf)
+            if (one.largest_kp_of_torque is not None and one.kp > one.largest_kp_of_torque)
+            or (one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder)
         )
 
 

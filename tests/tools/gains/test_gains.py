@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pupper_analysis.tools.gains.document import _format_range, gain_plot, gains
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
     GainStudy,
+    JointClass,
     group_joints,
     name_joints,
     study_gains,
@@ -87,6 +89,31 @@ def test_bounds_of_torque_and_encoder_equal_closed_forms() -> None:
         assert bounds.largest_kp_of_torque == pytest.approx(3.0 / 0.2)
         count = 2 * math.pi / 2**14
         assert bounds.largest_kd_of_encoder == pytest.approx(MAX_NOISE_RATIO * 3.0 * 0.002 / count)
+
+
+@pytest.mark.parametrize("bound", ["largest_kp_of_torque", "largest_kd_of_encoder"])
+def test_bound_of_zero_is_a_bound(bound: str) -> None:
+    """Reference: the limit of limit / error for a torque limit of zero; None means no bound."""
+    joints = JointClass(
+        name="*",
+        joints=("a",),
+        kp=5.0,
+        kd=0.1,
+        reference_kp=5.0,
+        reference_kd=0.1,
+        least_kp=None,
+        largest_kd=None,
+        largest_kd_alone=None,
+        largest_kp_of_torque=None,
+        largest_kd_of_encoder=None,
+        recommended_kp=None,
+        recommended_kd=None,
+    )
+    find = GainStudy.exceeded.fget
+    assert find is not None
+    assert find(SimpleNamespace(classes=(joints,))) == ()
+    bounded = replace(joints, **{bound: 0.0})
+    assert find(SimpleNamespace(classes=(bounded,))) == (bounded,)
 
 
 @pytest.mark.slow
