@@ -157,10 +157,9 @@ PIT_COLOUR: Colour = (120, 126, 134)
 """Colour of a pit under a foot."""
 
 _NUM_POLYGON_CORNERS = 24
-"""Number of corners of the drawn support polygon. The number is constant, so that the size of the
-array is constant: a polygon with fewer corners repeats its last corner; further corners are not
-drawn.
-"""
+"""Number of corners of a drawn support polygon, or a multiple of this number for a polygon with
+more corners. The size of the array of a scene node is constant, so a polygon with fewer corners
+repeats its last corner. Chosen, not tuned."""
 
 _WEIGHT_ARROW_LENGTH = 3.0
 """Length of the arrow of a force equal to the robot's weight, relative to the height of the stand.
@@ -394,12 +393,11 @@ class Scene:
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
         """Draw the support polygon, green if the stand is held, otherwise red."""
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
-        padded = np.concatenate([points, np.tile(points[-1], (_NUM_POLYGON_CORNERS, 1))])[
-            :_NUM_POLYGON_CORNERS
-        ]
-        fan = [(0, n, n + 1) for n in range(1, _NUM_POLYGON_CORNERS - 1)]
+        count = _NUM_POLYGON_CORNERS * math.ceil(len(points) / _NUM_POLYGON_CORNERS)
+        padded = np.concatenate([points, np.tile(points[-1], (count - len(points), 1))])
+        fan = [(0, n, n + 1) for n in range(1, count - 1)]
         area = self._get_node(
-            "support",
+            "support" if count == _NUM_POLYGON_CORNERS else f"support_{count}",
             "add_mesh_simple",
             padded,
             np.array(fan),

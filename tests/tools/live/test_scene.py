@@ -103,3 +103,22 @@ def test_the_arrow_of_a_weight_has_three_times_the_height_of_the_stand() -> None
     ((start, end),) = make_force_arrows(robot, [DrawnForce("FL", point, force)])
     assert start == pytest.approx(point)
     assert end - start == pytest.approx([0.0, 0.0, 1.5 * robot.stand_height])
+
+
+@pytest.mark.parametrize("num_corners", [1, 3, 24, 25, 60])
+def test_drawn_support_polygon_has_all_corners(num_corners: int) -> None:
+    """Reference: the area of a regular polygon, n / 2 sin(2 pi / n) r^2."""
+    made: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def add_mesh_simple(_: str, vertices: np.ndarray, faces: np.ndarray, **__: object) -> Any:
+        made.append((vertices, faces))
+        return SimpleNamespace()
+
+    scene = Scene(SimpleNamespace(add_mesh_simple=add_mesh_simple))
+    angles = 2 * np.pi * np.arange(num_corners) / num_corners
+    corners = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(num_corners)])
+    scene._draw_support(SimpleNamespace(polygon=corners), held=True)  # type: ignore[arg-type]
+    ((vertices, faces),) = made
+    one, two, three = (vertices[faces[:, column]] for column in range(3))
+    area = np.cross(two - one, three - one)[:, 2].sum() / 2
+    assert area == pytest.approx(num_corners / 2 * np.sin(2 * np.pi / num_corners), abs=1e-12)
