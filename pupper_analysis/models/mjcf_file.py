@@ -698,32 +698,69 @@ class MjcfFile:
         setting_node = stating_element(self._roots[0], node, attributes)
         return None if setting_node is None else setting_node.place
 
-    def place_of_nth(
-        self, body: str, tag: str, number: int, attributes: Collection[str] = ()
+    def place_of_nth_geom(
+        self, body: str, number: int, count: int, attributes: Collection[str] = ()
     ) -> Place:
-        """Return the location of an element without a name: the n-th with a tag in a body, from 0.
+        """Return the location of a geom without a name, by its number in a body.
 
         Args:
             body: Name of the body; ``"world"`` for the worldbody.
-            tag: Tag of the element.
-            number: Number of the element among the direct children of the body with this tag.
+            number: Number of the geom among the geoms of the body in the compiled model, from 0.
+            count: Number of geoms of the body in the compiled model.
             attributes: If given, the result is the location at which one of these attributes is
-                set, in the element or in a default class.
+                set, in the geom or in a default class.
 
         Returns:
-            The location. If no attribute is set, the location of the element; if the element is not
-            found, the location of the body (of the file, for the world).
+            The location. If no attribute is set, the location of the geom. If the elements of the
+            file cannot be assigned to the geoms of the model, the location of the body (of the
+            file, for the world); for example if an attached model adds geoms to the body.
         """
-        node = self._index.get(("body", body))
-        tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
-        parents = list(tops) if body == "world" else [] if node is None else [node]
-        elements = [element for top in parents for element in top.children if element.tag == tag]
-        if number >= len(elements):
+        nodes = self._list_geom_nodes(body)
+        if len(nodes) != count:
             return self.place("body", body)
-        setting_node = (
-            stating_element(self._roots[0], elements[number], attributes) if attributes else None
-        )
-        return (setting_node or elements[number]).place
+        node = nodes[number]
+        setting_node = stating_element(self._roots[0], node, attributes) if attributes else None
+        return (setting_node or node).place
+
+    def _list_geom_nodes(self, body: str) -> list[XmlNode]:
+        """Return the elements of a body's geoms, in the order of the compiled model.
+
+        Geoms in frames and replicates are included. Geoms with missing meshes, and geoms that
+        MuJoCo discards (``discardvisual``), are omitted. Empty if the spec has other geoms.
+        """
+        if not self._roots:
+            return []
+        is_world = body == self.spec.worldbody.name
+        tops = [top for top in self._roots[0].children if top.tag == "worldbody"]
+        node = self._index.get(("body", body))
+        parents = tops if is_world else [] if node is None else [node]
+        meshes = {mesh.name for mesh in self.spec.meshes}
+        nodes = [
+            geom
+            for parent in parents
+            for geom in _expand_geoms(parent)
+            if (mesh := self._find_mesh(geom)) is None or mesh in meshes
+        ]
+        spec_body = self.spec.worldbody if is_world else self.spec.body(body)
+        geoms = [] if spec_body is None else list(spec_body.geoms)
+        if len(geoms) != len(nodes):
+            return []
+        discards = bool(self.spec.compiler.discardvisual)
+        return [
+            node
+            for node, geom in zip(nodes, geoms, strict=True)
+            if not discards or geom.contype or geom.conaffinity
+        ]
+
+    def _find_mesh(self, geom: XmlNode) -> str | None:
+        """Return the name of a geom's mesh, from the geom or a default class; None without mesh."""
+        node = stating_element(self._roots[0], geom, ("mesh",))
+        return None if node is None else node.attributes["mesh"]
+
+    @property
+    def attaches_models(self) -> bool:
+        """Whether elements of other files are attached, whose lines belong to those files."""
+        return len(self._roots) > 1
 
     @property
     def missing_collision_meshes(self) -> tuple[str, ...]:
@@ -1014,6 +1051,18 @@ def _locate_message(
         and (not line_match or node.place.line == int(line_match[1]))
     ]
     return message, (*named_places, *places_with_words, Place(tree.path))[0]
+
+
+def _expand_geoms(parent: XmlNode) -> Iterator[XmlNode]:
+    """Yield the geoms of a body in MuJoCo's order, with frames and the copies of replicates."""
+    for child in parent.children:
+        if child.tag == "geom":
+            yield child
+        elif child.tag == "frame":
+            yield from _expand_geoms(child)
+        elif child.tag == "replicate":
+            copies = _multiply_numbers(child.attributes.get("count", "1"))
+            yield from list(_expand_geoms(child)) * copies
 
 
 def _find_child(node: XmlNode, tag: str) -> XmlNode | None:

@@ -149,10 +149,13 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
     """Return the location of an element without a name, from the line that MuJoCo's parser records.
 
     Returns:
-        The location of the element; the location of the body if no line is recorded.
+        The location of the element; the location of the body if no line is recorded, or if the
+        file attaches models, to which the line may belong.
     """
     match = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
     body_place = file.place("body", body)
+    if file.attaches_models:
+        return body_place
     return Place(body_place.file, int(match[1])) if match else body_place
 
 
@@ -289,8 +292,8 @@ ParameterValues = tuple[float, ...]
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
     """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
-    If the attribute is not set, the result is the location of the geom or its body. For a geom
-    without a name, it may be the location of a neighbouring geom.
+    If the attribute is not set, the result is the location of the geom. If a geom without a name
+    cannot be assigned to an element of the file, the result is the location of its body.
 
     Args:
         file: The file.
@@ -299,11 +302,11 @@ def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
             attributes, or ``""`` for the geom itself.
     """
     model = file.model
-    name, body = model.geom(geom).name, model.geom_bodyid[geom]
+    name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
     words = _WORD_GROUPS.get(word, (word,))
     if not name:
-        number = geom - int(model.body_geomadr[body])
-        return file.place_of_nth(model.body(body).name, "geom", number, words)
+        number, count = geom - int(model.body_geomadr[body]), int(model.body_geomnum[body])
+        return file.place_of_nth_geom(model.body(body).name, number, count, words)
     return (file.find_attribute("geom", name, words) if words else None) or file.place("geom", name)
 
 
