@@ -101,15 +101,16 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
         found["geom", name] = ModelElement(
             values, place, read_shape(model, geom), geom in touching, (body,)
         )
-    pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
+    pairs = _find_places_by_ends(file, "pair", "geom")
+    excludes = _find_places_by_ends(file, "exclude", "body")
     for pair in range(model.npair):
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = element_values(model, "pair", pair)
-        at = _make_constant_finder(_get_nth_place(pairs, pair, model.npair, file))
+        at = _make_constant_finder(pairs.get(join_names(ends), Place(file.path)))
         found["pair", join_names(ends)] = ModelElement(values, at, owners=ends)
-    for exclude, signature in enumerate(model.exclude_signature.tolist()):
+    for signature in model.exclude_signature.tolist():
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
-        at = _make_constant_finder(_get_nth_place(excludes, exclude, model.nexclude, file))
+        at = _make_constant_finder(excludes.get(join_names(ends), Place(file.path)))
         found["exclude", join_names(ends)] = ModelElement({}, at, owners=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
     found["option", "option"] = ModelElement(
@@ -164,12 +165,21 @@ def join_names(ends: Iterable[str]) -> str:
     return " and ".join(sorted(ends))
 
 
-def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
-    """Return file and line of an element, by its index ``number`` (from 0) in ``places``.
+def _find_places_by_ends(file: MjcfFile, tag: str, end: str) -> dict[str, Place]:
+    """Return {both ends, as `join_names` writes them: file and line} of pairs or exclusions.
 
-    No line if the file has not ``count`` such elements, as the model has.
+    MuJoCo sorts these elements, so that their order in the model is not that of the file.
+
+    Args:
+        file: File.
+        tag: ``"pair"`` or ``"exclude"``.
+        end: Attribute that states an end, without its number: ``"geom"`` or ``"body"``.
     """
-    return places[number] if len(places) == count else Place(file.path)
+    return {
+        join_names(words[f"{end}{number}"] for number in (1, 2)): place
+        for words, place in file.elements(tag)
+        if {f"{end}1", f"{end}2"} <= set(words)
+    }
 
 
 def list_geom_names(model: mujoco.MjModel) -> list[str]:

@@ -105,3 +105,25 @@ def test_each_array_of_contacts_and_options_of_mujoco_has_a_row() -> None:
             or (element != "option" and row.mujoco.startswith(start))
         }
         assert names == rows | others | (rows & others), element
+
+
+def test_lines_of_pairs_and_excludes_are_their_own_in_any_order(tmp_path: Path) -> None:
+    """MuJoCo sorts both; the margin of each compiled pair is in its line, as are the bodies."""
+    bodies = "".join(
+        f'<body name="{name}"><joint/><geom name="g{name}" size="0.1"/></body>' for name in "abc"
+    )
+    ends = (("c", "b", 0.1), ("a", "c", 0.2), ("a", "b", 0.3))
+    pairs = "\n".join(f'<pair geom1="g{a}" geom2="g{b}" margin="{m}"/>' for a, b, m in ends)
+    excludes = "\n".join(f'<exclude body1="{a}" body2="{b}"/>' for a, b, _ in ends)
+    file = tmp_path / "r.xml"
+    file.write_text(
+        f"<mujoco><worldbody>{bodies}</worldbody>\n"
+        f"<contact>\n{pairs}\n{excludes}\n</contact></mujoco>"
+    )
+    lines, found = file.read_text().splitlines(), list_elements(read_mjcf(file))
+    for a, b, margin in ends:
+        pair = found["pair", " and ".join(sorted((f"g{a}", f"g{b}")))]
+        assert pair.values["margin"] == (margin,)
+        assert f'margin="{margin}"' in lines[(pair.place("margin").line or 0) - 1]
+        exclude = found["exclude", " and ".join(sorted((a, b)))]
+        assert f'body1="{a}" body2="{b}"' in lines[(exclude.place("").line or 0) - 1]
