@@ -91,8 +91,8 @@ FILE_OPTIONS = (
 
 
 def _is_model_file(path: Path) -> bool:
-    """Return True if a path is probably a model: an existing file with suffix .urdf or .xml."""
-    return path.suffix in (".urdf", ".xml") and path.is_file()
+    """Return True if a path is probably a model: an existing file with the suffix of a model."""
+    return path.suffix.lower() in (".urdf", ".xml", ".mjcf") and path.is_file()
 
 
 class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only

@@ -153,14 +153,14 @@ simulation of 12 s takes 1.2 million steps.
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF, also with a suffix that MuJoCo itself does not read, such as ``.mjcf``.
+    """Parse an MJCF, also with a suffix that `MjSpec` does not read, such as ``.XML``.
 
     Raises:
         ValueError: If MuJoCo rejects the file.
         InputError: If a file with another suffix than ``.xml`` cannot be read.
         OutputError: If this run of the command line also writes such a file.
     """
-    if path.suffix.lower() == ".xml":
+    if path.suffix == ".xml":  # MuJoCo distinguishes upper and lower case
         return mujoco.MjSpec.from_file(str(path))
     contents: dict[str, bytes] = {}
     text = read_content(path, MAX_BYTES)

@@ -59,6 +59,18 @@ def test_file_with_the_ending_mjcf_is_read_with_its_parts(tmp_path: Path) -> Non
     assert compare_models(tmp_path / "robot.urdf", tmp_path / "robot.mjcf").agree
 
 
+@pytest.mark.parametrize("suffixes", [(".URDF", ".XML"), (".XACRO", ".Mjcf")])
+def test_suffix_in_capitals_is_that_of_the_same_format(
+    tmp_path: Path, suffixes: tuple[str, str]
+) -> None:
+    """MuJoCo's loader of files accepts ``.XML``, its parser of specs only ``.xml``."""
+    urdf, mjcf = (tmp_path / f"robot{suffix}" for suffix in suffixes)
+    urdf.write_text(URDF)
+    mjcf.write_text(MJCF)
+    assert compare_models(urdf, mjcf).agree
+    assert audit_model(mjcf).passed
+
+
 def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     (tmp_path / "shell.stl").write_text(POINTER)
     asset = '<asset><mesh name="shell" file="shell.stl"/></asset><worldbody>'

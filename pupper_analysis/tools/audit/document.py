@@ -76,7 +76,7 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command that the report proposes to run next, or None."""
-    simulated = Path(audit.file).suffix in (".urdf", ".xml")
+    simulated = Path(audit.file).suffix.lower() in (".urdf", ".xml", ".mjcf")
     flawed = any(finding.severity is not Severity.NOTE for finding in audit.findings)
     if flawed and simulated and list_unique_repairs([audit]):
         return doc.NextStep("audit", ("--fix",))
