@@ -156,9 +156,19 @@ HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
 A short report with a single document prints this number below the results."""
 
 
-_FIXED_BASE_CODES = ("base-is-fixed", "page-of-fixed-base")
+_FIXED_BASE_CODES = (
+    *("base-is-fixed", "base-is-welded", "page-of-fixed-base", "stands-of-fixed-base"),
+    *("heat-of-fixed-base", "range-of-fixed-base", "walk-of-fixed-base"),
+)
 """Codes of errors about a robot with a fixed base, in a command about stands. `Command.invoke` adds
-the command line of a suitable command, for example `hold`, to such an error.
+the command line of a suitable command, for example `hold`, to such an error, unless the tool has
+added a command line.
+"""
+
+
+_UNWELDABLE_CODES = ("base-without-mass", "no-base-to-weld")
+"""Codes of errors about a base that cannot be welded. `Command.invoke` adds the command line of
+`hold`, which needs no weld.
 """
 
 
@@ -345,7 +355,11 @@ class Command(click.Command):
             return super().invoke(context)
         except ConfigurationError as error:
             problem = error.problem
-            if isinstance(problem, Diagnostic) and problem.code in _FIXED_BASE_CODES:
+            if (
+                isinstance(problem, Diagnostic)
+                and problem.code in _FIXED_BASE_CODES
+                and not getattr(error, "__notes__", ())
+            ):
                 from pupper_analysis.cli.next_step import (
                     complete_command,
                     complete_fixed_base_command,
@@ -359,6 +373,11 @@ class Command(click.Command):
                     if refused
                     else complete_fixed_base_command(str(self.name))
                 )
+            if isinstance(problem, Diagnostic) and problem.code in _UNWELDABLE_CODES:
+                from pupper_analysis.cli.next_step import complete_command
+                from pupper_analysis.present.document import NextStep
+
+                error.add_note(complete_command(NextStep("hold", omitted=("--contact",))))
             if option := self._find_typed_option(context, error.field):
                 named = ConfigurationError(option, error.problem)
                 for note in getattr(error, "__notes__", ()):

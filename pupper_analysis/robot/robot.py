@@ -719,8 +719,12 @@ class Robot(EngineModels):
             problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))
             raise ConfigurationError("robot", problem)
 
-    def check_floating(self) -> None:
+    def check_floating(self, code: str = "base-is-fixed") -> None:
         """Raise an error if the base is fixed: such a robot cannot stand.
+
+        Args:
+            code: Code of the diagnostic, with the values ``robot``, ``why`` and ``option``. A tool
+                passes its own code, whose text states what the tool accepts.
 
         Raises:
             ConfigurationError: If the base is fixed.
@@ -728,7 +732,7 @@ class Robot(EngineModels):
         if not self.floating:
             reasons = (note for note in self.notes if note.code == "base-kept-in-the-world")
             why = next((note.values["why"] for note in reasons), None)
-            problem = diagnose("base-is-fixed", robot=self.name, why=why, option=is_command_line())
+            problem = diagnose(code, robot=self.name, why=why, option=is_command_line())
             raise ConfigurationError("robot", problem)
 
     def check_bodies(self) -> None:

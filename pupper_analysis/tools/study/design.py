@@ -44,11 +44,13 @@ from pupper_analysis.base.errors import (
     VariantError,
 )
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.cli.next_step import complete_command
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import spec_to_data
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.present.document import NextStep
 from pupper_analysis.pupper.variant_files import describe_variant, parse_robot_word
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
@@ -179,7 +181,14 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
         raise ConfigurationError("robot", problem)
     files = RobotFiles.from_arguments(*models, **options)
     robot = files.load()
-    if not robot.floating or not robot.contact_points:
+    try:
+        robot.check_floating("study-of-fixed-base")
+    except ConfigurationError as error:
+        if not set(options) - {"urdf", "mjcf"}:
+            paths = *files.models, *map(str, options.values())
+            error.add_note(complete_command(NextStep("hold", paths, robot_typed=False)))
+        raise
+    if not robot.contact_points:
         raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
     bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
     return FileSource(files, bare)

@@ -184,7 +184,7 @@ def command(
     if init:
         _write_first_contract(policy_path, robot, deployment)
         return
-    robot.check_floating()
+    robot.check_floating("walk-of-fixed-base")
     loaded_policy = Policy.load(policy_path, contract, deployment)
     assigned, torque_limits = _parse_motor_limits(motors, effort, robot)
     robot, loaded_policy = replace_efforts(robot, loaded_policy, torque_limits)

@@ -38,6 +38,7 @@ def command(
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None)
+    robot.check_floating("range-of-fixed-base")
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
     request.show(result, robot)

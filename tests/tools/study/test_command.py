@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import arm
 from tests.support.commands import run_command
 
 
@@ -39,3 +40,20 @@ def test_next_command_minimises_the_first_metric_that_varies(
     assert verdict.startswith("MEASURED v3: 2 designs")
     assert answer.split()[0] == "servo_sag"
     assert step.endswith("--minimise servo_sag")
+
+
+def test_fixed_base_names_the_command_that_holds_it(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The refusal stated that the robot has no feet, without a next command."""
+    path, file = tmp_path / "arm.urdf", tmp_path / "arm.toml"
+    path.write_text(arm.URDF)
+    file.write_text('robot = "arm.urdf"\nmeasure = ["stands"]\n[vary]\nleg_scale = [1.0, 1.1]\n')
+    status, _, err = run_command(capfd, "study", str(file), "-o", str(tmp_path / "out"))
+    fault, step = err.splitlines()
+    assert status == 2
+    assert fault == (
+        f"error: {file}: robot: arm has a fixed base and cannot stand; "
+        "hold computes torques and payload"
+    )
+    assert step == f"  next: pupper-analysis hold {path}"
