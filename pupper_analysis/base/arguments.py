@@ -17,6 +17,7 @@ from dataclasses import fields
 from enum import Enum
 from fnmatch import fnmatchcase
 from functools import cache, wraps
+from glob import escape
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -74,6 +75,42 @@ def match_names(pattern: str, names: Iterable[str]) -> list[str]:
     if pattern in listed:
         return [pattern]
     return [name for name in listed if fnmatchcase(name, pattern)]
+
+
+def find_name_patterns(chosen: Sequence[str], names: Iterable[str]) -> list[str]:
+    """Find few patterns that together select some names, and no others (`match_names`).
+
+    A pattern is a start of a name, an end of a name, or a complete name. In each step the pattern
+    that selects the most remaining names is taken; of equal patterns the longest.
+
+    Args:
+        chosen: Names that the patterns select.
+        names: All names, including the chosen ones.
+
+    Returns:
+        Patterns with the wildcard ``*``, such as ``leg_*``; ``["*"]`` if all names are chosen.
+    """
+    listed, remaining = list(names), set(chosen)
+    if remaining >= set(listed):
+        return ["*"]
+    candidates = {
+        pattern
+        for name in chosen
+        for length in range(1, len(name) + 1)
+        for pattern in (f"{escape(name[:length])}*", f"*{escape(name[-length:])}", name)
+    }
+    selections = {pattern: set(match_names(pattern, listed)) for pattern in sorted(candidates)}
+    selections = {
+        pattern: selected for pattern, selected in selections.items() if selected <= remaining
+    }
+    patterns = []
+    while remaining:
+        best = max(selections, key=lambda one: (len(selections[one] & remaining), len(one)))
+        if len(selections[best] & remaining) == 1:
+            best = next(name for name in listed if name in remaining)  # a name needs no wildcard
+        patterns.append(best)
+        remaining -= selections[best]
+    return patterns
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:

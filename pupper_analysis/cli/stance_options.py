@@ -482,6 +482,7 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         ConfigurationError: If a selected joint is a slide.
         ModelError: If the motor's file cannot be read or is not valid.
     """
+    from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.models.motors.reading import find_motor
     from pupper_analysis.robot.joints import check_motor_joints
 
@@ -491,9 +492,48 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         motor = find_motor(name)
         matches = match_joint_pattern(option, pattern or "*", robot)
         joints = [name for name, match in zip(robot.joint_names, matches, strict=True) if match]
-        check_motor_joints(robot, joints, option)
+        try:
+            check_motor_joints(robot, joints, option)
+        except ConfigurationError as error:
+            if option == "motor":
+                error.add_note(complete_motor_command(texts, robot))
+            raise
         assigned |= dict.fromkeys(joints, motor)
     return assigned
+
+
+def complete_motor_command(
+    texts: tuple[str, ...], robot: Robot, words: tuple[str, ...] = ()
+) -> str:
+    """Create the running command line with the motors of ``--motor`` at hinges only.
+
+    A rotary motor is refused at a slide. The patterns of the created texts are made from the joint
+    names of the robot.
+
+    Args:
+        texts: Texts ``[JOINTS=]MOTOR`` of ``--motor``.
+        robot: Robot.
+        words: Further options of the created command line.
+    """
+    from pupper_analysis.base.arguments import find_name_patterns
+    from pupper_analysis.cli.next_step import complete_command
+    from pupper_analysis.present.document import NextStep
+    from pupper_analysis.robot.joints import find_joints, is_slide
+
+    motors: list[str] = []
+    for text in texts:
+        pattern, _, name = text.rpartition("=")
+        joints = find_joints(robot, pattern or "*")
+        hinges = [joint for joint in joints if not is_slide(robot, joint)]
+        if len(hinges) == len(joints):
+            motors += ("--motor", text)
+            continue
+        for hinge_pattern in find_name_patterns(hinges, robot.joint_names) if hinges else ():
+            motors += ("--motor", f"{hinge_pattern}={name}")
+    if texts and not motors:  # no hinge
+        return ""
+    command = str(click.get_current_context().command.name)
+    return complete_command(NextStep(command, (*motors, *words), omitted=("--motor",)))
 
 
 def apply_motors(

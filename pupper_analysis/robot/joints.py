@@ -13,7 +13,12 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.arguments import check_finite, match_names, suggest_degrees
+from pupper_analysis.base.arguments import (
+    check_finite,
+    find_name_patterns,
+    match_names,
+    suggest_degrees,
+)
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
@@ -345,9 +350,13 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
         joints: Joints to which motors are assigned.
         argument: Name of the argument or option, for the message.
     """
-    slides = [joint for joint in joints if is_slide(robot, joint)]
+    chosen = list(joints)
+    slides = [joint for joint in chosen if is_slide(robot, joint)]
     if slides:
-        raise ConfigurationError(argument, diagnose("motor-at-slide", joints=slides))
+        hinges = [joint for joint in chosen if joint not in slides]
+        patterns = find_name_patterns(hinges, robot.joint_names)
+        problem = diagnose("motor-at-slide", joints=slides, patterns=patterns)
+        raise ConfigurationError(argument, problem)
 
 
 def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:

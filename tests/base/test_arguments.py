@@ -21,6 +21,7 @@ from pupper_analysis.base.arguments import (
     check_finite,
     check_length,
     check_type,
+    find_name_patterns,
     match_names,
     real_array,
 )
@@ -364,3 +365,24 @@ def test_a_boolean_among_numbers_is_no_number(given: Any) -> None:
     with pytest.raises(pa.ConfigurationError, match="bool"):
         real_array("values", given)
     assert real_array("values", [[1, 2.5], (3, 4)]).tolist() == [[1.0, 2.5], [3.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "others", "expected"),
+    [
+        (["panda_joint1", "panda_joint2"], ["panda_finger_joint1"], ["panda_joint*"]),
+        (["FL_hip", "FR_hip"], ["FL_knee", "FR_knee"], ["*_hip"]),
+        (["a", "b"], [], ["*"]),
+        (["turn", "elbow", "lift"], ["slide"], ["turn", "elbow", "lift"]),
+        (["arm[0]", "arm[1]"], ["arm0"], ["arm[[]*"]),
+        ([], ["slide"], []),
+    ],
+)
+def test_patterns_select_the_chosen_names_and_no_others(
+    chosen: list[str], others: list[str], expected: list[str]
+) -> None:
+    """Reference: `match_names`, which the command line uses for patterns."""
+    patterns = find_name_patterns(chosen, [*chosen, *others])
+    assert sorted(patterns) == sorted(expected)
+    selected = {name for one in patterns for name in match_names(one, [*chosen, *others])}
+    assert selected == set(chosen)

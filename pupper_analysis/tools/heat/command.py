@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import robot_argument
-from pupper_analysis.cli.stance_options import RobotAndTask, parse_motors, robot_and_stance
+from pupper_analysis.cli.stance_options import (
+    RobotAndTask,
+    complete_motor_command,
+    parse_motors,
+    robot_and_stance,
+)
 
 if TYPE_CHECKING:
     from pupper_analysis.models.motors.motor import Motor
@@ -84,10 +89,12 @@ def command(
 
     task = request.task()
     robot = request.robot(words)
-    robot.check_floating()  # before the motors: no motor makes a fixed base stand
+    _check_base(robot, motors)  # before the motors: no motor makes a fixed base stand
     assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:
-        raise ConfigurationError("--motor", diagnose("motor-not-given"))
+        error = ConfigurationError("--motor", diagnose("motor-not-given"))
+        error.add_note(complete_motor_command((_EXAMPLE_MOTOR,), robot))
+        raise error
     with shared.show_progress("computing the heat of the motors"):
         result = study_heat(
             robot,
@@ -105,6 +112,29 @@ def command(
         shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+_EXAMPLE_MOTOR = "steadywin-gim4305-10"
+"""Motor in the proposed command if no motor is given. Chosen, not tuned."""
+
+
+def _check_base(robot: Robot, motors: tuple[str, ...]) -> None:
+    """Raise an error if the base is fixed, with the command that welds the base if possible.
+
+    The command contains a motor for the hinges of the robot; an example if no motor is given.
+    """
+    from pupper_analysis.robot.plane import Weld
+    from pupper_analysis.robot.touching import with_contacts
+
+    try:
+        robot.check_floating("heat-of-fixed-base")
+    except ConfigurationError as error:
+        if isinstance(error.problem, Diagnostic) and not error.problem.values["why"]:
+            with_contacts(robot, {"base": Weld()})  # refuses a base that cannot be welded
+            texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
+            weld = ("--contact", "base=weld")
+            error.add_note(complete_motor_command(texts, robot, weld))
+        raise
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:

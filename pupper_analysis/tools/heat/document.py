@@ -43,7 +43,8 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     losses = tuple(_describe_losses(study))
     final = study.first.steady_temperature
     is_temperature_known = not exceeds_limits and final is not None and math.isfinite(final)
-    failures: tuple[doc.Words, ...] = (*first, *unknown) if exceeds_limits else unknown
+    weak = tuple(_describe_weak_count(study))
+    failures: tuple[doc.Words, ...] = (*first, *weak, *unknown) if exceeds_limits else unknown
     if is_temperature_known and _lacks_limit_only(study):
         failures, first = tuple(_describe_temperature_without_limit(study)), ()
     return doc.Document(
@@ -165,10 +166,14 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
         )
 
 
-def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield texts of the copper loss with the battery current, and of motors that are too weak."""
+def _describe_weak_count(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the text with the number of motors that are too weak, if any."""
     if study.weak:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
+
+
+def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the text of the copper loss, with the battery current and duration."""
     if study.loss is None:
         return
     current, time = study.battery_current, study.battery_time

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support import arm
-from tests.support.commands import answer
+from tests.support.commands import answer, run_command
 from tests.support.legged import quadruped_with_slides
 from tests.support.variants import load, stand_of
 
@@ -286,12 +287,12 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     assert "https://emanual.robotis.com" in listed.stdout
     missing = answer("heat", "v3")
     assert missing.returncode == 2
-    assert "--motor: no motor is given, and the MJCF has no dcmotor" in missing.stderr
+    assert "--motor: no motor is given or stated as dcmotor" in missing.stderr
     arm_path = tmp_path / "arm.urdf"
-    arm_path.write_text(arm.URDF)
+    arm_path.write_text(arm.URDF.replace(*_BASE))
     fixed = answer("heat", str(arm_path))
     assert fixed.returncode == 2
-    assert "has a fixed base and cannot stand; hold computes" in fixed.stderr
+    assert "has a fixed base and cannot stand; add --contact base=weld" in fixed.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
@@ -335,3 +336,41 @@ def test_rotary_motor_at_a_slide_is_refused(tmp_path: Path) -> None:
         parse_continuous_torques(("dephy-actpack",), robot)
     hips, motors = parse_continuous_torques(("*_pitch=dephy-actpack",), robot)
     assert sorted(hips) == sorted(motors) == ["FL_pitch", "FR_pitch", "RL_pitch", "RR_pitch"]
+
+
+_BASE = ('<link name="base"/>', '<link name="base"><inertial><mass value="5"/><inertia ixx="1" '
+         'iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>')  # fmt: skip
+"""Massless base of the arm, and a base with mass, which MuJoCo can weld."""
+
+
+@pytest.mark.parametrize("typed", ["", "--motor mit-mini-cheetah", "--contact base=weld --motor x"])
+def test_proposed_motors_of_an_arm_drive_its_hinges_only(
+    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: MuJoCo's joint types. The next command is accepted, and judges all hinges."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm.URDF.replace(*_BASE))
+    typed = typed.replace(" x", " mit-mini-cheetah")
+    status, _, err = run_command(capfd, "heat", str(path), *typed.split())
+    assert status == 2
+    [step] = [line.partition("analysis ")[2] for line in err.splitlines() if "next:" in line]
+    found = tmp_path / "heat.json"
+    status, _, err = run_command(capfd, *shlex.split(step), "--json", str(found))
+    assert status in (0, 1), err
+    model = pa.load_robot(path).mj_model
+    hinges = {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == 3}
+    assert {motor["joint"] for motor in json.loads(found.read_text())["motors"]} == hinges
+
+
+@pytest.mark.parametrize("typed", ["", "--contact base=weld"])
+def test_base_that_cannot_be_welded_names_the_command_that_needs_no_weld(
+    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """MuJoCo refuses a moving body without mass: a next command with a weld would fail."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm.URDF)
+    words = ("--motor", "mit-mini-cheetah", *typed.split())
+    status, _, err = run_command(capfd, "heat", str(path), *words)
+    assert status == 2
+    assert "the base of arm (base) has no mass" in err
+    assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path}"
