@@ -41,6 +41,7 @@ _COMMANDS_WITHOUT_WELDED_BASE = (*_COMMANDS_WITHOUT_WELDS, "workspace")
 """Commands that refuse a stance with ``--contact base=weld``."""
 
 _WORDS_FOR_FIXED_BASE = {
+    "fit": ("--log", "motion.csv"),
     "gains": ("--contact", "base=weld"),
     "heat": ("--contact", "base=weld"),
     "live": ("--mujoco",),

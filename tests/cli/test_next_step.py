@@ -170,7 +170,7 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
         ("gains --payload 1kg --delay 1ms",
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
         ("live --no-browser", "live {path} --mujoco"),
-        ("fit --stands none.csv --weight 1kg", "hold {path}"),
+        ("fit --stands none.csv --weight 1kg", "fit {path} --log motion.csv"),
     ],
 )  # fmt: skip
 def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(

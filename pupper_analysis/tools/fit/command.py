@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.base import kinds
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.arguments import find_name_patterns
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, MeasurementError
 from pupper_analysis.base.inputs import find_similar_files, path_exists
 from pupper_analysis.cli import shared
@@ -227,10 +228,8 @@ def command(
         refuse_alone(("--added",), "added_at")
     selection = which.select_robot(words) or "v3"
     robot = load_selected_robot(selection)
-    if (planned := record or stands) is not None:
-        _check_planned_file(
-            planned, robot, plan=record or Path("plan.csv"), has_kp=bool(kp), recorded=not record
-        )
+    if mode in ("--plan", "--record", "--stands"):
+        _check_stands(robot, record, stands, has_kp=bool(kp))
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording | TraceRecording
     if record is not None:
@@ -247,7 +246,7 @@ def command(
 
         measured, held_out = _read_measurements(stands, logs, hold_out)
         with (
-            _propose_gains(),
+            _propose_gains(robot, output, is_log=bool(logs)),
             shared.show_progress("fitting the robot's numbers to the measurements"),
         ):
             result = fit_numbers(
@@ -282,13 +281,37 @@ def command(
     shared.finish_command(json_path, result, passed=passed)
 
 
+def _check_stands(robot: Robot, record: Path | None, stands: Path | None, *, has_kp: bool) -> None:
+    """Raise an error if the base is fixed, or if a file of stands is missing.
+
+    The error about a fixed base contains the command that fits a log of motions.
+
+    Args:
+        robot: Robot that shall stand.
+        record: Plan that shall be recorded.
+        stands: File of recorded stands.
+        has_kp: Whether kp is typed.
+    """
+    try:
+        robot.check_floating("stands-of-fixed-base")
+    except ConfigurationError as error:
+        if isinstance(error.problem, Diagnostic) and not error.problem.values["why"]:
+            omitted = (*_MEASURING_OPTIONS, "--stands", "--weight")
+            step = NextStep("fit", ("--log", "motion.csv"), omitted=omitted)
+            error.add_note(complete_command(step))
+        raise
+    if (planned := record or stands) is not None:
+        plan = record or Path("plan.csv")
+        _check_planned_file(planned, robot, plan, has_kp=has_kp, recorded=record is None)
+
+
 def _check_planned_file(
     path: Path, robot: Robot, plan: Path, *, has_kp: bool, recorded: bool
 ) -> None:
-    """Raise an error if the base is fixed, or if a file of stands is missing.
+    """Raise an error if a file of stands is missing.
 
-    The error about a missing file contains the command that plans stands. If kp is neither typed
-    nor stated by a file, the command `gains` replaces it.
+    The error contains the command that plans stands. If kp is neither typed nor stated by a file,
+    this command contains the kp of the added servos.
 
     Args:
         path: Plan, or file of recorded stands.
@@ -297,36 +320,102 @@ def _check_planned_file(
         has_kp: Whether kp is typed.
         recorded: Whether ``path`` is a file of recorded stands.
     """
-    robot.check_floating()
     if path_exists(path):
         return
     from pupper_analysis.tools.fit.stands.fit import list_joints_without_kp
 
     needs_kp = not has_kp and bool(list_joints_without_kp(robot))
     alike = [str(file) for file in find_similar_files(path) if _has_column_of(file, robot)]
+    default_kp = _describe_default_kp(robot) if needs_kp else None
     finding = diagnose(
         "planned-file-missing",
         alike=alike,
         plan=(not alike and not recorded) or None,
         stands=(not alike and recorded) or None,
-        kp=(not alike and needs_kp) or None,
+        kp=(not alike and needs_kp and default_kp is None) or None,
+        default_kp=None if alike else default_kp,
     )
-    words = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
+    words: tuple[str, ...] = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
+    if default_kp is not None:
+        words += _write_gain_options(robot, "kp")
     step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
+    if needs_kp and default_kp is None:
+        step = NextStep("gains")
     error = InputError(path, finding)
-    error.add_note(complete_command(NextStep("gains") if needs_kp else step))
+    error.add_note(complete_command(step))
     raise error
 
 
+def _list_default_gains(robot: Robot, name: str) -> dict[str, float]:
+    """Return the gains that loading a robot has given to joints whose gains no file states.
+
+    Args:
+        robot: Robot.
+        name: ``kp`` [N m/rad, N/m] or ``kd`` [N m s/rad, N s/m].
+
+    Returns:
+        {pattern of joints, "" for all joints: gain}; empty if such a joint has no servo.
+    """
+    from pupper_analysis.robot.servos import list_position_servos
+    from pupper_analysis.tools.fit.stands.fit import list_joints_without_kp
+
+    servos, joints = list_position_servos(robot), list_joints_without_kp(robot)
+    if any(joint not in servos for joint in joints):
+        return {}
+    values = {joint: servos[joint][("kp", "kd").index(name)] for joint in joints}
+    gains: dict[str, float] = {}
+    for gain in dict.fromkeys(values.values()):
+        chosen = [joint for joint in joints if values[joint] == gain]
+        for pattern in find_name_patterns(chosen, robot.joint_names):
+            gains["" if pattern == "*" else pattern] = gain
+    return gains
+
+
+def _write_gain_options(robot: Robot, name: str) -> tuple[str, ...]:
+    """Return the words of ``--kp`` or ``--kd`` with the gains of `_list_default_gains`."""
+    gains = _list_default_gains(robot, name)
+    texts = (f"{pattern}={gain:.4g}".removeprefix("=") for pattern, gain in gains.items())
+    return tuple(word for text in texts for word in (f"--{name}", text))
+
+
+def _describe_default_kp(robot: Robot) -> str | None:
+    """Return the range of the default kp as text, such as ``320`` or ``20 to 320``.
+
+    None if a joint whose kp no file states has no servo.
+    """
+    values = sorted(_list_default_gains(robot, "kp").values())
+    texts = dict.fromkeys(f"{value:.4g}" for value in (*values[:1], *values[-1:]))
+    return " to ".join(texts) or None
+
+
 @contextmanager
-def _propose_gains() -> Iterator[None]:
-    """Add the command `gains`, which prints bounds of kp, to an error about an unknown kp."""
+def _propose_gains(robot: Robot, output: Path | None, *, is_log: bool = False) -> Iterator[None]:
+    """Add a command to an error about unknown servo gains.
+
+    The command repeats the current one with the gains of the added servos, which the user replaces
+    by the gains of the controller. Without added servos it is `gains`, which prints bounds of kp.
+
+    Args:
+        robot: Robot.
+        output: Typed output file or folder.
+        is_log: Whether motions are fitted, which also requires kd.
+    """
     try:
         yield
     except MeasurementError as error:
-        if error.cause.code == "command-without-kp":
+        if error.cause.code not in ("command-without-kp", "command-without-gains"):
+            raise
+        default_kp = _describe_default_kp(robot)
+        if default_kp is None:
             error.add_note(complete_command(NextStep("gains", omitted=_MEASURING_OPTIONS)))
-        raise
+            raise
+        values = {**error.cause.values, "default_kp": default_kp}
+        named = MeasurementError(error.source, replace(error.cause, values=values))
+        words: tuple[str, ...] = () if output is None else ("-o", str(output))
+        for name in ("kp", "kd") if is_log else ("kp",):
+            words += _write_gain_options(robot, name)
+        named.add_note(complete_command(NextStep("fit", words)))
+        raise named from error
 
 
 def _has_column_of(path: Path, robot: Robot) -> bool:
@@ -416,7 +505,10 @@ def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) 
     """Choose ``count`` stands to be measured, and write the plan to ``output`` if given."""
     from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
-    with _propose_gains(), shared.show_progress("choosing stands among those that the servos hold"):
+    with (
+        _propose_gains(robot, output),
+        shared.show_progress("choosing stands among those that the servos hold"),
+    ):
         plan = plan_stands(robot, count, **options)
     if output is not None:
         write_plan(plan, output)

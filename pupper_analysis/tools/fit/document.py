@@ -195,7 +195,7 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured stands."""
-    mass, factors = _describe_total_mass(fit.total_mass), list(_describe_kp_factor(fit))
+    mass, factors = _describe_total_mass(fit), list(_describe_kp_factor(fit))
     undetermined = tuple(_describe_undetermined_mass(fit.total_mass))
     answer: tuple[doc.Words, ...] = (mass, *undetermined, *factors)
     if fit.kp_factor is not None and fit.weight is None:
@@ -254,15 +254,25 @@ def _describe_mass_and_kp(fit: StandFit, kp_factor: Estimate) -> doc.Words:
     )
 
 
-def _describe_total_mass(mass: Estimate) -> doc.Words:
-    """Return the text of the total mass [kg]: estimate, interval and stated value."""
-    return text("total-mass-determined", **_format_estimate(mass), stated=f"{mass.stated:.3f}")
+def _describe_total_mass(fit: StandFit) -> doc.Words:
+    """Return the text of the total mass [kg]: estimate, interval, stated value, and weight.
+
+    The text also states if the weight is the stated value: the estimate then repeats the input.
+    """
+    mass = fit.total_mass
+    values = {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
+    if fit.weight is None:
+        return text("total-mass-determined", **values)
+    repeated = f"{fit.weight:.4g}" == f"{mass.stated:.4g}"  # as the proposed command writes it
+    key = "total-mass-of-the-file" if repeated else "total-mass-weighed"
+    return text(key, **values, weight=f"{fit.weight:.4g}")
 
 
 def _describe_undetermined_mass(mass: Estimate) -> Iterator[doc.Words]:
     """Yield the text of a total mass that the measurements do not determine, with the remedies."""
     if mass.determined is not Determined.DATA:
-        yield text("total-mass-undetermined", stated=f"{mass.stated:.3f}")
+        stated = mass.stated
+        yield text("total-mass-undetermined", stated=f"{stated:.3f}", replaced=f"{stated:.4g}")
 
 
 def _describe_com(com: Sequence[Estimate]) -> doc.Words:

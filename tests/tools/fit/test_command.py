@@ -14,12 +14,20 @@ import click
 import numpy as np
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.cli import find_command
 from pupper_analysis.cli.robots import RobotOptions
-from pupper_analysis.tools.fit.command import _MODE_OPTIONS, _select_next_step
+from pupper_analysis.cli.stance_options import parse_gain
+from pupper_analysis.robot.servos import list_position_servos
+from pupper_analysis.tools.fit.command import (
+    _MODE_OPTIONS,
+    _select_next_step,
+    _write_gain_options,
+)
 from pupper_analysis.tools.fit.command import command as fit_command
 from pupper_analysis.tools.fit.stands.plan import StandPlan
+from tests.support import arm
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
 from tests.support.repository import ROOT
@@ -181,7 +189,7 @@ def record_calls(
     shared = "pupper_analysis.cli.shared"
     replace(f"{command}.print_robot_notes")
     monkeypatch.setattr(f"{command}.parse_gain", lambda name, words, robot: words)
-    robot = SimpleNamespace(name="robot", check_floating=lambda: None)
+    robot = SimpleNamespace(name="robot", check_floating=lambda _: None)
     replace(f"{command}.load_selected_robot", robot)
     replace(f"{command}._select_next_step")
     for name in ("show_results", "write_page", "confirm_written", "finish_command"):
@@ -300,19 +308,58 @@ def test_missing_plan_or_stands_print_the_command_that_plans_stands(
     assert err.splitlines()[-1] == line
 
 
-@pytest.mark.parametrize("typed", ["--plan 3", "--record my.csv", "--stands my.csv"])
-def test_servos_without_kp_propose_the_command_that_prints_bounds_of_kp(
-    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("typed", "fault", "expected"),
+    [
+        ("--plan 3 -o p.csv", "replace 6 (a default)", "--plan 3 -o {folder}/p.csv --kp 6"),
+        ("--record my.csv", "kp 6, a default", "--plan 6 -o {folder}/my.csv --kp 6"),
+        ("--stands my.csv", "kp 6, a default", "--plan 6 -o plan.csv --kp 6"),
+    ],
+)
+def test_servos_without_kp_propose_the_command_with_kp_of_the_added_servos(
+    typed: str, fault: str, expected: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Reference: a URDF states no kp; a plan of another robot's stands is not proposed."""
+    """Reference: MuJoCo's gain of the servos that loading adds, since a URDF states no kp.
+
+    A plan of another robot's stands is not proposed.
+    """
     (tmp_path / "my2.csv").write_text("stand,command.other_joint\n")
     urdf = str(ROOT / "urdf/pupper_v3.urdf")
-    words = [str(tmp_path / word) if word == "my.csv" else word for word in typed.split()]
+    (kp,) = set(pa.load_robot(urdf).mj_model.actuator_gainprm[:, 0])
+    fault, expected = (text.replace(" 6 (", f" {kp:g} (") for text in (fault, expected))
+    fault = fault.replace("kp 6", f"kp {kp:g}")
+    expected = expected.replace("--kp 6", f"--kp {kp:g}").format(folder=tmp_path)
+    words = [str(tmp_path / word) if word[-4:] == ".csv" else word for word in typed.split()]
     status, _, err = run_command(capfd, "fit", urdf, *words)
     assert status == 2
-    assert "--kp" in err
+    assert fault in err
     assert "did you mean" not in err
-    assert err.splitlines()[-1] == f"  next: pupper-analysis gains {urdf}"
+    assert err.splitlines()[-1] == f"  next: pupper-analysis fit {urdf} {expected}"
     (tmp_path / "my2.csv").write_text("stand,command.leg_front_r_1 [deg]\n")
     _, _, err = run_command(capfd, "fit", urdf, *words)
     assert ("did you mean" in err) == ("my.csv" in typed)
+
+
+def test_joints_with_different_default_kp_get_an_option_for_each_value(tmp_path: Path) -> None:
+    """Reference: the parser of ``--kp``, which returns the gains of the loaded servos."""
+    (tmp_path / "arm.urdf").write_text(arm.URDF)
+    robot = pa.load_robot(tmp_path / "arm.urdf")
+    words = _write_gain_options(robot, "kp")
+    assert set(words[::2]) == {"--kp"}
+    servos = list_position_servos(robot)
+    assert len({kp for kp, _ in servos.values()}) > 1
+    parsed = parse_gain("kp", words[1::2], robot)
+    assert parsed == pytest.approx([servos[joint][0] for joint in robot.joint_names], rel=5e-4)
+
+
+@pytest.mark.parametrize("typed", ["--plan 3 --added 1kg", "--record my.csv", "--stands my.csv"])
+def test_fixed_base_proposes_to_fit_a_log_in_place_of_stands(
+    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Stands need a free base; a log needs a fixed base."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm.URDF)
+    status, _, err = run_command(capfd, "fit", str(path), *typed.split())
+    assert status == 2
+    assert "has a fixed base and cannot stand; fit a log of a motion: time, command.*" in err
+    assert err.splitlines()[-1] == f"  next: pupper-analysis fit {path} --log motion.csv"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Name, Text, diagnostic_text, text
+from pupper_analysis.present.document import BarPlot, Name, Text, diagnostic_text, get_english, text
 from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
@@ -172,6 +172,23 @@ def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
     for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.1516 deg")):
         assert kept in line.short
         assert len(line.short) < MAX_ANSWER_WIDTH < len(line.en)
+
+
+def test_weight_equal_to_the_mass_of_the_file_is_no_confirmation() -> None:
+    """The fitted mass repeats the input; with another weight, input and file are both stated."""
+    fit = replace(stand_fit(), weight=3.5)
+    weighed = get_english(make_document(fit).findings[1])
+    assert (
+        weighed == "total mass 3.500 ± 0.196 kg (95 %) with --weight 3.5 kg, in the file 3.000 kg"
+    )
+    repeated = make_document(replace(fit, weight=3.0)).findings[1]
+    assert isinstance(repeated, Text)
+    assert "repeats --weight 3 kg, the value of the file" in get_english(repeated)
+    assert (
+        repeated.short
+        == "mass 3.500 ± 0.196 kg repeats --weight, the file's value: no confirmation"
+    )
+    assert len(f"  {repeated.short}; 2 more: -v") <= MAX_ANSWER_WIDTH
 
 
 def test_an_unweighed_fit_states_mass_and_kp_first_and_proposes_to_weigh() -> None:
