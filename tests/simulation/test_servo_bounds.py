@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.tool import find_place, with_payload
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.servo_bounds import bound_servo_gains, find_soft_servos
-from pupper_analysis.stance.sag.stiffness import minimum_stiffness
+from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import load
 
@@ -94,3 +95,17 @@ def test_class_of_servos_that_alone_is_too_soft_is_found() -> None:
     kp[joints] *= soft.factor
     assert simulate_in_bare_mujoco(robot, stand, kp) < 1e-3
     assert find_soft_servos(robot, stand, pa.verify_stand(robot, stand, kp=kp), kp=kp) is None
+
+
+def test_least_stiffness_is_at_most_a_stiffness_that_stands() -> None:
+    """Reference: `verify_stand` with kp 5 N m/rad, without feed-forward, stays for 12 s.
+
+    The estimate for v3 with 3.2 kg is 5.2 N m/rad; a simulation stands with 5 and not with 4.95.
+    """
+    robot = with_payload(load("v3"), 3.2, find_place(load("v3"), (0.0, 0.0, 0.0)))
+    stand = pa.solve_stand_as_simulated(robot)
+    assert pa.verify_stand(robot, stand, feedforward=False).stays
+    bounds = bound_servo_gains(robot, stand)
+    assert estimate_minimum_stiffness(robot, stand) > 5.0
+    assert bounds.least_kp_factor == 1.0
+    assert bounds.classes[0].least_kp == bounds.classes[0].kp == 5.0
