@@ -49,6 +49,16 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
+def format_share(share: float, form: str) -> str:
+    """Format a motor utilisation [1] in percent, with at least two significant digits.
+
+    ``form`` is a fixed-point format such as ``".1f"``. The text is "" if ``share`` is not finite.
+    """
+    return (
+        format(100 * share, doc.widen_format(form, [100 * share])) if math.isfinite(share) else ""
+    )
+
+
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:
     """Create a table cell with a torque limit, or "unknown" if the limit is not finite."""
     return doc.number_cell(limit, form) if math.isfinite(limit) else text("limit-unknown")

@@ -31,6 +31,7 @@ from pupper_analysis.present.document import (
     word,
 )
 from pupper_analysis.present.documents.loads import (
+    format_share,
     load_blocks,
     origins_text,
     proof_text,
@@ -180,7 +181,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         ground=ground_word(analysis.stand.depths.values()),
         torque=format(torque, doc.widen_format(".3f", [torque])),
         unit=statics.torque_units[most],
-        share=f"{100 * share:.1f}" if math.isfinite(share) else "",
+        share=format_share(share, ".1f"),
         zero="0" if math.isinf(share) else "",
         unknown="unknown" if math.isnan(share) else "",
         joint=doc.Name(statics.joint_names[most]),

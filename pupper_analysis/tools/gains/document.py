@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pupper_analysis.base.diagnostics import format_number
+from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
@@ -69,7 +69,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = study.worst.joints
-        time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
+        time = format_number(1e3 * math.log(2) / study.worst.growth_rate, ".3g")
         if study.worst.frequency:
             frequency = format_number(study.worst.frequency, ".3g")
             yield text(
@@ -78,7 +78,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
                 frequency=frequency,
                 time=time,
                 rate=f"{1 / study.period:.4g}",
-                delay=f"{1e3 * study.delay:.3g}",
+                delay=format_number(1e3 * study.delay, ".3g"),
                 delayed=study.delay > 0,
             )
         else:
@@ -90,13 +90,13 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             yield text(
                 "gains-above-torque",
                 joints=doc.Name(one.name),
-                kp=f"{one.largest_kp_of_torque:.3g} {one.units.stiffness}",
+                kp=f"{format_number(one.largest_kp_of_torque, '.3g')} {one.units.stiffness}",
             )
         if one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder:
             yield text(
                 "gains-above-noise",
                 joints=doc.Name(one.name),
-                kd=f"{one.largest_kd_of_encoder:.3g} {one.units.damping}",
+                kd=f"{format_number(one.largest_kd_of_encoder, '.3g')} {one.units.damping}",
             )
 
 
@@ -121,18 +121,20 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd
         least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
+        kp_text, least_text = format_pair(kp, least, ".3g")
+        kd_text, most_text = format_pair(kd, kd * (largest or 0.0), ".3g")
         return text(
             "gains-range" if largest is not None else "gains-range-open",
             added=bool(study.servos.made),
-            kp=f"{kp:.3g} {study.units.stiffness}",
-            kd=f"{kd:.3g} {study.units.damping}",
-            least=f"{least:.3g}",
-            most="" if largest is None else f"{largest * kd:.3g}",
+            kp=f"{kp_text} {study.units.stiffness}",
+            kd=f"{kd_text} {study.units.damping}",
+            least=least_text,
+            most="" if largest is None else most_text,
         )
     return text(
         "gains-factors" if largest is not None else "gains-factors-open",
-        least=f"{study.least_kp.factor or 0.0:.3g}",
-        most="" if largest is None else f"{largest:.3g}",
+        least=format_number(study.least_kp.factor or 0.0, ".3g"),
+        most="" if largest is None else format_number(largest, ".3g"),
     )
 
 
@@ -151,7 +153,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
     return text(
         "gains-controller-implicit" if implicit else "gains-controller",
         rate=f"{1 / study.period:.4g}",
-        delay=f"{1e3 * study.delay:.3g}",
+        delay=format_number(1e3 * study.delay, ".3g"),
         joints=join_words([doc.Name(name) for name in study.largest_kd.joints[:1]]),
         frequency=format_number(study.largest_kd.frequency, ".3g"),
         integrator=doc.Name(study.integrator),
@@ -170,7 +172,7 @@ def _get_uniform_recommendation(study: GainStudy) -> tuple[str, str] | None:
     first = study.classes[0]
     if not study.uniform or first.recommended_kp is None or first.recommended_kd is None:
         return None
-    return f"{first.recommended_kp:.3g}", f"{first.recommended_kd:.3g}"
+    return format_number(first.recommended_kp, ".3g"), format_number(first.recommended_kd, ".3g")
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
@@ -238,7 +240,7 @@ def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
         yield text("gains-note-reference")
     yield text("gains-note-together")
     if study.error is not None:
-        yield text("gains-note-torque", error=f"{math.degrees(study.error):.3g}")
+        yield text("gains-note-torque", error=format_number(math.degrees(study.error), ".3g"))
     if study.encoder_bits is not None:
         yield text(
             "gains-note-encoder", bits=study.encoder_bits, ratio=f"{100 * MAX_NOISE_RATIO:.0f}"
@@ -266,7 +268,10 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
     notes = [text("gains-note-simulated")]
     if study.least_kp_alone is not None:
         notes.append(
-            text("gains-note-alone", kp=f"{study.least_kp_alone:.3g} {study.units.stiffness}")
+            text(
+                "gains-note-alone",
+                kp=f"{format_number(study.least_kp_alone, '.3g')} {study.units.stiffness}",
+            )
         )
     return doc.Table(
         text("gains-bounds"),

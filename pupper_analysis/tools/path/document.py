@@ -11,7 +11,7 @@ import math
 from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
-from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.loads import format_share, view_block
 from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
@@ -33,7 +33,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
             moves=path.has_motion and math.isfinite(used),
-            share=f"{100 * used:.0f}" if math.isfinite(used) else "",
+            share=format_share(used, ".0f"),
             zero="0" if math.isinf(used) else "",
             unknown="unknown" if math.isnan(used) else "",
             joint=doc.Name(path.peak_joint),

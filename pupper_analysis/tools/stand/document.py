@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import overload
 
 import numpy as np
 
 from pupper_analysis.base.arguments import match_names
-from pupper_analysis.base.diagnostics import merge_diagnostics
+from pupper_analysis.base.diagnostics import format_number, merge_diagnostics
 from pupper_analysis.base.units import (
     find_common_units,
 )
@@ -22,7 +21,12 @@ from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, get_english, join_words, text, word
-from pupper_analysis.present.documents.loads import get_display_scales, load_blocks, view_block
+from pupper_analysis.present.documents.loads import (
+    format_share,
+    get_display_scales,
+    load_blocks,
+    view_block,
+)
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -207,6 +211,8 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = _stiffen_soft_servos(stance) or step
     elif _is_damping_excessive(stance):
         step = NextStep("gains")
+    if step.command == "payload" and _exceeds_explicit_damping(stance):
+        step = NextStep("gains")
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
     return step
@@ -214,9 +220,13 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 def _is_damping_excessive(stance: Stance) -> bool:
     """Return True if the stand fails with kd above the bound of an explicit PD controller."""
-    servos, verdict = stance.servos, stance.verdict
-    excessive = servos is not None and (servos.largest_kd_factor or math.inf) < 1
-    return verdict.code is VerdictCode.FAILS and excessive
+    return stance.verdict.code is VerdictCode.FAILS and _exceeds_explicit_damping(stance)
+
+
+def _exceeds_explicit_damping(stance: Stance) -> bool:
+    """Return True if kd exceeds the bound of an explicit PD controller."""
+    servos = stance.servos
+    return servos is not None and (servos.largest_kd_factor or math.inf) < 1
 
 
 def _has_soft_drives(stance: Stance) -> bool:
@@ -268,7 +278,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
         "load-of-motors",
         torque=format(torque, doc.widen_format(".2f", [torque])),
         unit=statics.torque_units[peak],
-        share=f"{100 * share:.0f}" if math.isfinite(share) else "",
+        share=format_share(share, ".0f"),
         zero="0" if math.isinf(share) else "",
         unknown="unknown" if math.isnan(share) else "",
         joint=doc.Name(statics.joint_names[peak]),
@@ -304,31 +314,37 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
     over = most is not None and most < 1
     yield text(
         "servo-gains" if scales else "servo-factors",
-        kp=f"{one.kp:.3g}",
+        kp=format_number(one.kp, ".3g"),
         kp_unit=units.stiffness,
-        kd=f"{one.kd:.3g}",
+        kd=format_number(one.kd, ".3g"),
         kd_unit=units.damping,
-        least="" if least is None else f"{_round_bound(least * kp):g}",
-        most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
+        least="" if least is None else f"{_round_bound(least * kp, kp):g}",
+        most=f"{_round_bound(most * kd, kd):g}" if most is not None and bounded else "",
         added=bool(stance.verdict.servos.made),
         implicit_over=over and implicit,
         within=bounded and not (over and implicit),
-        step=f"{1e3 * servos.timestep:.3g}",
+        step=format_number(1e3 * servos.timestep, ".3g"),
+        rate=f"{1 / servos.timestep:.4g}",
         implicit=servos.integrator if implicit else "",
     )
 
 
-@overload
-def _round_bound(bound: float) -> float: ...
+def _round_bound(bound: float, gain: float) -> float:
+    """Round a bound of a servo gain to two significant digits, or more if the gain is near.
+
+    The rounded bound is above, equal to or below the gain as displayed (three digits), as the exact
+    bound and gain are. ``bound`` and ``gain`` may also be factors on gains.
+    """
+    displayed = float(f"{gain:.3g}")
+    for digits in range(2, _MAX_BOUND_DIGITS):
+        rounded = float(f"{bound:.{digits}g}")
+        if np.sign(rounded - displayed) == np.sign(bound - gain):
+            return rounded
+    return float(f"{bound:.{_MAX_BOUND_DIGITS}g}")
 
 
-@overload
-def _round_bound(bound: float | None) -> float | None: ...
-
-
-def _round_bound(bound: float | None) -> float | None:
-    """Round a bound on a servo gain, or on a factor of gains, to two significant digits."""
-    return None if bound is None else float(f"{bound:.2g}")
+_MAX_BOUND_DIGITS = 6
+"""Largest number of digits of a displayed bound of a servo gain. Chosen, not tuned."""
 
 
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
@@ -338,7 +354,7 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
         yield text(
             "servos-too-soft-alone",
             joints=soft.name,
-            kp=f"{soft.kp:.3g}",
+            kp=format_number(soft.kp, ".3g"),
             unit=soft.units.stiffness,
             factor=f"{soft.factor:g}",
         )
@@ -350,11 +366,16 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
     kp = servos.classes[0].kp if servos.uniform else 1.0
     yield text(
         "servos-below-least-kp" if servos.uniform else "servos-below-least-factor",
-        kp=f"{kp:.3g}",
+        kp=format_number(kp, ".3g"),
         unit=servos.units.stiffness,
-        least=f"{least * kp:.3g}",
-        tried="" if factor is None else f"{factor * kp:.3g}",
+        least=format_number(least * kp, ".3g"),
+        tried="" if factor is None else format_number(factor * kp, ".3g"),
     )
+
+
+def _make_bound_cell(bound: float | None, gain: float) -> doc.Number:
+    """Create the table cell of a bound of a servo gain; an empty cell without a bound."""
+    return doc.number_cell(None if bound is None else _round_bound(bound, gain), "g")
 
 
 def _make_servo_table(servos: ServoBounds) -> doc.Table:
@@ -366,9 +387,9 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
         (
             doc.Name(bounds.name),
             doc.number_cell(bounds.kp, ".4g"),
-            doc.number_cell(_round_bound(bounds.least_kp), ".4g"),
+            _make_bound_cell(bounds.least_kp, bounds.kp),
             doc.number_cell(bounds.kd, ".4g"),
-            doc.number_cell(_round_bound(bounds.largest_kd), ".4g"),
+            _make_bound_cell(bounds.largest_kd, bounds.kd),
         )
         for bounds in servos.classes
     ]
@@ -387,7 +408,7 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
             text("servo-bounds-of-factors"),
             text(
                 "servo-bounds-of-controller",
-                step=f"{1e3 * servos.timestep:.3g}",
+                step=format_number(1e3 * servos.timestep, ".3g"),
                 integrator=doc.Name(servos.integrator),
             ),
         ),

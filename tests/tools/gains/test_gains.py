@@ -305,3 +305,23 @@ def test_gains_of_slides_have_units_of_their_own(tmp_path: Path) -> None:
     assert (servos.stiffness_unit, servos.damping_unit) == (
         "N m/rad or N/m", "N m s/rad or N s/m",
     )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_large_and_near_gains_are_readable() -> None:
+    """HyQ: the answer stated a kp of 1.3e+03. Solo12: kd was 1.7, and so was its exceeded bound.
+
+    References: factors on the gains of the study.
+    """
+    study = gains_of("v3")
+    classes = tuple(
+        replace(one, kp=1304.0, kd=1.7, recommended_kp=1304.0, recommended_kd=65.2)
+        for one in study.classes
+    )
+    most = replace(study.largest_kd, factor=0.9994)
+    document = gains_document(replace(study, classes=classes, largest_kd=most))
+    assert document.next_step is not None
+    assert document.next_step.words == ("--kp", "1300", "--kd", "65.2")
+    text = " ".join(get_english(line) for line in (*document.failures, *document.findings))
+    assert "kp 1300 N m/rad (at least " in text
+    assert "kd 1.7 N m s/rad (at most 1.699)" in text

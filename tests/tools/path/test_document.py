@@ -33,7 +33,7 @@ def test_path_without_motion_names_the_options_of_a_goal() -> None:
     first, second, *_ = path_document(result).findings
     assert isinstance(first, Text)
     assert isinstance(second, Text)
-    assert first.short == "no motion; largest motor load 32 % (knee, 1.23 s)"
+    assert first.short == "no motion; motor load 32 % of the limit (knee, 1.23 s)"
     options = {option for one in command.params for option in one.opts}
     assert options >= {word.strip(",") for word in second.short.split() if word.startswith("--")}
     assert options >= set(re.findall(r"--[a-z]+", second.en))

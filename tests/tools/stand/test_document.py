@@ -1,0 +1,74 @@
+"""Documents of stances: servo gains with their bounds, and the next command."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pupper_analysis.present.documents.loads import format_share
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
+from pupper_analysis.tools.stand.document import _round_bound, stance_document
+from tests.present.test_printed import print_words
+from tests.support.stubs import SERVO_BOUNDS, SERVOS, run, stance
+
+
+def hold_stance(largest_kd_factor: float) -> object:
+    """Return a stance that holds with kd 16, and a bound of kd of an explicit controller."""
+    classes = tuple(replace(one, kp=320.0, kd=16.0) for one in SERVO_BOUNDS.classes)
+    bounds = replace(
+        SERVO_BOUNDS,
+        classes=classes,
+        least_kp_factor=0.0875,
+        largest_kd_factor=largest_kd_factor,
+        timestep=0.002,
+    )
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS)
+    assert verdict.code is VerdictCode.HOLDS
+    return stance(servos=bounds, verdict=verdict, passed=True, minimum_stiffness=None, settled=None)
+
+
+@pytest.mark.parametrize(
+    ("factor", "command", "damping"),
+    [
+        (0.56, "gains", "kd 16 N m s/rad (as a PD at 500 Hz: max 9)"),
+        (1.5, "payload", "kd 16 N m s/rad (max 24)"),
+    ],
+)
+def test_damping_beyond_an_explicit_controller_leads_to_the_gains(
+    factor: float, command: str, damping: str
+) -> None:
+    """Reference: 16 N m s/rad times the factor. `gains` reports UNSTABLE for such a damping."""
+    document = stance_document(hold_stance(factor))
+    assert document.next_step is not None
+    assert document.next_step.command == command
+    (line,) = [line for line in document.findings if getattr(line, "short", "").startswith("kp ")]
+    assert line.short == f"kp 320 N m/rad (min 28), {damping}"
+    assert len(f"  added servos: {line.short}; 4 more: -v") <= MAX_ANSWER_WIDTH
+
+
+@pytest.mark.parametrize(
+    ("bound", "gain", "displayed"),
+    [(28.08, 320, 28), (1.699, 1.7, 1.699), (5.0276, 5, 5.03), (5, 5, 5), (2.61, 2.6, 2.61)],
+)
+def test_rounded_bound_stays_on_its_side_of_the_gain(
+    bound: float, gain: float, displayed: float
+) -> None:
+    """Solo12: the line stated kd 1.7 and a bound of 1.7 that kd exceeds."""
+    assert _round_bound(bound, gain) == displayed
+    assert (displayed > gain) - (displayed < gain) == (bound > gain) - (bound < gain)
+
+
+def test_table_has_a_bound_below_the_gain() -> None:
+    classes = tuple(replace(one, kd=1.7, largest_kd=1.699) for one in SERVO_BOUNDS.classes)
+    bounds = replace(SERVO_BOUNDS, classes=classes, largest_kd_factor=0.9994)
+    assert "1.699" in " ".join(print_words(stance_document(stance(servos=bounds))))
+
+
+def test_small_utilisation_is_not_zero() -> None:
+    """Solo12 states effort limits of 1000 N m: the load was "0 % of the limit"."""
+    assert format_share(0.000688, ".0f") == "0.069"
+    assert format_share(0.157, ".0f") == "16"
+    assert format_share(1.27, ".1f") == "127.0"
+    assert format_share(float("nan"), ".1f") == ""
