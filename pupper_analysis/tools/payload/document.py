@@ -96,11 +96,14 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
     if math.isnan(limit.mass) or not limit.passed:
         key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
         return qualify_verdict_word(key, limit.verdict.converted)
+    file, torque_limits = name_only_format(limit.verdict.converted), _describe_torque_limits(limit)
+    kind = "peak" if torque_limits["peak"] else "continuous"
     return text(
         "carries-with-limits",
-        file=name_only_format(limit.verdict.converted),
+        file=file,
         compensated=_carries_only_with_feedforward(limit),
-        **_describe_torque_limits(limit),
+        shown="" if file or torque_limits["part"] else kind,  # the short form has no more room
+        **torque_limits,
     )
 
 
@@ -139,17 +142,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         ground=ground_word(limit.stand.depths.values()),
         beside=bool(np.any(limit.point)),
         none=limit.upper_bound == 0,
-        conditions=_describe_conditions(limit) if limit.passed else "",
-    )
-
-
-def _describe_conditions(limit: PayloadLimit) -> doc.Text:
-    """Return the conditions of a payload: gravity compensation, mass without it, torque limits."""
-    return text(
-        "payload-conditions",
-        alone=_describe_mass_by_commands_alone(limit),
-        only=_carries_only_with_feedforward(limit),
-        **_describe_torque_limits(limit),
+        only=limit.passed and _carries_only_with_feedforward(limit),
     )
 
 
@@ -170,6 +163,8 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
     )
     return text(
         "payload-limited",
+        mass=mass_text(limit.upper_bound),
+        alone=limit.passed and not math.isnan(limit.mass_by_commands_alone),
         failure=_describe_failure(limit.failure, limit.failing_parts),
         next="" if following is None else mass_text(following.mass),
         cause="" if following is None else word(following.failure.value),

@@ -39,8 +39,8 @@ def test_utilisation_is_stated_with_motor_and_torque() -> None:
     assert isinstance(line, Text)
     joint = load.rpartition("(")[2]
     torque = load.removeprefix("largest motor load ").partition(" =")[0]
-    assert line.short == f"motor load 4.56 % = {torque} ({joint}; 3.45 % as given"
-    assert line.en.startswith(f"largest motor load 4.56 % of the limit = {torque} ({joint},")
+    assert line.short == f"load {torque} = 4.56 % of the limit ({joint}; 3.45 % as given"
+    assert line.en.startswith(f"largest motor load {torque} = 4.56 % of the limit ({joint},")
     assert len("HOLDS (URDF only) go2_description: ") + len(line.short) < MAX_ANSWER_WIDTH
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pupper_analysis.present.document import Text, text
@@ -61,16 +63,40 @@ def test_short_answer_states_the_mass_without_the_limit() -> None:
         for words in payload_document(make_payload_result()).findings
         if isinstance(words, Text) and words.short.startswith("limit: ")
     ]
-    assert limit.endswith("; without this limit 4.56 kg")
+    assert limit.endswith("; next limit 4.56 kg")
 
 
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
-    conditions = text("payload-conditions", alone="39.54 kg", peak=True, count=0)
     values = {"mass": "66.89 kg", "place": "0, 0, 0", "link": "base", "ground": ""}
-    line = text("payload-at-place", conditions=conditions, **values).short
+    line = text("payload-at-place", alone="39.54 kg", **values).short
     assert line
-    assert len(f"CARRIES (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
+    result = make_payload_result()
+    result.verdict = replace(result.verdict, converted="mjcf")
+    verdict = payload_document(result).verdict
+    assert isinstance(verdict, Text)
+    assert verdict.short == "CARRIES (short-term; URDF only)"
+    assert len(f"{verdict.short} go2_description: {line}") <= MAX_ANSWER_WIDTH
+
+
+@pytest.mark.parametrize(
+    ("continuous", "conditions"),
+    [
+        ((), "short-term, at peak torque"),
+        (("hip",), "short-term: 1 motor at peak torque"),
+        (("hip", "knee"), "permanently, at continuous torque"),
+    ],
+)
+def test_verdict_states_for_how_long_the_payload_is_carried(
+    continuous: tuple[str, ...], conditions: str
+) -> None:
+    """The condition followed the mass without gravity compensation, and seemed to be its cause."""
+    result = make_payload_result()
+    result.continuous = continuous
+    verdict = payload_document(result).verdict
+    assert isinstance(verdict, Text)
+    assert verdict.short == f"CARRIES ({conditions})"
+    assert verdict.en.startswith(f"CARRIES ({conditions}")
 
 
 def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
@@ -87,3 +113,9 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
     assert mass.en.startswith("largest payload 1.23 kg with gravity compensation, 0.50 kg without")
     assert " gravity-compensated, 0.50 kg without" in mass.short
     assert "only with gravity compensation" not in " ".join(print_words(answer))
+    (limit,) = [
+        words
+        for words in answer.findings
+        if isinstance(words, Text) and words.en.startswith("limiting failure")
+    ]
+    assert limit.short.startswith("limit of 1.23 kg: ")
