@@ -6,6 +6,7 @@ import copy
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +29,10 @@ from pupper_analysis.models.xml import (
     parse_numbers,
     parse_text,
 )
+
+WORLD_LINK: Final = "world"
+"""Name of a root link of a URDF that is the world itself. MuJoCo's own importer treats the name in
+the same way."""
 
 
 def origin_of(element: etree._Element | None) -> pin.SE3:

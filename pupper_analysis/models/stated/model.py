@@ -22,6 +22,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import WORLD_LINK
 
 HINGE_JOINT = "hinge"
 """Kind of a joint that rotates about an axis."""
@@ -219,10 +220,13 @@ class RobotModel:
 
         The file has a joint of the kind ``FREE_JOINT``, or several moving links at the base: the
         URDF of a legged robot usually contains no free joint. Links that are fixed to the base
-        count as part of the base.
+        count as part of the base. A URDF without such a joint whose root link is the world
+        (`WORLD_LINK`) has a fixed base.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
+        if self.format == "urdf" and self.base == WORLD_LINK:
+            return False
         group = self.fixed_group(self.base)
         return sum(child.moving for link in group for child in self.children(link.name)) > 1
 

@@ -37,7 +37,7 @@ from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.places import make_element_error
 from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
+from pupper_analysis.models.urdf_tree import WORLD_LINK, UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml import (
     add_element,
     is_zero,
@@ -48,7 +48,6 @@ from pupper_analysis.models.xml import (
 )
 from pupper_analysis.prepare.convert.meshes import MeshFiles
 from pupper_analysis.prepare.convert.repair import (
-    WORLD_LINK,
     LinkBodies,
     Repair,
     move_massless_shapes,

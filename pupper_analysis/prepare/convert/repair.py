@@ -23,12 +23,8 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import make_file_error
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
+from pupper_analysis.models.urdf_tree import WORLD_LINK, UrdfTree, origin_of, set_origin
 from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
-
-WORLD_LINK: Final = "world"
-"""Name of a root link of a URDF that is the world itself. MuJoCo's own importer treats the name in
-the same way."""
 
 _TRIANGLE_RTOL: Final = 1e-12
 """Relative tolerance [1] with which principal moments A <= B <= C of a valid inertial satisfy

@@ -46,6 +46,7 @@ from pupper_analysis.models.stated.mjcf import (
     find_collidable_geoms,
 )
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import WORLD_LINK
 from pupper_analysis.models.xml import add_element, join_numbers, new_file_text
 from pupper_analysis.prepare.contact_points import compute_lowest_height
 from pupper_analysis.prepare.convert.from_urdf import (
@@ -56,7 +57,7 @@ from pupper_analysis.prepare.convert.from_urdf import (
     UrdfBodies,
     format_xml_value,
 )
-from pupper_analysis.prepare.convert.repair import WORLD_LINK, Repair
+from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.convert.to_urdf import ConvertedUrdf
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import list_urdf_ground_additions, make_robot

@@ -38,8 +38,9 @@ def command(
 ) -> None:
     """Show the changes of the robot between OLD and NEW: two URDFs, or two MJCFs.
 
-    Each changed number is shown with the lines in both files and the effect on the dynamics, then
-    the change in total mass; with -v, the change in the torques that hold the links in the air.
+    The change in total mass comes first. Each changed number is shown with the lines in both files
+    and the effect on the dynamics, then the largest change of a torque that holds the links in the
+    air, with a held base (-v: all joints).
     Moved text and other ways to write the same numbers are not changes. OLD or NEW may be
     REVISION:PATH, a file in git's history, or the name of a variant.
 

@@ -115,6 +115,8 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within 1e-9.
+        floating: Whether effects are those of a free base. The base of a URDF counts as free if two
+            or more moving links are attached to the base, for example.
         combined: For two MJCFs: effects of all changes together in a simulation of the files
             (`SimulatedPair`). Empty if the effect is reported for the only change, for example.
         notes: Assumptions, and ignored content.
@@ -130,6 +132,7 @@ class ModelDiff(Result):
     deviations: dict[str, float] = field(metadata={"unit": "1"})
     residual: dict[str, float] = field(metadata={"unit": "1"})
     complete: bool
+    floating: bool
     combined: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
 
@@ -273,10 +276,12 @@ class _Comparison:
         two = rename_joints(two, {new: old for old, new in self.pairs.items()})
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
-            before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
-            both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.message_values}
-            message = diagnose("base-type-differs", subject=("body", one.base), **both)
-            self.differences.append(Difference("type", one.base, before, after, "", message, {}))
+            if not isinstance(self.one.file, UrdfFile):  # a URDF does not state the type
+                before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
+                both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.message_values}
+                message = diagnose("base-type-differs", subject=("body", one.base), **both)
+                difference = Difference("type", one.base, before, after, "", message, {})
+                self.differences.append(difference)
             one, two = replace(one, floating=True), replace(two, floating=True)
         common = [frame for frame in one.frames if frame in two.frames]
         one, two = (
@@ -344,6 +349,7 @@ class _Comparison:
             },
             residual=residual,
             complete=all(value <= MAX_RESIDUAL for value in residual.values()),
+            floating=first.floating,
             combined=combined,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
         )

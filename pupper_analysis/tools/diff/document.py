@@ -6,6 +6,7 @@ and the effect, the change of mass, and the gravity torques that have changed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
+from pupper_analysis.robot.compare.attribution import MAX_RESIDUAL
 from pupper_analysis.robot.compare.differences import MIN_FACTOR
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
@@ -47,8 +49,15 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         notes=tuple(map(doc.diagnostic_text, diff.notes)),
         next_step=None
         if ":" in diff.new
-        else doc.NextStep("audit", (diff.new,), robot_typed=False),
+        else doc.NextStep(_select_next_command(diff), (diff.new,), robot_typed=False),
     )
+
+
+def _select_next_command(diff: ModelDiff) -> str:
+    """Return the command that computes the changed load of the motors, or else `audit`."""
+    if diff.floating and _format_percent(*diff.mass):
+        return "stand"
+    return "hold" if _list_changed_torques(diff) and not diff.floating else "audit"
 
 
 def _format_title(diff: ModelDiff) -> doc.Text:
@@ -144,24 +153,68 @@ in a single version, and another type of the base.
 """
 
 
+_ROUNDING_RTOL = 1e-12
+"""Relative difference [1] up to which two values count as equal: sums of masses in another order
+differ by rounding. Chosen, not tuned.
+"""
+
+
 def _format_percent(old: float, new: float) -> str:
     """Format the change of a value in percent, or as a factor if large; "" if equal or from 0."""
-    if not old or old == new:
+    if not old or math.isclose(old, new, rel_tol=_ROUNDING_RTOL):
         return ""
     return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"
 
 
-def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield a table of the changed gravity torques [N m, N]; without changes, a line."""
-    changed = {
+def _list_changed_torques(
+    diff: ModelDiff, tolerance: float = _MIN_RELATIVE_CHANGE
+) -> dict[str, tuple[float, float]]:
+    """Return the gravity torques [N m, N] that change by more than a relative tolerance."""
+    return {
         name: pair
         for name, pair in diff.torques.items()
-        if abs(pair[1] - pair[0]) > _MIN_RELATIVE_CHANGE * max(pair)
+        if abs(pair[1] - pair[0]) > tolerance * max(pair)
     }
+
+
+def _describe_torques(diff: ModelDiff) -> doc.Text:
+    """Return a sentence on the largest change of a gravity torque, with the base held.
+
+    The sentence adds that the standing robot is not compared, if its mass has changed.
+    """
+    changed = _list_changed_torques(diff)
+    is_heavier = diff.floating and bool(_format_percent(*diff.mass))
+    standing = _format_percent(*diff.mass) if is_heavier else ""
     if not changed:
-        less = text("torques-change-by-less", most=f"{100 * _MIN_RELATIVE_CHANGE:g}")
-        moved = any(old != new for old, new in diff.torques.values())
-        yield doc.Lines((less if moved else text("the-torques-that-hold"),))
+        moved = _list_changed_torques(diff, MAX_RESIDUAL)
+        most = f"{100 * _MIN_RELATIVE_CHANGE:g}" if moved else ""
+        return text("torques-change-by-less", free=diff.floating, most=most, standing=standing)
+    joint = max(
+        changed,
+        key=lambda name: (
+            abs(changed[name][1] / changed[name][0] - 1) if changed[name][0] else math.inf
+        ),
+    )
+    old, new = changed[joint]
+    old_text, new_text = format_pair(old, new, ".4g")
+    return text(
+        "torques-change-by-up-to",
+        free=diff.floating,
+        joint=joint,
+        old=old_text,
+        new=new_text,
+        unit=diff.torque_units[joint],
+        change=_format_percent(old, new),
+        standing=standing,
+    )
+
+
+def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
+    """Yield a line with the largest change of a gravity torque; a table if torques change."""
+    if diff.torques:
+        yield doc.Lines((_describe_torques(diff),))
+    changed = _list_changed_torques(diff)
+    if not changed:
         return
     unit = find_common_units(diff.torque_units[name] for name in changed).effort
     rows: list[tuple[doc.Cell, ...]] = [

@@ -69,7 +69,7 @@ class Version:
 
     Attributes:
         file: File.
-        tree: Joints and bodies. The base of a URDF is free, since a URDF does not specify the type.
+        tree: Joints and bodies. The base of a URDF is free if `RobotModel.has_free_base`.
         extra_values: {(kind, element): value} outside the tree: mimic joints, motors, springs,
             tendons ...
         elements: Collision shapes of a URDF (`list_collisions`), or elements of an MJCF
@@ -108,14 +108,14 @@ def _read_urdf_version(file: UrdfFile) -> Version:
     for joint in tree.joints.values():
         joint.remove("mimic")
     _, _, held = fix_other_joints(root)
-    base = tree.base.name
+    base, stated = tree.base.name, read_urdf_model(file)
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
     carriers = {base: base, **{joint.name: joint.child for joint in tree.moving}}
     return Version(
         file=file,
-        tree=urdf_tree(root, file.path, base, frames),
+        tree=replace(urdf_tree(root, file.path, base, frames), floating=stated.has_free_base),
         extra_values={("mimic", name): list(value) for name, value in mimics.items()},
-        elements=list_collisions(read_urdf_model(file)),
+        elements=list_collisions(stated),
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
         notes=(*file.notes, *held),

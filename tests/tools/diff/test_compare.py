@@ -251,12 +251,43 @@ def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> No
     one, two = diff.torques["swing"]
     assert two / one == pytest.approx(3.0 * 0.7 / (2.0 * 0.5), rel=1e-12)
     files = write_both(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
-    model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
-    tree = from_pinocchio(model, "base", ["swing"], {})
-    positions = RandomStates(tree).qpos[:, 7]
+    tree = from_pinocchio(pin.buildModelFromUrdf(str(files[0])), "base", ["swing"], {})
+    positions = RandomStates(tree).qpos[:, 0]
     assert len(positions) == 10
     assert np.ptp(positions) > 1.0
     assert one == pytest.approx(2.0 * 9.81 * 0.5 * np.abs(np.sin(positions)).max(), rel=1e-12)
+
+
+def test_base_mass_of_a_urdf_arm_changes_neither_mass_matrix_nor_gravity(tmp_path: Path) -> None:
+    """The base of an arm is fixed: Pinocchio with a fixed base returns equal mass matrices.
+
+    With a free base, the mass of the base would be part of the mass matrix.
+    """
+    old, new = arm(), change_part(arm(), "base", mass=4.0)
+    diff = diff_of(tmp_path, old, new, "urdf")
+    assert not diff.floating
+    assert list_changes(diff) == [("mass", "base")]
+    assert set(diff.changes[0].effects) == {"com"}
+    models = [pin.buildModelFromUrdf(str(tmp_path / f"{name}.urdf")) for name in ("old", "new")]
+    q = pin.neutral(models[0])
+    first, second = (pin.crba(model, model.createData(), q) for model in models)
+    np.testing.assert_array_equal(first, second)
+    # A load on the last link does change the mass matrix, with a fixed base as well.
+    loaded = diff_of(tmp_path, old, change_part(old, "rod", mass=0.6), "urdf")
+    assert {"mass matrix", "gravity", "bias forces"} <= set(loaded.changes[0].effects)
+
+
+@pytest.mark.parametrize(("root", "is_free"), [("trunk", True), ("world", False)])
+def test_base_of_a_urdf_with_two_limbs_is_free_unless_it_is_the_world(
+    tmp_path: Path, root: str, is_free: bool
+) -> None:
+    """`convert` decides likewise: with legs the base is free, a root link `world` is fixed."""
+    parts = quadruped()
+    text = urdf_text(parts).replace('"base"', f'"{root}"')
+    new = urdf_text(change_part(parts, "base", mass=6.5)).replace('"base"', f'"{root}"')
+    diff = pa.diff_models(*write_both(tmp_path, text, new, "urdf"))
+    assert diff.floating is is_free
+    assert ("mass matrix" in diff.changes[0].effects) is is_free
 
 
 @pytest.mark.parametrize("name", ["v3", "original"])

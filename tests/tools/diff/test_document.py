@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import FileFinding, get_english
+from pupper_analysis.present.document import FileFinding, Lines, Number, Table, get_english
 from pupper_analysis.tools.diff.document import diff_document
+from tests.support.robots import change_part, pendulum, quadruped, urdf_text
 
 MODEL = """<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>
   <body name="leg" pos="0 0 1"><joint name="hip"/><geom size="0.1"/>
@@ -32,3 +34,89 @@ def test_structural_changes_do_not_claim_to_be_without_effect(
     findings = [block for block in diff_document(diff).blocks if isinstance(block, FileFinding)]
     notes = [get_english(note) for note in findings[place].notes]
     assert notes == ["effect on the dynamics not evaluated"]
+
+
+def diff_urdfs(folder: Path, old: str, new: str) -> pa.analysis.ModelDiff:
+    files = folder / "old.urdf", folder / "new.urdf"
+    for file, content in zip(files, (old, new), strict=True):
+        file.write_text(content)
+    return pa.diff_models(*files)
+
+
+def read_torque_line(diff: pa.analysis.ModelDiff) -> str:
+    lines = [block for block in diff_document(diff).blocks if isinstance(block, Lines)]
+    return get_english(lines[-1].lines[0])
+
+
+def test_heavier_trunk_refers_to_stand_since_only_the_held_base_is_compared(tmp_path: Path) -> None:
+    """A trunk of 12 kg instead of 6 kg loads no joint of a held base.
+
+    The weight changes as the total mass of the robot.
+    """
+    parts = quadruped()
+    diff = diff_urdfs(
+        tmp_path,
+        urdf_text(parts),
+        urdf_text(change_part(parts, "base", mass=parts["base"].mass * 2)),
+    )
+    masses = [part.mass for part in parts.values()]
+    percent = 100 * parts["base"].mass / sum(masses)
+    line = read_torque_line(diff)
+    assert line.startswith("with the base held, the joint torques against gravity are unchanged")
+    assert line.endswith(f"standing is not compared: the weight changes by {percent:+.3g} %")
+    step = diff_document(diff).next_step
+    assert step is not None
+    assert step.command == "stand"
+
+
+def test_torques_are_printed_old_before_new(tmp_path: Path) -> None:
+    """Closed form: the torque of a pendulum is proportional to m l, here 3 * 0.7 / (2 * 0.5)."""
+    old, new = pendulum(), pendulum(mass=3.0, com=(0.0, 0.0, -0.7))
+    diff = diff_urdfs(tmp_path, urdf_text(old, []), urdf_text(new, []))
+    line = read_torque_line(diff)
+    before, after = diff.torques["swing"]
+    assert after > before
+    assert line == (
+        "with the base fixed to the world, the joint torques against gravity change by up to "
+        f"+110 % (swing: {before:.4g} -> {after:.4g} N m)"
+    )
+    table = next(block for block in diff_document(diff).blocks if isinstance(block, Table))
+    headers = [get_english(column.name) for column in table.columns]
+    assert headers == ["joint", "old", "new", "change"]
+    (row,) = table.rows
+    values = [cell.value for cell in row[1:] if isinstance(cell, Number)]
+    assert values == pytest.approx([before, after, 110.0], rel=1e-6)
+    step = diff_document(diff).next_step
+    assert step is not None
+    assert step.command == "hold"
+
+
+def test_headline_and_findings_show_the_old_value_first(tmp_path: Path) -> None:
+    """The mass of the bob is 2 kg in the old file and 3 kg in the new file; the base has 1 kg."""
+    diff = diff_urdfs(tmp_path, urdf_text(pendulum(), []), urdf_text(pendulum(mass=3.0), []))
+    document = diff_document(diff)
+    assert "3 kg in the old file, 4 kg in the new file (+33.3 %)" in get_english(
+        document.findings[1]
+    )
+    finding = next(block for block in document.blocks if isinstance(block, FileFinding))
+    shown = [(get_english(place.place), get_english(place.line)) for place in finding.columns]
+    assert [name.split(":")[0] for name, _ in shown] == ["old.urdf", "new.urdf"]
+    assert ['value="2' in shown[0][1], 'value="3' in shown[1][1]] == [True, True]
+
+
+def test_values_without_a_line_are_shown_under_their_own_file(tmp_path: Path) -> None:
+    """Numbers of scaled variants have no line: the columns then contain the values."""
+    diff = diff_urdfs(tmp_path, urdf_text(pendulum(), []), urdf_text(pendulum(mass=3.0), []))
+    (change,) = diff.changes
+    diff = replace(diff, changes=(replace(change, old_place="", new_place=""),))
+    finding = next(block for block in diff_document(diff).blocks if isinstance(block, FileFinding))
+    assert [get_english(place.line) for place in finding.columns] == ["2 kg", "3 kg"]
+
+
+def test_mass_that_moves_between_links_is_no_change_of_the_total(tmp_path: Path) -> None:
+    """0.1 kg + 0.2 kg and 0.3 kg + 0 kg differ by rounding only."""
+    old = change_part(pendulum(mass=0.1), "base", mass=0.2)
+    new = change_part(pendulum(mass=0.3), "base", mass=1e-30)
+    diff = diff_urdfs(tmp_path, urdf_text(old, []), urdf_text(new, []))
+    assert diff.mass[0] != diff.mass[1]
+    assert get_english(diff_document(diff).findings[1]).startswith("link ")
