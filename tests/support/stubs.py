@@ -484,6 +484,7 @@ def files() -> Any:
         agree=False,
         same_robot=False,
         floating=True,
+        refusal=None,
         deviations={"gravity": 0.41, "mass matrix": 0.34},
         differences=(difference, limit),
         causes=(
@@ -492,6 +493,7 @@ def files() -> Any:
                 diagnostic=problem("another unit"),
                 differences=(1,),
                 is_reported_first=False,
+                effects={},
             ),
         ),
         parts=(problem("a tail too many"),),

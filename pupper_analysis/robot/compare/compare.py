@@ -49,6 +49,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.attribution import (
     MAX_RESIDUAL,
     align_robot,
+    compute_joint_effects,
     explain_differences,
 )
 from pupper_analysis.robot.compare.differences import (
@@ -395,6 +396,8 @@ class FilesCompared(Tabular):
         same_robot: Whether the models agree except for the conventions: frame of the base and zeros
             of joints.
         floating: Whether the MJCF has a free base, or a base with at least two limbs.
+        refusal: Reason why MuJoCo does not load the unmodified MJCF, such as missing mesh files;
+            None if MuJoCo loads the MJCF.
     """
 
     urdf: str
@@ -417,6 +420,7 @@ class FilesCompared(Tabular):
     agree: bool
     same_robot: bool
     floating: bool
+    refusal: Diagnostic | None
 
     @property
     def unexplained_differences(self) -> list[list[Difference]]:
@@ -438,7 +442,7 @@ class FilesCompared(Tabular):
             return causes[0].diagnostic
         if self.parts:
             return self.parts[0]
-        if causes and (causes[0].differences[0] == 0 or not groups):
+        if causes and (any(0 in cause.differences for cause in causes) or not groups):
             return causes[0].diagnostic
         if groups:
             return groups[0][0].diagnostic
@@ -537,6 +541,17 @@ def compare_files(
     differences = tuple(
         sorted((*located, *contact_differences), key=lambda difference: difference.rank)
     )
+    causes = _find_causes(
+        robot, alignment.values, differences, tolerances, _bodies_with_geom_mass(mjcf_file)
+    )
+    groups = [
+        [(differences[index].kind, differences[index].element) for index in cause.differences]
+        for cause in causes
+    ]
+    effects = compute_joint_effects(
+        robot, groups, explanation, tolerances=tolerances, alignment=alignment
+    )
+    causes = tuple(map(_set_effects, causes, effects))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = (*_report_missing_base_mass(matched), *_find_objections(explanation, tolerances))
     if mount is not None and strict_names:
@@ -556,9 +571,7 @@ def compare_files(
             *contact_notes,
         ),
         differences=differences,
-        causes=_find_causes(
-            robot, alignment.values, differences, tolerances, _bodies_with_geom_mass(mjcf_file)
-        ),
+        causes=_sort_causes(causes, differences),
         deviations=explanation.deviations,
         residual=explanation.residual,
         explained=_explained_fraction(explanation),
@@ -568,8 +581,24 @@ def compare_files(
         agree=not (differences or unmatched or objections),
         same_robot=not (_has_mechanical_difference(differences) or unmatched or objections),
         floating=mjcf_model.has_free_base,
+        refusal=_describe_refusal(mjcf_file),
     )
     return Compared(result, matched, explanation, sources)
+
+
+def _describe_refusal(mjcf: MjcfFile) -> Diagnostic | None:
+    """Return the reason why MuJoCo does not load the unmodified MJCF; None if MuJoCo loads it.
+
+    A file that was converted from another format is no MJCF that MuJoCo could load.
+    """
+    if mjcf.of_urdf or mjcf.stands_for:
+        return None
+    name, missing = mjcf.path.name, mjcf.missing_files
+    if missing:
+        return diagnose("mjcf-refused-by-mujoco", file=name, count=len(missing), missing=missing)
+    if mjcf.as_it_is is not None:
+        return diagnose("mjcf-refused-by-mujoco", file=name, problem=mjcf.as_it_is[0])
+    return None
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
@@ -582,6 +611,28 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()
     )
     return next((tuple(module.find_causes(*of)) for module in modules), ())
+
+
+def _set_effects(cause: PatternCause, effects: dict[str, Effect]) -> PatternCause:
+    """Return a cause with the effects of all its differences together."""
+    return replace(cause, effects=effects)
+
+
+def _sort_causes(
+    causes: Sequence[PatternCause], differences: Sequence[Difference]
+) -> tuple[PatternCause, ...]:
+    """Sort causes as differences (`Difference.rank`), with the joint effects of each cause.
+
+    Causes that are reported first precede other causes.
+    """
+
+    def rank(cause: PatternCause) -> tuple[object, ...]:
+        """Return the sorting key of a cause."""
+        first = differences[cause.differences[0]]
+        together = replace(first, effects=cause.effects or first.effects)
+        return not cause.is_reported_first, together.rank, cause.differences
+
+    return tuple(sorted(causes, key=rank))
 
 
 def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:

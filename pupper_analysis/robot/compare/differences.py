@@ -286,11 +286,14 @@ class PatternCause(Result):
             ``inertia axes``, ``links``, ``scaled links``, ``inertial`` or ``line``.
         diagnostic: Message that describes the mistake, with the numbers.
         differences: Indices of the explained differences, from 0.
+        effects: {quantity: effect of all explained differences together}. Empty if one of the
+            differences has no place in the joint tree, for example an equality constraint.
     """
 
     kind: str
     diagnostic: Diagnostic
     differences: tuple[int, ...]
+    effects: dict[str, Effect] = field(default_factory=dict)
 
     @property
     def message(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
@@ -28,17 +28,22 @@ from pupper_analysis.present.documents.registry import build_document, make_docu
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.present.plots import draw_result, make_axes, make_figure_title
-from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, describe_kind
+from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, Effect, describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
+    BODIES,
+    COMPARED_QUANTITIES,
     EDGE_NAMES,
+    ENGINE_EDGES,
     EXTRAS_EDGE,
+    JOINTS,
     MJCF_MUJOCO,
     MJCF_PINOCCHIO,
     URDF_MUJOCO,
     URDF_PINOCCHIO,
     URDF_YOURDFPY,
     Comparison,
+    CrossCheck,
 )
 
 if TYPE_CHECKING:
@@ -67,14 +72,20 @@ together. Larger ratios occur if differences cancel, and are omitted. Chosen, no
 """
 
 
-def describe_effects(difference: Difference) -> Diagnostic:
+def describe_effects(
+    effects_by_quantity: Mapping[str, Effect], count: int | None = None
+) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
     An effect is the deviation of a quantity that this single difference causes, relative to the
     scale of the quantity. The share is its part in the deviation that all differences cause
     together.
+
+    Args:
+        effects_by_quantity: {quantity: effect}.
+        count: Number of differences that cause the effect together; None for a single difference.
     """
-    if not difference.effects:
+    if not effects_by_quantity:
         return diagnose("no-effect")
     effects = [
         diagnose(
@@ -86,9 +97,9 @@ def describe_effects(difference: Difference) -> Diagnostic:
             relative=Quantity(effect.relative, "1") if effect.relative < MIN_FACTOR else None,
             times=effect.relative if effect.relative >= MIN_FACTOR else None,
         )
-        for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
+        for name, effect in sorted(effects_by_quantity.items(), key=lambda item: -item[1].share)
     ]
-    return diagnose("effects", effects=effects)
+    return diagnose("effects", effects=effects, count=count)
 
 
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
@@ -184,6 +195,9 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     ]
     differ = text("same-robot-different-conventions") if same else text("disagree")
     explained = tuple(_describe_explained(comparison))
+    extent = _describe_extent(comparison)
+    refusal = () if comparison.refusal is None else (doc.diagnostic_text(comparison.refusal),)
+    extent_is_short = not (agree and refusal)  # line 2 of an agreement is the refusal
     one_sided = comparison.only_urdf or comparison.only_mjcf
     assumed = comparison.mount is not None or comparison.guessed or one_sided
     return doc.Document(
@@ -196,17 +210,30 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         tuple(_list_blocks(comparison)),
         passed=agree,
         verdict=text("agree") if agree else differ,
-        warned=same and not agree,
+        warned=(same and not agree) or bool(agree and refusal),
         findings=(
             doc.diagnostic_text(comparison.main_problem),
-            _describe_extent(comparison),
+            *((extent,) if extent_is_short else ()),
+            *refusal,
             *(() if comparison.complete else explained),
         ),
-        details=explained if comparison.complete else (),
+        details=(
+            *(() if extent_is_short else (extent,)),
+            *(explained if comparison.complete else ()),
+        ),
         brief=agree and not assumed,
         notes=tuple(notes),
-        next_step=doc.NextStep(("stand" if comparison.floating else "hold") if agree else "sync"),
+        next_step=_select_next_step(comparison),
     )
+
+
+def _select_next_step(comparison: Comparison) -> doc.NextStep:
+    """Return the command to suggest next: `audit` of an MJCF that MuJoCo refuses, for example."""
+    if not comparison.agree:
+        return doc.NextStep("sync")
+    if comparison.refusal is not None:
+        return doc.NextStep("audit", (comparison.mjcf,), robot_typed=False)
+    return doc.NextStep("stand" if comparison.floating else "hold")
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
@@ -221,13 +248,39 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
             relative=f"{worst.relative:.1e}",
             quantity=word(worst.name),
         )
-    count_text = text("1-difference") if count == 1 else text("count-differences", count=count)
-    worst_name = max(comparison.deviations, key=comparison.deviations.__getitem__, default="")
-    deviation = comparison.deviations.get(worst_name, 0.0)
-    if not deviation > 0:
-        return count_text
-    share = f"{100 * deviation:.2g} %"
-    return text("differences-deviate", count=count_text, share=share, quantity=word(worst_name))
+    found = text("1-difference") if count == 1 else text("count-differences", count=count)
+    worst_name, deviation = find_largest_effect(comparison.check)
+    if deviation > comparison.check.tolerance:
+        share = f"{100 * deviation:.2g} %"
+        found = text("differences-deviate", count=found, share=share, quantity=word(worst_name))
+    elif count:
+        found = text("differences-without-effect", count=found)
+    first = comparison.main_problem
+    others = [cause.diagnostic for cause in comparison.causes if cause.diagnostic != first]
+    if len(others) == len(comparison.causes) or not others:
+        return found  # line 1 contains no cause, or the only cause
+    cause = doc.diagnostic_text(others[0])
+    return text("differences-of-another-cause", differences=found, cause=cause)
+
+
+def find_largest_effect(check: CrossCheck) -> tuple[str, float]:
+    """Return the dynamic or kinematic quantity with the largest deviation between both models.
+
+    Parameters, such as masses and limits, are no effects. Deviations between engines do not count.
+
+    Returns:
+        Name of the quantity, and its relative deviation [1].
+    """
+    deviations = {
+        quantity.name: max(
+            (value for edge, value in quantity.edge_deviations.items() if edge not in ENGINE_EDGES),
+            default=0.0,
+        )
+        for quantity in check.quantities
+        if COMPARED_QUANTITIES[quantity.name][0] not in (BODIES, JOINTS)
+    }
+    worst = max(deviations, key=deviations.__getitem__, default="")
+    return worst, deviations.get(worst, 0.0)
 
 
 def _format_file_name(path: str) -> doc.Name:
@@ -246,14 +299,24 @@ def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
     # Headline and blocks have the order of the differences.
     listed: list[tuple[int, doc.Block]] = []
+    # Causes are sorted by joint effect; they take the places of their differences in this order.
+    places = sorted(cause.differences[0] for cause in causes if not cause.is_reported_first)
+    free_places = iter(places)
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
         sides = _make_difference_block(
-            comparison, first, doc.diagnostic_text(cause.diagnostic), made, such
+            comparison,
+            first,
+            doc.diagnostic_text(cause.diagnostic),
+            made,
+            such,
+            effects=_format_effects(
+                cause.effects or first.effects, len(cause.differences) if cause.effects else None
+            ),
         )
-        listed.append((-1 if cause.is_reported_first else cause.differences[0], sides))
+        listed.append((-1 if cause.is_reported_first else next(free_places), sides))
     numbers = {id(difference): number for number, difference in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
         sides = _make_difference_block(
@@ -261,6 +324,7 @@ def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
             group[0],
             doc.diagnostic_text(group[0].diagnostic),
             *_list_similar_elements(group),
+            effects=_format_effects(group[0].effects),
         )
         listed.append((numbers[id(group[0])], replace(sides, detail=place >= MAX_SHORT_GROUPS)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
@@ -284,7 +348,11 @@ def _list_similar_elements(group: list[Difference]) -> Iterable[doc.Words]:
 
 
 def _make_difference_block(
-    comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
+    comparison: Comparison,
+    difference: Difference,
+    title: doc.Words,
+    *notes: doc.Words,
+    effects: doc.Words,
 ) -> doc.FileFinding:
     """Create the block of a difference, with the quoted lines of both files and the effects."""
     paths = (comparison.urdf, comparison.mjcf)
@@ -298,12 +366,12 @@ def _make_difference_block(
         named = doc.Name(_shorten_place(place)) if place else text("not-in-the-file")
         columns.append(doc.FilePlace(named, shown, place or ""))
     made_of = map(doc.diagnostic_text, difference.made_of)
-    return doc.FileFinding(title, tuple(columns), (*notes, *made_of, _format_effects(difference)))
+    return doc.FileFinding(title, tuple(columns), (*notes, *made_of, effects))
 
 
-def _format_effects(difference: Difference) -> doc.Text:
-    """Return the text of the effects of a difference, with little emphasis if there are none."""
-    return doc.diagnostic_text(describe_effects(difference), "" if difference.effects else "quiet")
+def _format_effects(effects: Mapping[str, Effect], count: int | None = None) -> doc.Text:
+    """Return the text of the effects of ``count`` differences, unobtrusive if there are none."""
+    return doc.diagnostic_text(describe_effects(effects, count), "" if effects else "quiet")
 
 
 def _tabulate_differences(comparison: Comparison) -> doc.Table:

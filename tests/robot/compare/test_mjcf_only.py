@@ -75,7 +75,7 @@ def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np
     )
     assert explanation.complete
     (difference,) = (item for item in explanation.differences if item.kind != "effort")
-    states = random_states(match.robot, 10, seed=0)
+    states = random_states(match.robot, 20, seed=0)
     return difference.effects, states.qpos[:, 0], states.qvel[:, 0]
 
 

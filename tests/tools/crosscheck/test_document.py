@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import mujoco
 import pytest
 
+from pupper_analysis.present.document import FileFinding, Number, Table, get_english
+from pupper_analysis.present.documents.registry import make_document
 from pupper_analysis.present.formats import write_github, write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from pupper_analysis.tools.crosscheck.document import (
     make_comparison_annotations,
 )
@@ -136,3 +140,106 @@ def test_joint_of_one_file_alone_is_the_printed_cause(tmp_path: Path) -> None:
     text = printed(comparison)
     assert text.startswith("DISAGREE robot.urdf and robot.xml: the files have different joints\n")
     assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
+
+
+def read_findings(comparison: Comparison) -> list[str]:
+    """Return the findings of the document in the short form, which the terminal shows."""
+    findings = make_document(comparison).findings
+    return [getattr(finding, "short", "") or get_english(finding) for finding in findings]
+
+
+def test_second_line_has_the_largest_deviation_of_the_table(tmp_path: Path) -> None:
+    """The reference is the table of `-v`: its rows of the dynamics, in the columns of the models.
+
+    Body masses and inertias, whose deviations are larger, are parameters and no effects.
+    """
+    mjcf = change_part(quadruped(), "shank1", mass=1.2, com=(0.02, 0.0, -0.12))
+    comparison = compare_files(write_parts(tmp_path, quadruped(), mjcf))
+    table = [block for block in make_document(comparison).blocks if isinstance(block, Table)][-1]
+    headers = [get_english(column.name) for column in table.columns]
+    columns = [number for number, name in enumerate(headers) if name.startswith("models")]
+    assert len(columns) == 2
+    deviations = {
+        get_english(row[0]): max(
+            cell.value for cell in (row[column] for column in columns) if isinstance(cell, Number)
+        )
+        for row in table.rows
+    }
+    assert deviations["body masses"] > max(deviations["mass matrix"], deviations["com"])
+    effects = {
+        name: value
+        for name, value in deviations.items()
+        if not name.startswith(("body ", "joint ", "armature"))
+    }
+    worst = max(effects, key=effects.__getitem__)
+    assert (
+        read_findings(comparison)[1]
+        == f"2 differences; largest deviation {100 * effects[worst]:.2g} % ({worst})"
+    )
+
+
+def test_differences_of_limits_alone_leave_the_equations_of_motion_equal(tmp_path: Path) -> None:
+    mjcf = change_part(quadruped(), "shank1", effort=25.0)
+    comparison = compare_files(write_parts(tmp_path, quadruped(), mjcf))
+    assert read_findings(comparison)[1] == "1 difference, but none in the equations of motion"
+
+
+def test_quantities_of_the_table_belong_to_their_columns(tmp_path: Path) -> None:
+    """Each cell of the table of deviations is the deviation of its quantity and its column."""
+    mjcf = change_part(quadruped(), "shank1", mass=1.2)
+    comparison = compare_files(write_parts(tmp_path, quadruped(), mjcf))
+    table = [block for block in make_document(comparison).blocks if isinstance(block, Table)][-1]
+    headers = [get_english(column.name) for column in table.columns]
+    for row, quantity in zip(table.rows, comparison.check.quantities, strict=True):
+        assert get_english(row[0]) == quantity.name
+        for header, cell in zip(headers, row, strict=True):
+            if isinstance(cell, Number) and header in quantity.edge_deviations:
+                assert cell.value == quantity.edge_deviations[header]
+    worst_at = {get_english(row[0]): get_english(row[-1]) for row in table.rows}
+    assert worst_at["body masses"] == "knee1"
+
+
+def test_differences_show_the_urdf_before_the_mjcf(tmp_path: Path) -> None:
+    """The mass of the base is 6 kg in the URDF and 7.5 kg in the MJCF.
+
+    Damping changes accelerations only: its largest effect is not zero.
+    """
+    mjcf = change_part(change_part(quadruped(), "base", mass=7.5), "thigh0", damping=0.3)
+    comparison = compare_files(write_parts(tmp_path, quadruped(), mjcf))
+    document = make_document(comparison)
+    tables = [block for block in document.blocks if isinstance(block, Table)]
+    headers = [get_english(column.name) for column in tables[0].columns]
+    effects = [row[headers.index("greatest relative effect")].value for row in tables[0].rows]
+    assert effects == [
+        100 * max(effect.relative for effect in difference.effects.values())
+        for difference in comparison.differences
+    ]
+    cells = dict(zip(headers, tables[0].rows[0], strict=True))
+    assert [cells[name].value for name in ("in the URDF", "in the MJCF")] == [6.0, 7.5]
+    places = [get_english(cells[f"line of the {name}"]) for name in ("URDF", "MJCF")]
+    assert [place.partition(":")[0] for place in places] == ["robot.urdf", "robot.xml"]
+    finding = next(block for block in document.blocks if isinstance(block, FileFinding))
+    shown = [(get_english(column.place), get_english(column.line)) for column in finding.columns]
+    assert [place.partition(":")[0] for place, _ in shown] == ["robot.urdf", "robot.xml"]
+    assert ["6" in shown[0][1], "7.5" in shown[1][1]] == [True, True]
+
+
+def test_an_mjcf_that_mujoco_refuses_is_not_recommended_for_a_stand(tmp_path: Path) -> None:
+    """Both files agree in all numbers; MuJoCo refuses the MJCF, since a mesh file is missing."""
+    text = mjcf_text(quadruped()).replace(
+        "<worldbody>", '<asset><mesh name="shell" file="shell.obj"/></asset><worldbody>', 1
+    )
+    body = text.index("<body")
+    end = text.index(">", body) + 1
+    geom = '<geom type="mesh" mesh="shell" contype="0" conaffinity="0" group="2"/>'
+    files = write(tmp_path, urdf_text(quadruped()), text[:end] + geom + text[end:])
+    with pytest.raises(ValueError, match=r"shell\.obj"):
+        mujoco.MjModel.from_xml_path(str(files.mjcf))
+    comparison = compare_files(files)
+    assert comparison.agree
+    document = make_document(comparison)
+    assert read_findings(comparison)[1] == "MuJoCo refuses robot.xml: 1 file missing (shell.obj)"
+    assert document.warned
+    step = document.next_step
+    assert step is not None
+    assert (step.command, step.words) == ("audit", (comparison.mjcf,))

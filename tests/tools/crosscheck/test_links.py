@@ -226,3 +226,21 @@ def test_names_are_grouped_by_common_pattern() -> None:
         "Head_*": ["Head_upper", "Head_lower"],
         "imu": ["imu"],
     }
+
+
+def test_effect_of_a_cause_is_that_of_all_its_differences(tmp_path: Path) -> None:
+    """Without the eight rotors, nothing else differs: the cause explains the whole deviation.
+
+    The first difference alone, the mass of a single body, explains a part only.
+    """
+    parts = add_rotors()
+    comparison = compare_files(
+        write(tmp_path, urdf_text(parts), mjcf_text(remove_parts(parts, "_rotor")))
+    )
+    (cause,) = comparison.causes
+    assert len(cause.differences) == len(comparison.differences)
+    for name in ("mass matrix", "gravity", "forward dynamics", "com"):
+        assert cause.effects[name].share == pytest.approx(1.0, abs=1e-6)
+        assert cause.effects[name].relative == pytest.approx(comparison.deviations[name], abs=1e-9)
+    first = comparison.differences[cause.differences[0]]
+    assert first.effects["gravity"].share < 0.9

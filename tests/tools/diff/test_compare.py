@@ -613,7 +613,7 @@ def test_variants_are_compared_by_name() -> None:
     assert found.returncode == 1
     assert found.stdout.startswith("DIFFERENT v3 and v3-heavy: ")
     assert "mass 1.506 kg in the old file, 3.012 kg in the new file" in found.stdout
-    assert "next: pupper-analysis audit v3-heavy" in found.stdout
+    assert "next: pupper-analysis stand v3-heavy" in found.stdout
     assert "v3-heavy.xml" not in found.stdout
     assert answer("diff", "v3", str(ROOT / "urdf" / "pupper_v3.urdf")).returncode == 0
     misspelled = answer("diff", "v3", "v3-heavvy")
