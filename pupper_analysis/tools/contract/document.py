@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import replace
-from itertools import zip_longest
+from itertools import filterfalse, zip_longest
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import Severity, format_pair
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, format_pair
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -35,40 +35,85 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
     `build_document` calls this function for a `Contract`.
     """
+    is_uncompared = _is_uncompared(contract)
     is_asymmetric = _has_asymmetries_only(contract)
     message = _count_asymmetries(contract) if is_asymmetric else _count_differences(contract)
-    evidence = text(f"contract-evidence-{contract.evidence}")
+    poseless = not any(fact.quantity == "default angle" for fact in contract.facts)
+    evidence = text(f"contract-evidence-{contract.evidence}", poseless=poseless)
     has_findings = bool(contract.findings)
     agree = text("contract-agree-but" if has_findings or contract.unread else "contract-agree")
     is_incomplete = all(finding.severity is Severity.NOTE for finding in contract.findings)
     differ = text("contract-incomplete" if contract.unread and is_incomplete else "contract-differ")
     if is_asymmetric:
         agree = differ = text("contract-asymmetric")
+    if is_uncompared:
+        agree = differ = text("contract-not-compared")
+        message = text(
+            "contract-not-compared-count",
+            two=len(contract.sources) == 2,
+            findings=len(contract.findings) or None,
+        )
     return doc.Document(
         text("contract"),
-        doc.Name(Path(contract.model).name),
+        _name_sources(contract),
         tuple(_list_blocks(contract)),
         passed=contract.passed,
         verdict=agree if contract.passed else differ,
-        warned=contract.passed and (has_findings or bool(contract.unread)),
+        warned=contract.passed and (has_findings or bool(contract.unread) or is_uncompared),
         findings=(
             message,
             *map(doc.diagnostic_text, contract.unread),
-            *(_list_uncompared(contract) if is_asymmetric else ()),
-            *_describe_worst_disagreement(contract),
-            *(() if has_findings or contract.unread else (_list_compared(contract), evidence)),
+            *(_list_uncompared(contract) if is_uncompared else ()),
+            *(map(doc.diagnostic_text, filter(_is_list_note, contract.notes))),
+            *(() if is_uncompared else _describe_worst_disagreement(contract)),
+            *(
+                ()
+                if has_findings or contract.unread or is_uncompared
+                else (_list_compared(contract), evidence)
+            ),
         ),
-        details=(evidence,) if has_findings or contract.unread else (),
+        details=(evidence,) if has_findings or contract.unread or is_uncompared else (),
         next_step=_select_next_step(contract),
-        notes=tuple(map(doc.diagnostic_text, contract.notes)),
+        notes=tuple(map(doc.diagnostic_text, filterfalse(_is_list_note, contract.notes))),
     )
 
 
+def _is_list_note(note: Diagnostic) -> bool:
+    """Return True for the note on lists of joint numbers that were not read."""
+    return note.code == "contract-lists-not-read"
+
+
+def _name_sources(contract: Contract) -> doc.Words:
+    """Return the file names of model and other source, or of the model and the number of others.
+
+    The name of a variant stands for its files.
+    """
+    first = Path(contract.model).name
+    others = dict.fromkeys(
+        source.path
+        for source in contract.sources
+        if source.path != contract.model
+        and not (is_variant(contract.model) and source.role == Role.MODEL)
+    )
+    if not others:
+        return doc.Name(first)
+    if len(others) > 1:
+        return text("contract-names-of-many", first=doc.Name(first), count=len(others))
+    second = Path(next(iter(others))).name
+    return text("contract-names-of-two", first=doc.Name(first), second=doc.Name(second))
+
+
 def _has_asymmetries_only(contract: Contract) -> bool:
-    """Return True if the sources share no number, and each finding is a left-right asymmetry."""
+    """Return True if all findings are left-right asymmetries, and everything was compared."""
     mirrored = [finding.probable_mistake == "mirror" for finding in contract.findings]
-    is_compared = bool(_find_compared_quantities(contract))
-    return bool(mirrored) and all(mirrored) and not is_compared and not contract.unread
+    return bool(mirrored) and all(mirrored) and not contract.unread
+
+
+def _is_uncompared(contract: Contract) -> bool:
+    """Return True if there are several sources, but no number is stated by two of them."""
+    is_between = any(finding.probable_mistake != "mirror" for finding in contract.findings)
+    is_compared = is_between or bool(_find_compared_quantities(contract))
+    return len(contract.sources) > 1 and not is_compared and not contract.unread
 
 
 def _count_differences(contract: Contract) -> doc.Words:
@@ -91,6 +136,7 @@ def _count_asymmetries(contract: Contract) -> doc.Words:
         facts=sum(fact.source in sources for fact in contract.facts),
         source=doc.Name(next(iter(sources)) if len(sources) == 1 else ""),
         sources=len(sources) if len(sources) > 1 else None,
+        agree=len(contract.sources) > 1,
     )
 
 
@@ -106,9 +152,17 @@ def _list_uncompared(contract: Contract) -> Iterable[doc.Words]:
         source, quantities = min(quantities_by_source.items(), key=lambda item: len(item[1]))
         yield text(
             "contract-uncompared",
-            source=doc.Name(source),
+            source=_shorten_source(contract, source),
             quantities=_join_quantities(quantities),
         )
+
+
+def _shorten_source(contract: Contract, name: str) -> doc.Words:
+    """Return ``the .py``, for example, if a single source has this suffix; otherwise the name."""
+    suffixes = [Path(source.path).suffix for source in contract.sources]
+    suffix = next(Path(source.path).suffix for source in contract.sources if source.name == name)
+    is_unique = bool(suffix) and suffixes.count(suffix) == 1
+    return text("contract-file-of-suffix", suffix=suffix) if is_unique else doc.Name(name)
 
 
 def _select_next_step(contract: Contract) -> doc.NextStep:
@@ -129,7 +183,7 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
         words = (contract.model, "--policy", policies[0])
         return doc.NextStep("walk", words, robot_typed=False)
     gains = _format_shared_gains(contract)
-    if gains and contract.floating and _has_asymmetries_only(contract):
+    if gains and contract.floating and contract.findings and _is_uncompared(contract):
         return doc.NextStep("gains", (contract.model, *gains), robot_typed=False)
     command = "stand" if contract.floating else "hold"
     return doc.NextStep(command, (contract.model,), robot_typed=False)

@@ -253,6 +253,8 @@ class JointSource:
         unlimited: {joint: file and line of its actuator} of a model's joints with an actuator but
             without an effort limit.
         unread: {quantity: reason} of values that are no numbers.
+        number_lists: {key: length} of lists of numbers that are not read, although the key contains
+            a word for a quantity of joints, such as ``viscous_friction``.
     """
 
     name: str
@@ -269,6 +271,7 @@ class JointSource:
     name_lists: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     unlimited: Mapping[str, Place] = field(default_factory=dict)
     unread: Mapping[str, Diagnostic] = field(default_factory=dict)
+    number_lists: Mapping[str, int] = field(default_factory=dict)
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
         """Create a `Fact` from a `Statement`: assign a number of this file to a joint of the robot.

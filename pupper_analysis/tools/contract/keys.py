@@ -6,6 +6,7 @@ a path of keys, and the shape of the value. `KeyRule.list_statements` reads a va
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from pupper_analysis.tools.contract.facts import (
     LocatedValue,
     Origin,
     Statement,
+    find_quantity_kind,
 )
 
 JOINT_ORDER: Final = "joint order"
@@ -135,6 +137,32 @@ def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
         ModelError: If the user's file cannot be read, or an entry is not valid.
     """
     return tuple(rule for rule in _load_rules(form, source) if rule.quantity != JOINT_ORDER)
+
+
+def names_joint_quantity(key: str, source: Path) -> bool:
+    """Return True if a key contains a known key of a quantity of joints, such as ``friction``.
+
+    Whole words are compared, without plural endings: ``viscous_friction`` contains ``friction``.
+
+    Args:
+        key: Key in a file, such as the name of a constant.
+        source: File, near which ``pupper-analysis.toml`` is searched.
+
+    Raises:
+        ModelError: If the user's file cannot be read, or an entry is not valid.
+    """
+    words = f"_{_normalise_key(key)}_"
+    return any(
+        f"_{_normalise_key(rule.path[-1])}_" in words
+        for form in _FORMS
+        for rule in load_key_rules(form, source)
+        if not find_quantity_kind(rule.quantity).is_setting
+    )
+
+
+def _normalise_key(key: str) -> str:
+    """Return the words of a key in lower case, without plural endings, joined by ``_``."""
+    return "_".join(word.rstrip("s") or word for word in re.split(r"[\W_]+", key.lower()))
 
 
 def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
@@ -294,8 +294,29 @@ def assign_joints(
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
         for quantity in motor_order
     ]
-    notes = (*order_notes, *motor_notes, *unread.values())
+    list_notes = _describe_number_lists(source, order, len(model.order))
+    notes = (*order_notes, *motor_notes, *list_notes, *unread.values())
     return PlacedSource(source, facts, order, how, matched, unknown, notes, unread, unplaced)
+
+
+def _describe_number_lists(
+    source: JointSource, order: Sequence[str], num_model_joints: int
+) -> Iterator[Diagnostic]:
+    """Yield a note on lists under unknown keys with as many numbers as the robot has joints.
+
+    ``order`` is the joint order of the source; empty if unknown.
+    """
+    keys = [
+        key for key, count in source.number_lists.items() if count in (num_model_joints, len(order))
+    ]
+    if keys:
+        yield diagnose(
+            "contract-lists-not-read",
+            file=source.name,
+            keys=keys,
+            count=source.number_lists[keys[0]],
+            named=bool(source.order),
+        )
 
 
 def _describe_unread_lists(

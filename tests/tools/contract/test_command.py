@@ -85,7 +85,7 @@ def test_agreement_states_the_comparison_and_the_next_command(tmp_path: Path) ->
     lines = run(tmp_path, URDF, MJCF).stdout.splitlines()
     assert lines[0].startswith("AGREE ")
     assert lines[1].startswith("  compared: lower limit, upper limit, effort, ")
-    assert lines[1].endswith("; nothing simulated")
+    assert lines[1].endswith("; nothing simulated (no default pose)")
     assert lines[2].startswith("  next: pupper-analysis stand ")
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.present.document import Number, Table, get_english, word
+from pupper_analysis.present.document import FileFinding, Number, Table, get_english, word
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.document import contract_document
+from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import is_mirror_image
 from tests.tools.contract.sources import (
     ANGLES,
@@ -242,11 +243,107 @@ def test_asymmetric_model_without_shared_numbers_is_not_a_disagreement(tmp_path:
     found = read_contract(model, config, stand=False)
     assert [finding.probable_mistake for finding in found.findings] == ["mirror"]
     shown = contract_document(found)
-    assert get_english(shown.verdict) == "ASYMMETRIC"
+    assert get_english(shown.verdict) == "NOT COMPARED"
+    assert get_english(shown.title) == "two.xml and config.yaml"
     first, second, *_ = [getattr(part, "short", "") or part.en for part in shown.findings]
-    stated = sum(fact.source == "two.xml" for fact in found.facts)
-    assert first == f"1 difference between left and right joints in {stated} numbers of two.xml"
-    assert second == "no number is compared: only config.yaml:robot states kp, kd"
+    assert first == "no number in both; 1 left-right difference"
+    assert second == "only the .yaml states kp, kd"
+    alone = contract_document(read_contract(model, stand=False))
+    assert get_english(alone.verdict) == "ASYMMETRIC"
+    assert get_english(alone.title) == "two.xml"
+
+
+def test_symmetric_model_without_shared_numbers_is_not_called_an_agreement(tmp_path: Path) -> None:
+    """Nothing differs, because nothing was compared. The exit status is that of no finding."""
+    gains = tmp_path / "gains.yaml"
+    gains.write_text(
+        "joint_names: [" + ", ".join(JOINTS) + "]\n" + "kps: [5.0" + 11 * ", 5.0" + "]"
+    )
+    found = read_contract(URDF, gains, stand=False)
+    assert found.passed
+    assert found.findings == ()
+    shown = contract_document(found)
+    assert get_english(shown.verdict) == "NOT COMPARED"
+    assert shown.warned
+
+
+def test_models_that_agree_are_not_called_different_if_left_and_right_differ(
+    tmp_path: Path,
+) -> None:
+    """URDF and MJCF state the same asymmetric damping: no difference between the sources."""
+    model, other = tmp_path / "two.xml", tmp_path / "two.urdf"
+    joints = {"FL_hip_joint": 0.1, "FR_hip_joint": 0.2}
+    bodies = "".join(
+        f'<body name="{name}_link"><geom size=".1"/>'
+        f'<joint name="{name}" damping="{damping}"/></body>'
+        for name, damping in joints.items()
+    )
+    model.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    links = "".join(
+        f'<link name="{name}_link">{inertial}</link><joint name="{name}" type="continuous">'
+        f'<parent link="base"/><child link="{name}_link"/><axis xyz="0 0 1"/>'
+        f'<dynamics damping="{damping}"/></joint>'
+        for name, damping in joints.items()
+    )
+    other.write_text(f'<robot name="two"><link name="base">{inertial}</link>{links}</robot>')
+    found = read_contract(model, other, stand=False)
+    shown = contract_document(found)
+    assert {finding.probable_mistake for finding in found.findings} == {"mirror"}
+    assert get_english(shown.verdict) == "ASYMMETRIC"
+    assert shown.findings[0].short.startswith("the sources agree; ")
+
+
+UNNAMED_LISTS = {
+    "constants.py": "Kp = 20.0\nviscous_friction = [{numbers}]\nbias = [{numbers}]\n"
+    "rotor_armature = [{short}]\n",
+    "constants.yaml": "kp: 20.0\nviscous_friction: [{numbers}]\nbias: [{numbers}]\n"
+    "rotor_armature: [{short}]\n",
+    "constants.json": '{{"kp": 20.0, "viscous_friction": [{numbers}], "bias": [{numbers}], '
+    '"rotor_armature": [{short}]}}',
+}
+"""{file: text} with a list of joint numbers under an unknown key, a list of another quantity, and a
+list that is shorter than the robot's joints."""
+
+
+@pytest.mark.parametrize("name", UNNAMED_LISTS)
+def test_list_with_a_number_per_joint_under_an_unknown_key_is_reported(
+    tmp_path: Path, name: str
+) -> None:
+    """A list of friction is not ignored silently; no number of the list is used."""
+    numbers = ", ".join(f"{0.1 + 0.01 * index:g}" for index in range(len(JOINTS)))
+    path = tmp_path / name
+    path.write_text(UNNAMED_LISTS[name].format(numbers=numbers, short="0.1, 0.2"))
+    found = read_contract(URDF, path, stand=False)
+    (note,) = (note for note in found.notes if note.code == "contract-lists-not-read")
+    assert note.values["keys"] == ("viscous_friction",)
+    assert note.values["count"] == len(JOINTS)
+    assert {fact.quantity for fact in found.facts if fact.source == name} == {"kp"}
+    shown = [getattr(part, "short", "") for part in contract_document(found).findings]
+    assert "unread (no joint names): viscous_friction" in shown
+
+
+def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
+    tmp_path: Path,
+) -> None:
+    """The order is known, but not the quantity; with the key in the user's table, it is read."""
+    numbers = ", ".join(["0.1"] * len(JOINTS))
+    path = tmp_path / "deploy.yaml"
+    path.write_text(
+        f"joint_names: [{', '.join(JOINTS)}]\nkps: [{numbers}]\nmotor_friction: [{numbers}]\n"
+    )
+    found = read_contract(URDF, path, stand=False)
+    shown = [getattr(part, "short", "") for part in contract_document(found).findings]
+    assert "unread (unknown key): motor_friction" in shown
+    rule = '[[contract.key]]\nquantity = "friction"\nnames = ["motor_friction"]\n'
+    (tmp_path / "pupper-analysis.toml").write_text(rule)
+    found = read_contract(URDF, path, stand=False)
+    assert not [note for note in found.notes if note.code == "contract-lists-not-read"]
+    read = [fact for fact in found.facts if fact.source == "deploy.yaml"]
+    assert sum(fact.quantity == "friction" for fact in read) == len(JOINTS)
 
 
 def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> None:
@@ -761,3 +858,43 @@ def test_missing_effort_limit_of_a_model_is_one_finding(tmp_path: Path) -> None:
     ]
     subjects = [each.diagnostic.subject for each in efforts_differ]
     assert {subject.name for subject in subjects if subject} >= {"hip", "knee"}
+
+
+def get_tables(contract: Contract) -> dict[str, Table]:
+    """Return {title: table} of the document of a contract."""
+    blocks = contract_document(contract).blocks
+    return {get_english(block.title): block for block in blocks if isinstance(block, Table)}
+
+
+def test_poses_are_printed_under_their_headers(sources: dict[str, Path]) -> None:
+    """A pose with five different numbers; the units are mm and %."""
+    found = contract(sources["policy.json"])
+    pose = DefaultPoseStand("one.yaml", 0.2, 0.003, 0.45, stays=False, problem=None)
+    (row,) = get_tables(replace(found, poses=(pose,)))[
+        "Stand in the default pose of each source, with the gains of the source"
+    ].rows
+    assert [get_english(row[0]), get_english(row[4])] == ["one.yaml", "does not stay up"]
+    assert [cell.value for cell in row[1:4] if isinstance(cell, Number)] == [200.0, 3.0, 45.0]
+
+
+def test_numbers_of_each_source_are_in_the_column_of_the_source(sources: dict[str, Path]) -> None:
+    """kd is 0.25 in the policy and 0.1 in the MJCF: each column has its number."""
+    found = read_contract(MJCF, URDF, sources["policy.json"], stand=False)
+    table = get_tables(found)["kd"]
+    names = [get_english(column.name) for column in table.columns[1:]]
+    values = {
+        name: {cell.value for row in table.rows if isinstance(cell := row[number], Number)}
+        for number, name in enumerate(names, start=1)
+    }
+    assert values == {"policy.json": {0.25}, "pupper_v3.xml": {0.1}}
+    finding = next(
+        block for block in contract_document(found).blocks if isinstance(block, FileFinding)
+    )
+    files = [get_english(column.place).partition(":")[0] for column in finding.columns]
+    assert files == ["policy.json", "pupper_v3_shared.xml"]
+    rows = {get_english(row[0]): row for row in get_tables(found)["Sources"].rows}
+    counts = {name: row[2].value for name, row in rows.items() if isinstance(row[2], Number)}
+    assert counts == {
+        source.name: sum(fact.source == source.name for fact in found.facts)
+        for source in found.sources
+    }

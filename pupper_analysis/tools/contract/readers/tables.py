@@ -31,7 +31,12 @@ from pupper_analysis.tools.contract.facts import (
     find_quantity_kind,
     read_yaml_nodes,
 )
-from pupper_analysis.tools.contract.keys import KeyRule, load_key_rules, load_order_keys
+from pupper_analysis.tools.contract.keys import (
+    KeyRule,
+    load_key_rules,
+    load_order_keys,
+    names_joint_quantity,
+)
 
 FILE_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of the files that this reader of tables reads."""
@@ -318,6 +323,7 @@ def _read_view(
         notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
         unread=unread,
+        number_lists=_collect_number_lists(view),
     )
 
 
@@ -407,6 +413,24 @@ def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
         for table in view.tables
         for key, node in table.table.items()
         if isinstance(node.value, list) and 2 <= len(node.texts) == len(set(node.texts))
+    }
+
+
+def _collect_number_lists(view: _View) -> dict[str, int]:
+    """Return {key: length} of lists of numbers whose key is unknown, but names a joint quantity.
+
+    A known key is the last key of a rule, for example in another nested table.
+    """
+    known = {rule.path[-1] for rule in view.rules}
+    return {
+        str(key): len(node.items)
+        for table in view.tables
+        for key, node in table.table.items()
+        if isinstance(node.value, list)
+        and len(node.items) > 1
+        and all(item.number is not None for item in node.items)
+        and str(key).lower() not in known
+        and names_joint_quantity(str(key), view.place.file)
     }
 
 
