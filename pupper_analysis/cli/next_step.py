@@ -194,6 +194,16 @@ def complete_fixed_base_command(running_command: str) -> str:
     return complete_command(NextStep(running_command, words, omitted=omitted))
 
 
+def complete_forced_command() -> str:
+    """Create the typed command line with ``--force``; empty if no command is running."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return ""
+    typed = list(context.meta.get(TYPED_WORDS, ()))
+    words = ["--force", *typed] if "--" in typed else [*typed, "--force"]
+    return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
+
+
 def complete_relaxed_command(error: StanceUnreachableError) -> str:
     """Create the command line that requests the nearest reachable stance, after a refusal.
 

@@ -348,11 +348,18 @@ class Command(click.Command):
         run.force = bool(take_parameter("force", False))
         for name in _list_named_files(self, context):
             register_input(name)
-        _prepare_outputs(self, context)
         import_without_opengl()
         context.with_resource(no_mujoco_log())
         try:
+            _prepare_outputs(self, context)
             return super().invoke(context)
+        except OutputError as error:
+            problem = error.diagnostic.values.get("problem")
+            if isinstance(problem, Diagnostic) and problem.code == "output-there":
+                from pupper_analysis.cli.next_step import complete_forced_command
+
+                error.add_note(complete_forced_command())
+            raise
         except ConfigurationError as error:
             problem = error.problem
             if (

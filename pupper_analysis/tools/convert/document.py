@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from itertools import filterfalse
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
@@ -109,10 +109,31 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
             seconds=f"{run.duration:g}",
             height=f"{1e3 * run.base_height:.1f}",
             torque=f"{run.torque_error:.1e}",
+            **_format_added_gains(conversion),
         ).with_mark("good" if run.passed else "bad")
     if conversion.not_converted:
         first, *others = conversion.not_converted
         yield text("not-converted-in-short", first=doc.diagnostic_text(first), more=len(others))
+
+
+def _format_added_gains(conversion: Conversion) -> dict[str, str]:
+    """Return kp and kd of the added servos, each with its unit and as a number; empty without.
+
+    For example {"kp": "320 N m/rad", "kp_number": "320"}.
+    """
+    added = next((note for note in conversion.notes if note.code == "servos-added"), None)
+    gains: dict[str, str] = {"kp": "", "kd": "", "kp_number": "", "kd_number": ""}
+    for gain in ("kp", "kd") if added is not None else ():
+        span = added.values[gain]  # type: ignore[union-attr]
+        if isinstance(span, Diagnostic):
+            low, high = span.values["least"], span.values["most"]
+            wide = (
+                f" to {high.value:.4g}"
+                if span.values["wide"] and isinstance(high, Quantity)
+                else ""
+            )
+            gains |= {gain: str(span), f"{gain}_number": f"{low:.4g}{wide}"}
+    return gains
 
 
 MAX_REST_FRACTION = 0.01

@@ -9,7 +9,10 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.tools.convert.document import _describe_recovery
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.prepare.notes import describe_span
+from pupper_analysis.present.document import get_english
+from pupper_analysis.tools.convert.document import _describe_checks, _describe_recovery
 
 
 def conversion(frequency: float, damping_ratio: float, left: float, *, stands: bool = True) -> Any:
@@ -41,3 +44,42 @@ def test_recovery_is_stated_only_if_it_is_faster_than_the_simulation(
 
 def test_recovery_is_not_stated_of_a_robot_that_does_not_stand() -> None:
     assert not list(_describe_recovery(conversion(3.0, 0.05, 1e-6, stands=False)))
+
+
+def get_short_findings(conversion: Any) -> list[str]:
+    return [
+        getattr(part, "short", "") or get_english(part) for part in _describe_checks(conversion)
+    ]
+
+
+def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> None:
+    """kp 320 and kd 16 of one kind of joint; velocity limits of 12 joints are lost."""
+    note = diagnose(
+        "servos-added",
+        count=12,
+        bad=False,
+        some=False,
+        kp=describe_span([320.0, 320.0], "N m/rad"),
+        kd=describe_span([8.0, 16.0], "N m s/rad"),
+        timestep=Quantity(0.002, "s"),
+    )
+    lost = diagnose("velocity-limits-left", count=12, limits="15.7 to 30.1 rad/s")
+    converted = SimpleNamespace(
+        source="go2.urdf",
+        agree=True,
+        repairs=(),
+        notes=(note,),
+        not_converted=(lost,),
+        comparison=SimpleNamespace(differences=(), deviations={"com": 1e-16}),
+        verification=SimpleNamespace(
+            passed=True, duration=12.0, base_height=0.28, torque_error=4.2e-8
+        ),
+    )
+    assert get_short_findings(converted)[1:] == [
+        "STANDS 12 s at 280.0 mm, servos added (kp 320, kd 8 to 16)",
+        "velocity limits of 12 joints not converted",
+    ]
+    complete = [get_english(part) for part in _describe_checks(converted)]
+    assert "on added servos with kp 320 N m/rad and kd 8 to 16 N m s/rad; torques" in complete[1]
+    converted.notes = ()
+    assert get_short_findings(converted)[1] == "STANDS 12 s in MuJoCo at base height 280.0 mm"

@@ -408,13 +408,16 @@ def test_command_states_the_file_the_agreement_and_the_stand(tmp_path: Path) -> 
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "quad.xml" in done.stdout
-    assert "STANDS 12 s in MuJoCo" in done.stdout
+    assert "STANDS 12 s at " in done.stdout
+    assert "mm, servos added (kp " in done.stdout
     assert json.loads((tmp_path / "out.json").read_text())["passed"]
     model = compile_file(tmp_path / "quad.xml")
     assert model.dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
     again = answer("convert", "quad.urdf", "-o", "quad.xml", folder=tmp_path)
     assert again.returncode == 2
-    assert again.stderr.startswith("error: cannot write quad.xml: the file exists; --force ")
+    error, step = again.stderr.splitlines()
+    assert error.startswith("error: cannot write quad.xml: the file exists; --force ")
+    assert step == "  next: pupper-analysis convert quad.urdf -o quad.xml --force"
 
 
 # ------------------ What a converted robot's base does: free or fixed, from `qpos0`, and on a slope
