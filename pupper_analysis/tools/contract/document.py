@@ -37,7 +37,9 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     """
     is_uncompared = _is_uncompared(contract)
     is_asymmetric = _has_asymmetries_only(contract)
-    message = _count_asymmetries(contract) if is_asymmetric else _count_differences(contract)
+    is_alone = len(contract.sources) == 1 and not contract.findings and not contract.unread
+    counts_sides = is_asymmetric or is_alone
+    message = _count_asymmetries(contract) if counts_sides else _count_differences(contract)
     poseless = not any(fact.quantity == "default angle" for fact in contract.facts)
     evidence = text(f"contract-evidence-{contract.evidence}", poseless=poseless)
     has_findings = bool(contract.findings)
@@ -130,6 +132,7 @@ def _count_differences(contract: Contract) -> doc.Words:
 def _count_asymmetries(contract: Contract) -> doc.Words:
     """Return the text of the number of left-right differences in the sources that have them."""
     sources = {name for finding in contract.findings for name in finding.sources}
+    sources = sources or {source.name for source in contract.sources}
     return text(
         "contract-asymmetric-count",
         findings=len(contract.findings),
@@ -233,7 +236,7 @@ def _list_compared(contract: Contract) -> doc.Words:
     """Return the text of the compared quantities."""
     quantities = _find_compared_quantities(contract)
     if not quantities:
-        return text("contract-compared-none")
+        return text("contract-compared-none", alone=len(contract.sources) == 1)
     return text("contract-compared", quantities=_join_quantities(quantities))
 
 

@@ -178,17 +178,12 @@ def _list_changed_torques(
 
 
 def _describe_torques(diff: ModelDiff) -> doc.Text:
-    """Return a sentence on the largest change of a gravity torque, with the base held.
-
-    The sentence adds that the standing robot is not compared, if its mass has changed.
-    """
+    """Return a sentence on the largest change of a gravity torque, with the base held."""
     changed = _list_changed_torques(diff)
-    is_heavier = diff.floating and bool(_format_percent(*diff.mass))
-    standing = _format_percent(*diff.mass) if is_heavier else ""
     if not changed:
         moved = _list_changed_torques(diff, MAX_RESIDUAL)
         most = f"{100 * _MIN_RELATIVE_CHANGE:g}" if moved else ""
-        return text("torques-change-by-less", free=diff.floating, most=most, standing=standing)
+        return text("torques-change-by-less", free=diff.floating, most=most)
     joint = max(
         changed,
         key=lambda name: (
@@ -205,14 +200,18 @@ def _describe_torques(diff: ModelDiff) -> doc.Text:
         new=new_text,
         unit=diff.torque_units[joint],
         change=_format_percent(old, new),
-        standing=standing,
     )
 
 
 def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield a line with the largest change of a gravity torque; a table if torques change."""
+    """Yield a line with the largest change of a gravity torque, and a table if torques change.
+
+    Another line states that the standing robot is not compared, if its mass has changed.
+    """
     if diff.torques:
-        yield doc.Lines((_describe_torques(diff),))
+        weight = _format_percent(*diff.mass) if diff.floating else ""
+        standing = (text("standing-not-compared", change=weight),) if weight else ()
+        yield doc.Lines((_describe_torques(diff), *standing))
     changed = _list_changed_torques(diff)
     if not changed:
         return

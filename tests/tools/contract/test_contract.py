@@ -898,3 +898,27 @@ def test_numbers_of_each_source_are_in_the_column_of_the_source(sources: dict[st
         source.name: sum(fact.source == source.name for fact in found.facts)
         for source in found.sources
     }
+
+
+def test_a_single_source_is_only_compared_with_its_mirror_image() -> None:
+    shown = contract_document(read_contract(MJCF, stand=False))
+    findings = [getattr(part, "short", "") or get_english(part) for part in shown.findings]
+    assert findings[:2] == [
+        "0 left-right differences in pupper_v3.xml",
+        "one source: no other source to compare",
+    ]
+
+
+def test_values_without_a_quoted_line_are_those_of_their_source(sources: dict[str, Path]) -> None:
+    """kd is 0.25 in the policy and 0.1 in the MJCF; the files are gone, so that no line is
+    quoted."""
+    found = read_contract(MJCF, URDF, sources["policy.json"], stand=False)
+    (finding,) = found.findings
+    found = replace(found, findings=(replace(finding, places=("gone.json:1", "gone.xml:2")),))
+    block = next(
+        block for block in contract_document(found).blocks if isinstance(block, FileFinding)
+    )
+    assert [get_english(column.line) for column in block.columns] == [
+        "0.25 N m s/rad",
+        "0.1 N m s/rad",
+    ]
