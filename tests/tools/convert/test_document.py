@@ -12,7 +12,11 @@ import pytest
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.present.document import get_english
-from pupper_analysis.tools.convert.document import _describe_checks, _describe_recovery
+from pupper_analysis.tools.convert.document import (
+    _describe_checks,
+    _describe_recovery,
+    conversion_document,
+)
 
 
 def conversion(frequency: float, damping_ratio: float, left: float, *, stands: bool = True) -> Any:
@@ -40,6 +44,14 @@ def test_recovery_is_stated_only_if_it_is_faster_than_the_simulation(
     """
     (line,) = _describe_recovery(conversion(frequency, damping_ratio, left))
     assert str(line.en).startswith(start)
+
+
+def test_recovery_has_speed_damping_and_frequency_in_this_order() -> None:
+    (line,) = _describe_recovery(conversion(7.1, 0.11, 1e-6))
+    assert get_english(line) == (
+        "RECOVERS FROM A NUDGE of 0.001 m/s and rad/s from its keyframe: "
+        "the lowest damping ratio is 0.11, at 7.1 Hz"
+    )
 
 
 def test_recovery_is_not_stated_of_a_robot_that_does_not_stand() -> None:
@@ -70,7 +82,9 @@ def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> 
         repairs=(),
         notes=(note,),
         not_converted=(lost,),
-        comparison=SimpleNamespace(differences=(), deviations={"com": 1e-16}),
+        comparison=SimpleNamespace(
+            differences=(), deviations={"com": 1e-16, "gravity": 2e-15, "bias forces": 3e-16}
+        ),
         verification=SimpleNamespace(
             passed=True, duration=12.0, base_height=0.28, torque_error=4.2e-8
         ),
@@ -80,6 +94,23 @@ def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> 
         "velocity limits of 12 joints not converted",
     ]
     complete = [get_english(part) for part in _describe_checks(converted)]
-    assert "on added servos with kp 320 N m/rad and kd 8 to 16 N m s/rad; torques" in complete[1]
+    assert complete[0] == "dynamics deviate by at most 2.0e-15; no difference from go2.urdf"
+    assert complete[1] == (
+        "STANDS for 12 s in MuJoCo at base height 280.0 mm, on added servos with kp 320 N m/rad "
+        "and kd 8 to 16 N m s/rad; torques deviate from the prediction by at most 4.2e-08"
+    )
+    document = conversion_document(
+        SimpleNamespace(
+            **vars(converted),
+            output="new/go2.xml",
+            passed=True,
+            failures=(),
+            kept=None,
+            floating=True,
+        )
+    )
+    assert get_english(document.title) == "go2.urdf and go2.xml"
+    assert document.next_step is not None
+    assert document.next_step.words == ("new/go2.xml",)
     converted.notes = ()
     assert get_short_findings(converted)[1] == "STANDS 12 s in MuJoCo at base height 280.0 mm"
