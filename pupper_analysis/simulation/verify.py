@@ -305,9 +305,10 @@ def verify_stand(
             are measured at the end.
         settled: Predicted equilibrium without feed-forward. Used only if ``feedforward`` is False,
             the equilibrium has no failures, and the robot has a fixed base and no stance feet.
-        until_failure: Whether the simulations that test growing modes are omitted if the response
-            to the nudge proves that the robot does not stay. This hardly ever changes ``passed``
-            and ``stays``; ``stability`` and ``failures`` then contain modes that are not tested.
+        until_failure: Whether the nudge is omitted if the robot does not stand still before, and
+            the simulations that test growing modes if motion or nudge proves that the robot does
+            not stay. This hardly ever changes ``passed`` and ``stays``; ``stability`` and
+            ``failures`` then contain modes that are not tested.
 
     Returns:
         Comparison; ``failures`` contains the reasons if the stand is not verified.
@@ -327,6 +328,12 @@ def verify_stand(
     )
     robot, drive, ctrl, prediction = held.robot, held.drive, held.ctrl, held.prediction
     reference = monitor.StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
+    timestep = float(drive.model.opt.timestep)
+
+    def rests(states: Array) -> bool:
+        """Return True if the robot stands still in the states (n, size) of a second."""
+        return _rests(robot, reference, states, timestep)
+
     run = settle_and_nudge(
         drive,
         held.start,
@@ -334,6 +341,7 @@ def verify_stand(
         duration - nudge_duration,
         nudge_duration,
         reference.has_collapsed,
+        rests=rests if until_failure else None,
         until_failure=until_failure,
     )
     total_load = _compute_total_load(robot, prediction)
@@ -573,6 +581,7 @@ def settle_and_nudge(
     nudge_duration: float,
     has_failed: Callable[[Array], bool],
     *,
+    rests: Callable[[Array], bool] | None = None,
     until_failure: bool = False,
 ) -> SettlingRun:
     """Simulate a robot under a constant command, then after a nudge, and evaluate the stability.
@@ -586,6 +595,9 @@ def settle_and_nudge(
         seconds: Simulated time before the nudge [s].
         nudge_duration: Simulated time after the nudge [s]; 0 for no nudge.
         has_failed: Function that returns True for a state that is no longer the expected stand.
+        rests: Function that returns False for the states of the last second before the nudge if the
+            robot does not stand still. There is then no nudge, and no test of growing modes. None
+            for a nudge in any case.
         until_failure: Whether the simulations that test growing modes are omitted if the response
             to the nudge `proves_unrest`.
     """
@@ -600,11 +612,12 @@ def settle_and_nudge(
     )
     is_lost = diverged or has_failed(settling_states[-1])
     states, nudge = settling_states, None
-    if nudge_duration and not diverged:
+    is_resting = diverged or rests is None or rests(last_second)
+    if nudge_duration and not diverged and is_resting:
         nudged_states = simulate_nudge(model, settling_states[-1], ctrl, nudge_duration)
         nudge = measure_response(model, settling_states[-1], nudged_states, last_second)
         states = np.concatenate([settling_states, nudged_states])
-    is_decided = until_failure and nudge is not None and proves_unrest(nudge)
+    is_decided = not is_resting or (until_failure and nudge is not None and proves_unrest(nudge))
     stability = evaluate_final_stability(
         drive,
         start,
@@ -635,8 +648,8 @@ def _compare_with_prediction(
     """
     timestep = float(drive.model.opt.timestep)
     states, settled, drops = run.states, run.last, record.compute_foot_drops(stand)
-    resting = monitor.base_heights(robot, settled)
-    base_height = float(resting.mean())
+    base_height = float(monitor.base_heights(robot, settled).mean())
+    height_deviation, height_drift = _measure_height_motion(robot, settled, timestep)
     height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0
     contact_sag = stand.base_drop(robot, drops)
     joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
@@ -660,8 +673,8 @@ def _compare_with_prediction(
         kp=drive.kp,
         kd=drive.kd,
         base_height=base_height,
-        height_deviation=float(resting.std()),
-        height_drift=float(resting[-1] - resting[0]) / (timestep * (len(resting) - 1)),
+        height_deviation=height_deviation,
+        height_drift=height_drift,
         height_loss=height_loss,
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
@@ -776,6 +789,20 @@ def _find_standing_failures(
         drift = Quantity(result.height_drift, "m/s")
         failures.append(diagnose("height-drifts", drift=drift))
     return failures
+
+
+def _measure_height_motion(robot: Robot, states: Array, timestep: float) -> tuple[float, float]:
+    """Return standard deviation [m] and mean rate [m/s] of the base's height in ``states``."""
+    heights = monitor.base_heights(robot, states)
+    duration = timestep * (len(heights) - 1)
+    return float(heights.std()), float(heights[-1] - heights[0]) / duration
+
+
+def _rests(robot: Robot, reference: monitor.StandReference, states: Array, timestep: float) -> bool:
+    """Return True if a robot has not collapsed, and its height is at rest in the last second."""
+    deviation, drift = _measure_height_motion(robot, states, timestep)
+    is_still = deviation < STABLE_DEVIATION and abs(drift) < SETTLED_DRIFT
+    return is_still and not reference.has_collapsed(states[-1])
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:

@@ -102,7 +102,8 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
         "carries-with-limits",
         file=file,
         compensated=_carries_only_with_feedforward(limit),
-        shown="" if file or torque_limits["part"] else kind,  # the short form has no more room
+        # The short form has no more room, since the line also names the file or the place.
+        shown="" if file or torque_limits["part"] or np.any(limit.point) else kind,
         **torque_limits,
     )
 

@@ -37,6 +37,7 @@ from pupper_analysis.robot.servos import command_ranges, compute_command_lead, m
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import with_contacts
+from pupper_analysis.simulation.alone import find_mass_by_commands_alone
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
@@ -46,10 +47,9 @@ from pupper_analysis.simulation.verdict import (
     Question,
     Verdict,
     VerdictCode,
-    classify_ending,
     find_overloaded_motors,
 )
-from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -374,7 +374,12 @@ def payload_limit(
     bounds = _add_simulated_bounds(search.find_bounds(), simulations)
     limit = _make_payload_limit(robot, place, bounds, search, simulations)
     if commands_alone and limit.passed and limit.depends_on_feedforward:
-        mass = _bisect_commands_alone(limit.upper_bound, simulations)
+        mass = find_mass_by_commands_alone(
+            simulations.simulate_commands_alone,
+            VERIFIED_FRACTION * limit.upper_bound,
+            SIMULATION_RTOL**2 * limit.upper_bound,
+            SIMULATION_RTOL,
+        )
         limit = replace(limit, mass_by_commands_alone=mass)
     return limit
 
@@ -503,14 +508,15 @@ class _PayloadSimulations:
             kd=self._kd,
         )
 
-    def holds_by_commands_alone(self, mass: float) -> bool:
-        """Return True if a simulation with position commands alone holds a payload [kg]."""
+    def simulate_commands_alone(self, mass: float) -> StandVerification | None:
+        """Simulate a payload [kg] with position commands alone; None if there is no stand."""
         try:
             loaded, stand = solve_loaded_stand(self._robot, self._task, mass, self._place)
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
-            return False
-        alone = verify_stand(loaded, stand, feedforward=False, kp=self._kp, kd=self._kd)
-        return classify_ending(alone) is Ending.HOLDS
+            return None
+        return verify_stand(
+            loaded, stand, feedforward=False, kp=self._kp, kd=self._kd, until_failure=True
+        )
 
     def holds(self, mass: float) -> bool:
         """Return True if a stand with a payload [kg] exists, and holds in simulation."""
@@ -592,25 +598,6 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
     return _bisect_mass(
         find_cause, max(low, 0.0), high, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
     )
-
-
-def _bisect_commands_alone(mass_limit: float, simulations: _PayloadSimulations) -> float:
-    """Find the largest simulated payload [kg] that holds with position commands alone; else 0.
-
-    The search assumes that the stance fails with `VERIFIED_FRACTION` of ``mass_limit`` [kg], the
-    largest payload with feed-forward torques.
-    """
-    if not simulations.holds_by_commands_alone(0.0):
-        return 0.0
-
-    def find_cause(mass: float) -> FailureCause:
-        """Return a failure if a payload [kg] does not hold; else None."""
-        return None if simulations.holds_by_commands_alone(mass) else (Failure.SIMULATED, ())
-
-    high = VERIFIED_FRACTION * mass_limit
-    tolerance = SIMULATION_RTOL**2 * mass_limit
-    cause = Failure.SIMULATED, ()
-    return _bisect_mass(find_cause, 0.0, high, cause, tolerance, SIMULATION_RTOL).mass
 
 
 def _holds_in_simulation(verdict: Verdict) -> bool:

@@ -22,11 +22,11 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         status, out, err = run_command(capfd, "payload", "v3", option, "0.6", "--json", str(path))
         assert status == 0, err
         answer = out.partition("\n")[0]
-        assert answer.startswith("CARRIES v3: ")
-        found[option] = answer.rpartition(" (")[2], json.loads(path.read_text())["mass"]
+        assert answer.startswith("CARRIES (")
+        found[option] = answer.partition(") v3: ")[0], json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
-    assert found["--continuous"][0] == "continuous torque)"
-    assert found["--effort"][0] == "peak torque)"
+    assert found["--continuous"][0] == "CARRIES (permanently, at continuous torque"
+    assert found["--effort"][0] == "CARRIES (short-term, at peak torque"
 
 
 @pytest.mark.slow

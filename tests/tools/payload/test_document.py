@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pupper_analysis.present.document import Text, text
@@ -92,7 +93,7 @@ def test_verdict_states_for_how_long_the_payload_is_carried(
 ) -> None:
     """The condition followed the mass without gravity compensation, and seemed to be its cause."""
     result = make_payload_result()
-    result.continuous = continuous
+    result.continuous, result.point = continuous, np.zeros(3)
     verdict = payload_document(result).verdict
     assert isinstance(verdict, Text)
     assert verdict.short == f"CARRIES ({conditions})"

@@ -582,11 +582,3 @@ def test_payload_by_commands_alone_is_the_largest_that_stand_holds_without_feedf
         endings[ratio] = pa.judge_stand(loaded, pa.solve_stand(loaded)).commands_alone
     assert endings[1.0] == "holds"
     assert endings[1.03] != "holds"
-
-
-@pytest.mark.parametrize("largest", [-1.0, 0.0, 0.4, 5.0])
-def test_payload_by_commands_alone_is_bisected_to_two_percent(largest: float) -> None:
-    """Reference: simulations that hold each payload up to ``largest`` [kg]."""
-    simulations: Any = SimpleNamespace(holds_by_commands_alone=lambda mass: mass <= largest)
-    found = payload._bisect_commands_alone(10.0, simulations)
-    assert max(largest, 0.0) - max(SIMULATION_RTOL * largest, 0.004) <= found <= max(largest, 0.0)
