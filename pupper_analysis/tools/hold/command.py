@@ -107,6 +107,7 @@ def command(
             payload=payload,
             kp=kp,
             kd=kd,
+            commands_alone=True,
         )
         torques = zip(robot.joint_names, result.statics.joint_torques.tolist(), strict=True)
         result = replace(result, weak_motors=describe_weak_motors(motors, dict(torques)))

@@ -128,11 +128,14 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
 
 def _describe_worst_payload(hold: Hold) -> doc.Words:
     """Return the text of the payload limit over all postures found."""
-    payload = hold.payload.worst_posture_mass
+    payload, joint = hold.payload.worst_posture_mass, hold.payload.worst_posture_joint
+    alone = hold.mass_by_commands_alone
     return text(
         "worst-posture-payload",
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
+        joint=doc.Name(joint) if joint else "",
+        alone="" if math.isnan(alone) else _format_payload_limit(alone),
         loaded=hold.carried > 0,
         unstated=math.isnan(payload),
     )

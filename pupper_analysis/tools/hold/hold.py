@@ -33,7 +33,8 @@ from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
-from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.simulation.alone import find_mass_by_commands_alone
+from pupper_analysis.simulation.verdict import Ending, Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.posture import (
     Posture,
@@ -42,6 +43,7 @@ from pupper_analysis.stance.posture import (
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import (
     MIN_TORQUE_PER_MASS,
     UNLIMITED_MASS_RATIO,
@@ -365,6 +367,9 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
     return may_bear
 
 
+COMMANDS_ALONE_RTOL = 0.02
+"""Relative tolerance [1] of ``Hold.mass_by_commands_alone``. Chosen, not tuned."""
+
 VERIFIED_FRACTION = 0.95
 """Fraction [1] of the payload limit (of motors or servos, the smaller) with which the posture is
 simulated. At the limit itself, rounding would determine the verdict. Chosen, not tuned.
@@ -408,6 +413,10 @@ class Hold(Tabular):
         reach: Motor utilisation over the reach of the tool.
         weak_motors: Motors named by the caller that cannot exert the torques of ``statics``, not
             even for a short time.
+        mass_by_commands_alone: Largest mass at the tool, in addition to ``carried``, with which the
+            posture holds in simulation with position commands alone, without feed-forward torques
+            [kg]. Not a number if not computed, or if the posture holds with
+            ``payload.worst_posture_mass``.
     """
 
     name: str
@@ -433,6 +442,7 @@ class Hold(Tabular):
     force: ToolForce
     reach: ReachLoad
     weak_motors: tuple[Diagnostic, ...] = ()
+    mass_by_commands_alone: float = field(default=math.nan, metadata={"unit": "kg"})
 
     @property
     def passed(self) -> bool:
@@ -467,6 +477,7 @@ def hold_posture(
     payload: float = 0.0,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
+    commands_alone: bool = False,
 ) -> Hold:
     """Evaluate and simulate a posture of a robot with a fixed base.
 
@@ -482,6 +493,8 @@ def hold_posture(
         payload: Point mass at the tool [kg] that all results include.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); default: values of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); default: values of the model.
+        commands_alone: Whether to compute also ``mass_by_commands_alone``. Requires further
+            simulations.
 
     Raises:
         ConfigurationError: If the base is free, an argument is not valid for the robot, or a closed
@@ -495,12 +508,10 @@ def hold_posture(
     config, stand = Configuration(robot, posture.qpos), held_stand(robot, posture)
     statics = gravity_compensation(config, contacts=[])
     held = solve_stand_as_simulated(robot, stand)
-    settled, unsettled, sag = None, None, None
-    try:
-        settled = steady_state(robot, held, kp=kp)
+    settled, unsettled = _find_equilibrium(robot, held, kp)
+    sag = None
+    if settled is not None:
         sag = point.position(Configuration(robot, settled.qpos)) - point.position(config)
-    except NoEquilibriumError as error:
-        unsettled = error.diagnostic
     report_progress("simulations", 0, _NUM_SIMULATIONS)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
     report_progress("simulations", 1, _NUM_SIMULATIONS)
@@ -515,6 +526,12 @@ def hold_posture(
         loaded = with_payload(robot, VERIFIED_FRACTION * max_mass, point)
         loaded_stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
         trial = verify_stand(loaded, loaded_stand, kp=kp, kd=kd)
+    verdict = judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd)
+    mass_alone = math.nan
+    if commands_alone and verdict.passed and verdict.commands_alone is Ending.HOLDS:
+        mass_alone = _find_mass_by_commands_alone(
+            robot, posture, point, limits.worst_posture_mass, kp, kd
+        )
     return Hold(
         name=robot.name,
         hangs=has_free_joint(robot.description.mjcf),
@@ -531,11 +548,50 @@ def hold_posture(
         unsettled=unsettled,
         tool_sag=sag,
         simulated_tool_sag=simulated,
-        verdict=judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
+        verdict=verdict,
         worst=worst,
         payload=limits,
         carried=float(payload),
         payload_trial=trial,
         force=tool_force(robot, posture, point),
         reach=reach_load(robot, posture, point),
+        mass_by_commands_alone=mass_alone,
     )
+
+
+def _find_equilibrium(
+    robot: Robot, held: Stand, kp: ArrayLike | None
+) -> tuple[SteadyState | None, Diagnostic | None]:
+    """Find the equilibrium without feed-forward; None and the reason if there is none."""
+    try:
+        return steady_state(robot, held, kp=kp), None
+    except NoEquilibriumError as error:
+        return None, error.diagnostic
+
+
+def _find_mass_by_commands_alone(
+    robot: Robot,
+    posture: Posture,
+    tool: Tool,
+    motor_limit: float,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> float:
+    """Find the largest mass [kg] at a tool with which a posture holds without feed-forward.
+
+    NaN if the posture holds with ``motor_limit`` [kg], or if this limit is 0, infinite or NaN.
+    """
+
+    def simulate(mass: float) -> StandVerification:
+        """Simulate the posture with a mass [kg] at the tool, without feed-forward."""
+        loaded = with_payload(robot, mass, tool)
+        held = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
+        settled, _ = _find_equilibrium(loaded, held, kp)
+        return verify_stand(
+            loaded, held, feedforward=False, kp=kp, kd=kd, settled=settled, until_failure=True
+        )
+
+    if not 0 < motor_limit < math.inf or simulate(motor_limit).passed:
+        return math.nan
+    tolerance = COMMANDS_ALONE_RTOL**2 * motor_limit
+    return find_mass_by_commands_alone(simulate, motor_limit, tolerance, COMMANDS_ALONE_RTOL)

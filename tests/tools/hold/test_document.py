@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Name, NextStep, Table
+from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text
 from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
 from tests.support.arm import arm
@@ -106,3 +106,31 @@ def test_next_step_after_a_loaded_posture_does_not_propose_the_same_payload_agai
     shares = np.full(len(held.worst.utilisation), 1.01)
     overloaded = replace(loaded, worst=replace(held.worst, utilisation=shares))
     assert hold_document(overloaded).next_step == NextStep("hold", omitted=("--payload",))
+
+
+@pytest.mark.parametrize(
+    ("alone", "ending"),
+    [(np.nan, " in the worst posture ({joint})"), (0.5, " ({joint}), 0.5 kg uncompensated")],
+)
+def test_second_line_names_the_joint_of_the_payload_and_the_mass_without_compensation(
+    alone: float, ending: str
+) -> None:
+    """Reference: the joint in the row of the worst posture in the table of payloads."""
+    held = replace(
+        pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9}), mass_by_commands_alone=alone
+    )
+    document = hold_document(held)
+    line = document.findings[1]
+    assert isinstance(line, Text)
+    joint = held.payload.worst_posture_joint
+    assert joint
+    assert line.short.startswith(f"payload {held.payload.worst_posture_mass:.3g} kg at ")
+    assert line.short.endswith(ending.format(joint=joint))
+    (table,) = [
+        block
+        for block in document.blocks
+        if isinstance(block, Table) and "Payload at the tool" in str(block.title)
+    ]
+    mass, motor = table.rows[-1][1:]
+    assert getattr(mass, "text", "") == f"{held.payload.worst_posture_mass:.4g}"
+    assert motor == Name(joint)

@@ -316,3 +316,31 @@ def test_two_arms_in_the_world_without_a_coupling_are_several_robots(tmp_path: P
     path.write_text(f"<mujoco><worldbody>{arm.format('a')}{arm.format('b')}</worldbody></mujoco>")
     with pytest.raises(pa.ModelError, match="several robots"):
         pa.load_robot(mjcf=path)
+
+
+@pytest.mark.slow
+def test_payload_by_commands_alone_is_the_largest_that_holds_without_feedforward() -> None:
+    """Reference: `hold_posture` with the mass as payload, below and above the reported mass.
+
+    The motors hold 0.72 kg in the worst posture; servos with kp 30 N m/rad need feed-forward.
+    """
+    posture = {"shoulder": -0.4, "elbow": 0.9}
+    held = pa.hold_posture(arm(), posture, kp=30.0, kd=1.0, commands_alone=True)
+    mass = held.mass_by_commands_alone
+    assert 0 < mass < held.payload.worst_posture_mass
+    for ratio, holds in ((1.0, True), (1.03, False)):
+        loaded = pa.hold_posture(arm(), posture, kp=30.0, kd=1.0, payload=ratio * mass)
+        assert loaded.passed
+        assert (loaded.verdict.commands_alone == "holds") is holds
+
+
+@pytest.mark.slow
+def test_payload_that_holds_without_feedforward_has_no_second_mass() -> None:
+    """Reference: `hold_posture` with the payload limit holds without feed-forward."""
+    posture = {"shoulder": -0.4, "elbow": 0.9}
+    held = pa.hold_posture(arm(), posture, commands_alone=True)
+    assert np.isnan(held.mass_by_commands_alone)
+    limit = held.payload.worst_posture_mass
+    loaded = pa.hold_posture(arm(), posture, payload=limit)
+    assert loaded.verdict.commands_alone == "holds"
+    assert np.isnan(pa.hold_posture(arm(), posture, kp=30.0, kd=1.0).mass_by_commands_alone)
