@@ -129,6 +129,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
         count=best.evaluations,
         what=text(_OBJECTIVE_TEXTS[best.objective]),
         value=values[0],
+        compensated=best.payload is not None and best.payload.depends_on_feedforward,
         nominal=values[1],
     )
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from pupper_analysis.present.document import Document, NextStep, Table, Text, get_english
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
-from pupper_analysis.tools.best.document import _make_next_step, best_document
+from pupper_analysis.tools.best.document import _make_next_step, _make_search_line, best_document
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.stand.document import stance_document
-from tests.support.stubs import best, stance
+from tests.support.stubs import best, make_payload_result, stance
 
 
 def list_titles(document: Document) -> set[str]:
@@ -50,3 +52,17 @@ def test_next_step_of_a_failing_stance_searches_again_with_the_gains_that_hold()
     assert _make_next_step(best(), NextStep("stand", gains)) == NextStep("best", ("margin", *gains))
     for step in (None, NextStep("stand", ("--minimum-stiffness",))):
         assert _make_next_step(best(), step) == NextStep("stand")
+
+
+@pytest.mark.parametrize("compensated", [True, False])
+def test_best_payload_states_that_it_needs_gravity_compensation(compensated: bool) -> None:
+    """v3: the mass in the best stance, and in the stance as given, each in its place."""
+    study = best()
+    study.best.objective = Objective.PAYLOAD
+    study.best.value, study.best.nominal_value = 20.559, 6.679
+    study.best.payload = make_payload_result()
+    study.best.payload.depends_on_feedforward = compensated
+    line = _make_search_line(study)
+    condition = " gravity-compensated" if compensated else ""
+    assert line.short == f"payload 20.55 kg{condition}; 6.67 kg in the stance as given"
+    assert ("with gravity compensation" in line.en) is compensated

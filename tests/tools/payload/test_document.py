@@ -119,4 +119,4 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
         for words in answer.findings
         if isinstance(words, Text) and words.en.startswith("limiting failure")
     ]
-    assert limit.short.startswith("limit of 1.23 kg: ")
+    assert limit.short.startswith("limit 1.23 kg: ")
