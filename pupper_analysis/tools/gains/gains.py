@@ -540,7 +540,10 @@ class _Gains:
         None if no tried pair is stable.
         """
         powers = range(-MAX_POWER, MAX_POWER + 1)
-        pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
+        # At equal distance, prefer the reference kp: the bound of kd then applies to this kp.
+        pairs = sorted(
+            product(powers, powers), key=lambda pair: (abs(pair[0]) + abs(pair[1]), abs(pair[0]))
+        )
         for stiffness, damping in pairs:
             is_near = abs(stiffness) + abs(damping) <= _NEAR_POWER
             if not is_near and (stiffness % 2 or damping % 2):

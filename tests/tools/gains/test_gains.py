@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
     GainStudy,
     JointClass,
+    _Gains,
     group_joints,
     name_joints,
     study_gains,
@@ -325,3 +327,15 @@ def test_large_and_near_gains_are_readable() -> None:
     text = " ".join(get_english(line) for line in (*document.failures, *document.findings))
     assert "kp 1300 N m/rad (at least " in text
     assert "kd 1.7 N m s/rad (at most 1.699)" in text
+
+
+def test_bound_of_the_damping_keeps_the_present_stiffness() -> None:
+    """Solo12: kd 1.7 was UNSTABLE below a stated bound of 1.705, which held for half the kp.
+
+    Reference: a loop that is stable up to kd = 1.69 with kp = 34, and up to 1.8 with kp = 17.
+    """
+    loop: Any = SimpleNamespace(
+        is_stable=lambda kp, kd: kd[0] <= 1.69 + 0.11 * (34.0 - kp[0]) / 17.0
+    )
+    gains = _Gains(loop, np.array([34.0]), np.array([1.7]))
+    assert gains.find_stable_pair() == (1.0, 0.5)
