@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import NextStep, text
+from pupper_analysis.present.document import NextStep, Table, get_english, text
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
@@ -124,3 +125,33 @@ def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     line = text("weakest-at-directiondeg-impulse", **values).short
     assert line
     assert len(f"WITHSTANDS (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
+
+
+def test_each_number_of_a_push_is_in_its_column() -> None:
+    """References: the impulses, tipping estimates and velocity steps of the result."""
+    recovery = make_push_result("one", 0.0, 0.00311).recovery
+    (table,) = [
+        block
+        for block in push_document(make_push_result("one", 0.0, 0.00311)).blocks
+        if isinstance(block, Table)
+    ]
+    columns = [get_english(column.name) for column in table.columns]
+    assert columns == [
+        "direction",
+        "impulse",
+        "step of velocity",
+        "a rigid robot tips at",
+        "failure",
+    ]
+    numbers = [[float(getattr(cell, "text", "nan")) for cell in row[:4]] for row in table.rows]
+    expected = np.column_stack(
+        [
+            np.degrees(recovery.directions),
+            recovery.impulses,
+            recovery.velocity_steps,
+            recovery.tipping_estimate,
+        ]
+    )
+    assert numbers == [pytest.approx(row, abs=6e-3) for row in expected.tolist()]
+    for first, second in combinations(range(4), 2):  # the stub distinguishes the columns
+        assert np.abs(expected[:, first] - expected[:, second]).min() > 0.02
