@@ -175,10 +175,17 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
     return tuple(line.with_mark("warn") if line.mark == "bad" else line for line in lines)
 
 
-def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
+def split_verdict_lines(
+    verdict: Verdict, *, reason_first: bool = False
+) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
     """Divide the statements of a verdict into those of the short answer and further ones.
 
     The short answer contains statements against the stand, warnings and assumptions, for example.
+
+    Args:
+        verdict: Verdict.
+        reason_first: Whether the reason for HOLDS only with gravity compensation precedes other
+            statements.
 
     Returns:
         Lines of the short answer; further lines.
@@ -196,7 +203,10 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
         )
         for clause in clauses
     ]
-    first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
+    shown = [place for place, less in enumerate(quiet) if not less]
+    if verdict.passed and reason_first:
+        shown.sort(key=lambda place: clauses[place].message.code != _QUALIFYING_CODE)
+    first = tuple(lines[place] for place in shown)
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
 
 
@@ -213,6 +223,9 @@ _MIN_STATED_CLEARANCE = 1e-3
 """Lower bound of the robot's height above the ground at reset [m], above which the message about
 the simulation of the published file (`OwnRun`) states the height. Chosen, not tuned.
 """
+
+_QUALIFYING_CODE = "fails-alone"
+"""Code of the statement that explains the verdict HOLDS only with gravity compensation."""
 
 _DETAIL_CODE = "own-run"
 """Code of the statement about the simulation of the published file (`OwnRun`). The short answer
@@ -280,9 +293,9 @@ def judged_document(
         notes: Assumptions, findings and omissions.
         next_step: Command to run next.
     """
-    first, more = split_verdict_lines(judged.verdict)
     number, *others = answer
     limits = tuple(limits) if limit is None else (limit,)
+    first, more = split_verdict_lines(judged.verdict, reason_first=not limits)
     reasons = () if judged.passed else (*first[:1], *causes, *first[1:], *failures)
     if number_first and reasons:
         reasons, findings = (*leading, number, *reasons), (*limits, *others)

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from pupper_analysis.present.document import get_english
 from pupper_analysis.present.documents.loads import format_share
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
 from pupper_analysis.tools.stand.document import _round_bound, stance_document
 from tests.present.test_printed import print_words
@@ -72,3 +74,20 @@ def test_small_utilisation_is_not_zero() -> None:
     assert format_share(0.157, ".0f") == "16"
     assert format_share(1.27, ".1f") == "127.0"
     assert format_share(float("nan"), ".1f") == ""
+
+
+def test_reason_for_a_qualified_verdict_precedes_the_servos() -> None:
+    """G1 with --kp 408 --kd 0.221: line 2 named the given servos, and omitted the reason."""
+    verdict = judge_stance(
+        run(0.0, passed=True),
+        run(0.0, passed=False),
+        replace(SERVOS, source=ServoSource.GIVEN),
+    )
+    assert verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD
+    bounds = replace(SERVO_BOUNDS, least_kp_factor=0.5)
+    document = stance_document(
+        stance(verdict=verdict, passed=True, minimum_stiffness=None, servos=bounds)
+    )
+    second, third = document.findings[1:3]
+    assert get_english(second).startswith("FAILS without gravity compensation: ")
+    assert get_english(third).startswith("on servos as given ")
