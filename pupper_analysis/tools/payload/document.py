@@ -249,7 +249,8 @@ def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
     failure_text, names = word(failure.value), tuple(where)
     if not names:
         return failure_text
-    return text("failure-where", failure=failure_text, where=names)
+    key = "ground-touched-by" if failure is Failure.GROUND else "failure-where"
+    return text(key, failure=failure_text, where=names)
 
 
 def _describe_nudged_trials(trial: PayloadTrial) -> doc.Text:

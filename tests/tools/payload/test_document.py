@@ -9,9 +9,11 @@ import pytest
 
 from pupper_analysis.present.document import Text, text
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
+from tests.support.printing import printed
 from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_payload_result
 
 
@@ -120,3 +122,17 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
         if isinstance(words, Text) and words.en.startswith("limiting failure")
     ]
     assert limit.short.startswith("limit 1.23 kg: ")
+
+
+def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
+    """Go2: the limit, its mass and the added servos; a longer line omitted the servos."""
+    result = make_payload_result()
+    result.verdict = judge_added_servos(Question.CARRIES)
+    result.upper_bound, result.mass_by_commands_alone = 66.899, 39.549
+    result.failure, result.failing_parts = Failure.GROUND, ("RL_calf",)
+    result.bounds = {"simulation": result.bounds["servos"]}
+    result.bounds["simulation"].mass = result.mass
+    second = printed(payload_document(result), everything=False).splitlines()[1]
+    start = "  limit 66.89 kg: RL_calf touches the ground; on added servos (kp 320 N m/rad)"
+    assert second.startswith(start)
+    assert len(second) <= MAX_ANSWER_WIDTH
