@@ -62,6 +62,11 @@ _MAX_PREDICTIONS = 4
 instead of predicting kp. Chosen, not tuned.
 """
 
+_MAX_PREDICTED_RATIO = 1.1
+"""Upper bound of a predicted least kp, relative to the kp whose creep was simulated, up to which
+`estimate_minimum_stiffness` uses the prediction. Measured: for Aliengo the ratio is 1.7, and the
+prediction 30 % above `minimum_stiffness`."""
+
 _ESTIMATE_TOLERANCE = 0.02
 """Relative width to which `estimate_minimum_stiffness` brackets the least kp of the static
 equilibrium. Chosen for results with two digits."""
@@ -130,8 +135,9 @@ def estimate_minimum_stiffness(
 ) -> float:
     """Estimate the smallest servo stiffness kp [N m/rad] for a stand without feed-forward.
 
-    In general, a prediction replaces the bisection of `minimum_stiffness` with creep. Measured: 0
-    to 5 % above `minimum_stiffness` for T1 and v3-long-leg, within 2 % for v3, original and Go2.
+    A prediction within `_MAX_PREDICTED_RATIO` replaces the bisection of `minimum_stiffness` with
+    creep. Measured: 0 to 5 % above `minimum_stiffness` for T1, G1, v3-long-leg, and v3 with 3.2 kg;
+    within 2 % for v3, original, Go2, ANYmal C, HyQ, Laikago and Solo12.
 
     Args:
         robot: Robot.
@@ -157,7 +163,8 @@ def estimate_minimum_stiffness(
     if math.isinf(lasts):
         return tried
     predicted = _predict_stiffness(start, tried, lasts)
-    return predicted if predicted < 2 * high else minimum_stiffness(robot, stand, ratios=ratios)
+    is_near = predicted <= _MAX_PREDICTED_RATIO * tried
+    return predicted if is_near else minimum_stiffness(robot, stand, ratios=ratios)
 
 
 def _bracket_stiffness(

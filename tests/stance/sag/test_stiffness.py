@@ -107,6 +107,24 @@ def test_equilibria_that_continuation_misses_are_found_again(
 
 
 @pytest.mark.slow
+def test_distant_prediction_is_replaced_by_the_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reference: `minimum_stiffness`. Aliengo: the prediction from 0.6 s was 30 % too large."""
+    robot = load("v3")
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    least = minimum_stiffness(robot, stand)
+    predict, tried = stiffness._predict_stiffness, []
+
+    def predict_far(start: float, kp: float, lasts: float) -> float:
+        """Return 1.5 times the first kp, as for a robot whose creep ends at once."""
+        tried.append(kp)
+        return 1.5 * kp if len(tried) == 1 else predict(start, kp, lasts)
+
+    monkeypatch.setattr(stiffness, "_predict_stiffness", predict_far)
+    assert estimate_minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
+    assert len(tried) > 1
+
+
+@pytest.mark.slow
 def test_solves_that_end_at_alternating_contacts_do_not_change_the_stiffness(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
