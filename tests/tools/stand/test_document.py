@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from pupper_analysis.present.document import get_english
+from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.present.documents.loads import format_share
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.robot.as_published import ServoSource
+from pupper_analysis.simulation.servo_bounds import SoftServos
 from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
 from pupper_analysis.tools.stand.document import _round_bound, stance_document
 from tests.present.test_printed import print_words
@@ -91,3 +92,13 @@ def test_reason_for_a_qualified_verdict_precedes_the_servos() -> None:
     second, third = document.findings[1:3]
     assert get_english(second).startswith("FAILS without gravity compensation: ")
     assert get_english(third).startswith("on servos as given ")
+
+
+def test_too_soft_servos_are_stated_with_stiffness_and_factor() -> None:
+    """Reference: kp 30 N m/rad and the factor 16 of the result, each in its place."""
+    soft = SoftServos("ankle_*", ("ankle_l", "ankle_r"), 30.0, 16.0)
+    document = stance_document(stance(soft_servos=soft))
+    lines = [line for line in document.failures + document.findings if isinstance(line, Text)]
+    (line,) = [line for line in lines if line.short.startswith("ankle_*")]
+    assert line.short == "ankle_* too soft (kp 30 N m/rad): stands with 16 times these gains"
+    assert "(kp 30 N m/rad): with 16 times their gains" in line.en
