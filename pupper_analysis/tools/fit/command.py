@@ -439,9 +439,15 @@ def _read_measurements(
 ) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
     """Return stands or logs, and the held-out part: a share of each run [1], logs, or None."""
     from pupper_analysis.tools.fit.measurements.log import read_log
-    from pupper_analysis.tools.fit.measurements.stands import read_stands
+    from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands
 
+    for path in logs:
+        if not path_exists(path):
+            alike = [str(file) for file in find_similar_files(path)]
+            raise InputError(path, diagnose("log-file-missing", alike=alike))
     measured = list(map(read_log, logs)) if stands is None else read_stands(stands)
+    if stands is not None and isinstance(measured, MeasuredStands):
+        _check_measured(stands, measured)
     shares = [float(value) for value in hold_out if value.replace(".", "", 1).isdecimal()]
     if shares and len(hold_out) > 1:
         finding = diagnose("hold-out-of-two-kinds", share=shares[0])
@@ -450,6 +456,24 @@ def _read_measurements(
         finding = diagnose("not-between", given=shares[0], low=0, high=1)
         raise ConfigurationError("--hold-out", finding)
     return measured, shares[0] if shares else list(map(read_log, hold_out)) or None
+
+
+def _check_measured(path: Path, measured: MeasuredStands) -> None:
+    """Raise an error if a file of stands has commands only: the plan has not been recorded yet.
+
+    The error contains the command that records the plan.
+    """
+    import numpy as np
+
+    if not len(measured) or np.isfinite(measured.position).any():
+        return
+    if not np.isfinite(measured.command).any():
+        return
+    words = ("--record", str(path), "--bridge", "typed", "-o", "stands.csv")
+    omitted = (*_MEASURING_OPTIONS, "--stands", "--weight", "--anyway", "--kp")
+    error = MeasurementError(path, diagnose("stands-are-planned", count=len(measured)))
+    error.add_note(complete_command(NextStep("fit", words, omitted=omitted)))
+    raise error
 
 
 _MEASURING_OPTIONS = (

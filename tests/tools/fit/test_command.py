@@ -215,6 +215,8 @@ def test_result_and_page_are_made_if_models_cannot_be_written(
     monkeypatch.setattr("pupper_analysis.tools.fit.command._write_models", refuse_output)
     monkeypatch.setattr("pupper_analysis.tools.fit.result.Fit", str)  # the type of "a fit"
     shown: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").touch()
     with monkeypatch.context() as context, pytest.raises(OutputError):
         record_calls(
             ("--log", "log.csv", "--report", "fit.html", "-o", str(tmp_path / "fitted")),
@@ -238,6 +240,7 @@ def test_each_option_of_a_mode_reaches_a_function_or_is_refused(
     """The arguments of the called functions differ from those without the option."""
     monkeypatch.chdir(tmp_path)
     Path("stands.csv").touch()
+    Path("log.csv").touch()
     used: set[str] = set()
     refused: dict[str, tuple[str, str, str]] = {}
     without_effect = []
@@ -363,3 +366,27 @@ def test_fixed_base_proposes_to_fit_a_log_in_place_of_stands(
     assert status == 2
     assert "has a fixed base and cannot stand; fit a log of a motion: time, command.*" in err
     assert err.splitlines()[-1] == f"  next: pupper-analysis fit {path} --log motion.csv"
+
+
+def test_plan_in_place_of_stands_names_the_command_that_records_it(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The refusal listed all joints of the first stand, with the advice to omit the stand."""
+    plan = tmp_path / "plan.csv"
+    joints = pa.load_variant("v3").joint_names
+    columns = [f"{kind}.{joint}" for kind in ("command", "position") for joint in joints]
+    cells = ["0.1"] * len(joints) + [""] * len(joints)
+    plan.write_text("\n".join([",".join(["stand", *columns])] + [",".join(["s1", *cells])] * 2))
+    status, _, err = run_command(capfd, "fit", "v3", "--stands", str(plan), "--kp", "6")
+    fault, step = err.splitlines()
+    assert status == 2
+    assert fault.endswith("plan.csv: the file is a plan of 2 stands without positions; "
+                          "record the plan first")  # fmt: skip
+    assert step == f"  next: pupper-analysis fit v3 --record {plan} --bridge typed -o stands.csv"
+
+
+def test_missing_log_states_the_columns_of_a_log(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = ("fit", "v3", "--log", str(tmp_path / "motion.csv"))
+    check_refusal(capfd, tmp_path, words, "a log is a CSV with time, command.JOINT and")
