@@ -41,6 +41,8 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     exceeds_limits = bool(study.weak or study.overheats)
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
+    if study.battery_time is not None and (study.passed or exceeds_limits):
+        first, losses = (*first[:1], *losses, *first[1:]), ()  # the user asks for the duration
     final = study.first.steady_temperature
     is_temperature_known = not exceeds_limits and final is not None and math.isfinite(final)
     weak = tuple(_describe_weak_count(study))

@@ -219,7 +219,7 @@ def study_heat(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         ConfigurationError: If an argument is not valid, no joint of the robot has a motor, or a
-            slide has a motor.
+            slide has a motor. Also if the limit is not above the ambient temperature.
     """
     _check_conditions(ambient, limit, battery_energy)
     robot, stand = resolve_stance(robot, stance)
@@ -300,6 +300,11 @@ def _compute_motor_heat(
     if current is not None and not unknown:
         network = ThermalNetwork.of_motor(motor, current, ambient)
     highest = motor.limit_temperature if limit is None else limit
+    air = motor.ambient_temperature if ambient is None else ambient
+    if limit is not None and air is not None and limit <= air:
+        raise ConfigurationError(
+            "limit", diagnose("motor-limit-below-ambient", limit=limit, ambient=air)
+        )
     if highest is None:
         unknown.append("limit_temperature")
     try:

@@ -18,6 +18,7 @@ from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.present.document import get_english
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
@@ -374,3 +375,23 @@ def test_base_that_cannot_be_welded_names_the_command_that_needs_no_weld(
     assert status == 2
     assert "the base of arm (base) has no mass" in err
     assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path}"
+
+
+def test_limit_below_the_ambient_temperature_of_the_motor_is_refused() -> None:
+    """A winding at rest has the ambient temperature: the answer was HOT after 0 s."""
+    motor = find_motor("mit-mini-cheetah")
+    assert motor.ambient_temperature == 25.0
+    with pytest.raises(pa.ConfigurationError, match="10 degC"):
+        study_heat(load("v3"), stand_of("v3"), motors_of(motor), limit=10.0)
+
+
+def test_duration_of_the_battery_is_in_the_second_line_if_a_battery_is_given() -> None:
+    """Reference: energy / loss. The duration was only printed with -v."""
+    motor = find_motor("mit-mini-cheetah")
+    study = study_heat(
+        load("v3"), stand_of("v3"), motors_of(motor), limit=80.0, battery_energy=74 * 3600.0
+    )
+    assert study.loss is not None
+    minutes = 74 * 60 / study.loss
+    _, second, *_ = heat_document(study).findings
+    assert f"the battery lasts {minutes:.0f} min" in get_english(second)
