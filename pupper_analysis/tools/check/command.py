@@ -120,7 +120,7 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
-    from pupper_analysis.base.inputs import is_folder
+    from pupper_analysis.base.inputs import is_folder, path_exists
     from pupper_analysis.tools.check.config import find_config
 
     if config is not None and folder is not None:
@@ -128,7 +128,8 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     if config is not None:
         return config
     if folder is not None and not is_folder(folder):
-        raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
+        missing = not path_exists(folder) or None
+        raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
     try:
         return find_config(folder)
     except ConfigurationError as error:
@@ -147,13 +148,14 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
-    from pupper_analysis.base.inputs import is_folder
+    from pupper_analysis.base.inputs import is_folder, path_exists
     from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))
     if not is_folder(folder):
-        raise ConfigurationError(str(folder), diagnose("check-needs-folder"))
+        missing = not path_exists(folder) or None
+        raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
     path, names = write_config(folder)
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
     place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
