@@ -28,8 +28,8 @@ _VERDICT_KEYS = {
     (True, False): "gains-beyond",
     (False, False): "gains-unstable",
 }
-"""{(whether all modes are stable at the present gains, `GainStudy.passed`): catalogue key of the
-verdict's text}."""
+"""{(whether all modes are stable at the present gains, `GainStudy.stands_stably`): catalogue key of
+the verdict's text, if no mass was assumed}."""
 
 
 @build_document.register(GainStudy)
@@ -41,8 +41,8 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         doc.Name(study.name),
         (_make_class_table(study), _make_bound_table(study), gain_plot(study)),
         passed=study.passed,
-        verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
-        failures=(gains, *failures) if failures else (),
+        verdict=text(_select_verdict(study)),
+        failures=_order_failures(study, gains, failures),
         findings=(
             *(() if failures else (gains,)),
             *_order_conditions(study, failed=bool(failures)),
@@ -58,14 +58,33 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
     )
 
 
+def _select_verdict(study: GainStudy) -> str:
+    """Return the catalogue key of the verdict."""
+    if study.stands_stably and not study.passed:
+        return "UNKNOWN"
+    return _VERDICT_KEYS[study.worst.stable, study.stands_stably]
+
+
 def _order_conditions(study: GainStudy, *, failed: bool) -> tuple[doc.Words, ...]:
     """Return the texts of controller and recommended gains; the latter first after a failure."""
     controller, recommended = _describe_controller(study), _describe_recommended_gains(study)
     return (*recommended, controller) if failed else (controller, *recommended)
 
 
+def _order_failures(
+    study: GainStudy, gains: doc.Words, failures: tuple[doc.Words, ...]
+) -> tuple[doc.Words, ...]:
+    """Return the texts of the failures, with the range of stable gains; assumed masses first."""
+    if not failures:
+        return ()
+    num_first = study.missing_masses is not None
+    return (*failures[:num_first], gains, *failures[num_first:])
+
+
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
     """Yield the reasons why the present gains fail."""
+    if study.missing_masses is not None:
+        yield doc.diagnostic_text(study.missing_masses)
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = study.worst.joints

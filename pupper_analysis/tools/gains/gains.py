@@ -31,10 +31,12 @@ from pupper_analysis.base.units import (
     combine_joint_units,
     select_joint_units,
 )
+from pupper_analysis.prepare.judge import describe_missing_masses
 from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
+from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.alike import group_joints, name_joints
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.joints import (
@@ -222,6 +224,7 @@ class GainStudy(Result):
             (n,); infinite without a bound, not a number if no tried damping is stable.
         recommended_kp_factor: Recommended factor on the stiffness; None without a recommendation.
         recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
+        missing_masses: Message about links with assumed masses; None if the files state all.
     """
 
     name: str
@@ -246,14 +249,20 @@ class GainStudy(Result):
     curve_dampings: Array = field(metadata={"unit": "1"})
     recommended_kp_factor: float | None = field(metadata={"unit": "1"})
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
+    missing_masses: Diagnostic | None = None
 
     @property
     def passed(self) -> bool:
         """Whether the robot stands stably with the present gains, within torque and encoder bounds.
 
-        False also if the robot is predicted not to stand without feed-forward, or if an invalid
-        servo of the file was replaced.
+        False also if the robot is predicted not to stand without feed-forward, if an invalid servo
+        of the file was replaced, or if the mass of a link was assumed.
         """
+        return self.stands_stably and self.missing_masses is None
+
+    @property
+    def stands_stably(self) -> bool:
+        """Whether `passed` is True apart from assumed masses."""
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
         return stable and not self.exceeded and not replaced
@@ -376,6 +385,7 @@ def study_gains(
         curve_dampings=dampings,
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
+        missing_masses=describe_missing_masses(get_loaded_robot(robot)),
     )
 
 

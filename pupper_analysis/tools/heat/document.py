@@ -85,7 +85,8 @@ def _select_next_step(study: HeatStudy) -> NextStep:
 def _lacks_limit_only(study: HeatStudy) -> bool:
     """Return True if the limit temperature is the only number that the verdict lacks."""
     lacking = {number for motor in study.motors if motor.torque for number in motor.unknown}
-    return lacking == {_LIMIT_TEMPERATURE} and not study.omitted
+    complete = not study.omitted and study.missing_masses is None
+    return complete and lacking == {_LIMIT_TEMPERATURE}
 
 
 def _describe_temperature_without_limit(study: HeatStudy) -> Iterable[doc.Words]:
@@ -150,7 +151,9 @@ def _format_duration(time: float) -> str:
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the texts on unknown motor numbers, and on joints without motor."""
+    """Yield the texts on assumed masses, unknown motor numbers, and joints without motor."""
+    if study.missing_masses is not None:
+        yield doc.diagnostic_text(study.missing_masses)
     lacking: dict[str, tuple[str, ...]] = {}
     for motor in study.motors:
         if motor.unknown and motor.torque:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
@@ -23,6 +23,8 @@ from pupper_analysis.models.motors.thermal import (
     compute_continuous_torque,
     list_unknown_thermal_numbers,
 )
+from pupper_analysis.prepare.judge import describe_missing_masses
+from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -142,6 +144,7 @@ class HeatStudy(Result):
             battery energy or the loss is unknown.
         times: (n,) times of the temperatures (s).
         temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
+        missing_masses: Message about links with assumed masses; None if the files state all.
     """
 
     name: str
@@ -155,6 +158,7 @@ class HeatStudy(Result):
     battery_time: float | None = field(metadata={"unit": "s"})
     times: Array = field(metadata={"unit": "s"})
     temperatures: Array = field(metadata={"unit": "degC"})
+    missing_masses: Diagnostic | None = None
 
     @property
     def first(self) -> MotorHeat:
@@ -186,9 +190,13 @@ class HeatStudy(Result):
 
     @property
     def known(self) -> bool:
-        """Whether each driven joint has a motor, and ``unknown`` of each loaded motor is empty."""
+        """Whether all data are known: of each loaded motor, of each driven joint, and all masses.
+
+        A driven joint without motor, a loaded motor with ``unknown`` numbers, and an assumed mass
+        give False.
+        """
         judged = all(not motor.unknown or motor.torque == 0.0 for motor in self.motors)
-        return judged and not self.omitted
+        return judged and not self.omitted and self.missing_masses is None
 
     @property
     def passed(self) -> bool:
@@ -256,6 +264,7 @@ def study_heat(
         else (battery_energy / loss if loss else math.inf),
         times=times,
         temperatures=np.stack(curves, axis=1),
+        missing_masses=describe_missing_masses(get_loaded_robot(robot)),
     )
 
 

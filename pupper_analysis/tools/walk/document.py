@@ -765,7 +765,7 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
     best, stated = result.candidates[0], result.candidates[result.stated]
     if not best.tracked:
         word, line = "walk-of-none", text("walk-none-tracks", count=len(result.candidates))
-    elif not result.passed:
+    elif result.stated not in result.alike:
         word = "walk-of-another"
         line = text(
             "walk-better",
@@ -785,6 +785,8 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
             "walk-as-well",
             names=join_words(_describe_change(result.candidates[place]) for place in other_places),
         )
+    if result.stated in result.alike and not result.passed:
+        word = "UNKNOWN"
     return doc.Document(
         text("walk-orders-title"),
         text("walk-of", robot=doc.Name(result.name), policy=doc.Name(result.policy)),
@@ -793,7 +795,11 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
         verdict=text(word),
         warned=result.passed and not result.determined,
         failures=() if result.passed else (line,),
-        findings=(*((line,) if result.passed else ()), text("walk-orders-not")),
+        findings=(
+            *((line,) if result.passed else ()),
+            *map(doc.diagnostic_text, result.remarks),
+            text("walk-orders-not"),
+        ),
         notes=robot_notes(robot),
         next_step=_select_step_after_orders(result),
     )
@@ -803,8 +809,10 @@ def _select_step_after_orders(result: Orders) -> doc.NextStep:
     """Return the next command after a ranking of interpretations of a policy."""
     if not result.candidates[0].tracked:
         return doc.NextStep("audit")
-    if not result.passed:
+    if result.stated not in result.alike:
         return doc.NextStep("walk", ("--init",), omitted=("--orders", "--seconds", "--effort"))
+    if not result.passed:
+        return doc.NextStep("audit")
     if result.determined:
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"), omitted=("--orders",))
     return doc.NextStep("walk", ("--response",), omitted=("--orders",))

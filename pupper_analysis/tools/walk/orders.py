@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, PolicyContract
@@ -27,7 +28,9 @@ from pupper_analysis.tools.walk.gait import (
     check_command,
     check_runs,
     evaluate_tracking,
+    has_unknown_masses,
     joint_torques,
+    list_walk_remarks,
 )
 from pupper_analysis.tools.walk.intervals import DEFAULT_SECONDS, WARM_UP_SECONDS
 from pupper_analysis.tools.walk.policy import Policy
@@ -100,6 +103,7 @@ class Orders(Result):
         lead: Cost of the second candidate / cost of the first, if both track as many commands; else
             None.
         seconds: Duration of each run.
+        remarks: Errors and assumptions of the robot's files behind the result.
     """
 
     name: str
@@ -109,6 +113,7 @@ class Orders(Result):
     stated: int
     lead: float | None = field(metadata={"unit": "1"})
     seconds: float = field(metadata={"unit": "s"})
+    remarks: tuple[Diagnostic, ...] = ()
     _reported: ClassVar[tuple[str, ...]] = ("passed", "determined", "alike")
 
     @property
@@ -140,8 +145,11 @@ class Orders(Result):
 
     @property
     def passed(self) -> bool:
-        """True if the policy's stated interpretation is about as good as the best (``alike``)."""
-        return self.stated in self.alike
+        """True if the policy's stated interpretation is about as good as the best (``alike``).
+
+        No link mass may be unknown.
+        """
+        return self.stated in self.alike and not has_unknown_masses(self.remarks)
 
 
 @check_arguments
@@ -209,6 +217,7 @@ def rank_orders(
         stated=ranked.index(stated_candidate),
         lead=lead,
         seconds=float(seconds),
+        remarks=list_walk_remarks(robot),
     )
 
 

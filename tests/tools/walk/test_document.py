@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pupper_analysis.present.document import text
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.present.document import NextStep, text
 from pupper_analysis.tools.walk import document
 from pupper_analysis.tools.walk.document import _format_range, _max_over_runs, orders_document
 from pupper_analysis.tools.walk.orders import Candidate, Orders
@@ -110,6 +112,17 @@ def test_verdict_of_orders_depends_on_the_tracked_commands(
     step = orders_document(orders).next_step
     assert step is not None
     assert (step.command, step.words) == following
+
+
+def test_orders_of_a_robot_with_an_assumed_mass_do_not_pass() -> None:
+    """The ranking is that of another robot: the torques depend on the mass."""
+    remark = diagnose("link-masses-unknown", links=["calf"], count=1, both=False, negative=[])
+    orders = replace(make_orders((3, 3)), remarks=(remark,))
+    assert orders.stated in orders.alike
+    assert not orders.passed
+    assert printed(orders).startswith("UNKNOWN v3")
+    assert "calf" in printed(orders)
+    assert orders_document(orders).next_step == NextStep("audit")
 
 
 def test_range_of_values_with_equal_digits_is_a_single_number() -> None:
