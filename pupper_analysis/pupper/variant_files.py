@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -263,21 +264,22 @@ def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the robots that command-line words name: variants by name, files as tuples of paths.
 
     A URDF followed by an MJCF is one robot. An MJCF followed by a URDF is one robot if the words
-    name exactly these two files. A robot that is named twice is returned once.
+    name exactly these two files. A robot that is named twice is returned once; the repetition of a
+    word is ignored.
 
     Raises:
         VariantError: If a word names no robot.
     """
     robots: list[str | tuple[str, ...]] = []
-    for robot in map(parse_robot_word, words):
+    for robot, _ in groupby(map(parse_robot_word, words)):
         previous = robots[-1] if robots else None
         if _guess_format(previous) == "urdf" and _guess_format(robot) == "mjcf":
             assert isinstance(previous, tuple)
             assert isinstance(robot, tuple)
-            pair = (*previous, *robot)
-            robots[-1:] = [] if pair in robots else [pair]
-        elif robot not in robots:
+            robots[-1] = (*previous, *robot)
+        else:
             robots.append(robot)
+    robots = list(dict.fromkeys(robots))
     if [_guess_format(robot) for robot in robots] == ["mjcf", "urdf"]:
         return [tuple(str(file) for robot in robots for file in robot)]
     return robots

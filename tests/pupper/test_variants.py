@@ -158,6 +158,23 @@ def test_xml_name_that_is_too_long_is_a_model_error() -> None:
     assert variant_files.parse_robot_words(words) == [tuple(words)]
 
 
+@pytest.mark.parametrize(
+    ("words", "robots"),
+    [
+        ("a.urdf b.urdf a.urdf a.xml", [("a.urdf",), ("b.urdf",), ("a.urdf", "a.xml")]),
+        ("a.urdf v3 a.urdf a.xml", [("a.urdf",), "v3", ("a.urdf", "a.xml")]),
+        ("a.urdf a.urdf a.xml a.xml", [("a.urdf", "a.xml")]),
+        ("a.urdf a.xml a.urdf a.xml", [("a.urdf", "a.xml")]),
+        ("a.xml a.urdf a.urdf", [("a.xml", "a.urdf")]),
+        ("v3 a.urdf v3 b.xml", ["v3", ("a.urdf",), ("b.xml",)]),
+    ],
+)
+def test_mjcf_belongs_to_the_urdf_before_it_if_files_are_repeated(
+    words: str, robots: list[str | tuple[str, ...]]
+) -> None:
+    assert variant_files.parse_robot_words(words.split()) == robots
+
+
 # ------------------------------------------------------------------------------------- named
 
 MASSES = {
