@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import os
 import re
 import secrets
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.inputs import is_folder
 
 MAX_MESSAGE_BYTES = 1 << 20
 """Maximum size of a message from a browser [bytes]. Messages of sliders and cameras have some
@@ -101,13 +103,38 @@ def _parse_host_name(host: str) -> str:
 def strip_folders(text: str) -> str:
     """Return a text without the folders of most absolute paths, so that the file names remain.
 
-    Errors contain paths on the server, which the user of a page should not see.
+    Errors contain paths on the server, which the user of a page should not see. Folders that exist
+    may contain spaces; other folders are recognised without spaces only.
     """
-    return _FOLDER_PATTERN.sub("", text)
+    parts, end = [], 0
+    for start in _PATH_START.finditer(text):
+        if start.start() < end:
+            continue
+        stop = _find_end_of_folders(text, start)
+        if stop > start.end():
+            parts.append(text[end : start.start()])
+            end = stop
+    return "".join((*parts, text[end:]))
 
 
-_FOLDER_PATTERN = re.compile(
-    r"(?<![\w.:/])(?:[A-Za-z]:|~)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])"
-)
-"""Pattern of the folders, without spaces, of an absolute path. `strip_folders` deletes the matches.
-"""
+def _find_end_of_folders(text: str, start: re.Match[str]) -> int:
+    """Return the index in a text behind the folders of the path that begins at a match.
+
+    If the path has no folder, the result is the end of the match.
+    """
+    end = start.end()
+    for separator in re.finditer(r"[/\\]", text[start.end() :]):
+        stop = start.end() + separator.start()
+        if not is_folder(os.path.expanduser(text[start.start() : stop])):  # noqa: PTH111
+            break
+        end = stop + 1
+    folders = _FOLDER_PATTERN.match(text, end)
+    end = end if folders is None else folders.end()
+    return end if text[end : end + 1].strip("/\\") else start.end()
+
+
+_PATH_START = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:|~)?[/\\]")
+"""Pattern of the start of an absolute path."""
+
+_FOLDER_PATTERN = re.compile(r"(?:[^/\\:'\"\s]+[/\\])+")
+"""Pattern of folders in a path, without spaces in their names."""

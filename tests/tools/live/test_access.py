@@ -6,6 +6,7 @@ import asyncio
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -106,6 +107,19 @@ def test_remote_access_requires_the_token() -> None:
 def test_page_shows_no_folders_of_the_server(text: str, shown: str) -> None:
     assert strip_folders(text) == shown
     assert Translator("en").format_diagnostic(problem(text)) == shown
+
+
+def test_page_shows_no_folders_with_spaces(tmp_path: Path) -> None:
+    """Existing folders are recognised up to the file, also if the file does not exist."""
+    folder = tmp_path / "my robots" / "it's v3 and more"
+    folder.mkdir(parents=True)
+    assert strip_folders(f"{folder}/my v3.xml:12: no limit") == "my v3.xml:12: no limit"
+    assert (
+        strip_folders(f"cannot read '{folder}/gone/y.stl' (gone)") == "cannot read 'y.stl' (gone)"
+    )
+    both = f"{folder}/a.urdf and {folder}/a.xml differ by 1/2 N m s/rad"
+    assert strip_folders(both) == "a.urdf and a.xml differ by 1/2 N m s/rad"
+    assert strip_folders(f"{folder}: not a file") == "it's v3 and more: not a file"
 
 
 @pytest.fixture(scope="module")
