@@ -309,8 +309,8 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
     tendon = int(model.actuator_trnid[actuator, 0])
     at_tendons = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value
     is_alone = np.count_nonzero(at_tendons & (model.actuator_trnid[:, 0] == tendon)) == 1
-    if model.tendon_actfrclimited[tendon] and is_alone:
-        name, range_ = str(model.tendon(tendon).name), model.tendon_actfrcrange[tendon]
+    name, range_ = str(model.tendon(tendon).name), model.tendon_actfrcrange[tendon]
+    if model.tendon_actfrclimited[tendon] and is_alone and not _is_unstated(range_):
         found.append(EffortStatement.of("MJCF", "tendon", name, "actuatorfrcrange", range_))
     return found
 
@@ -377,14 +377,12 @@ def _is_empty(
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Return the torque limit that ``actuatorfrcrange`` of a joint states, as a list.
 
-    The list is empty if there is no limit, or the limit is at least ``UNSTATED``.
+    The list is empty if there is no limit, or the limit is `_is_unstated`, as of MuJoCo's import of
+    a URDF without effort.
     """
-    unknown = (
-        model.jnt_actfrcrange[joint, 1] >= UNSTATED
-    )  # from MuJoCo's import of a URDF without effort
-    if unknown or not model.jnt_actfrclimited[joint]:
-        return []
     name, range_ = str(model.joint(joint).name), model.jnt_actfrcrange[joint]
+    if _is_unstated(range_) or not model.jnt_actfrclimited[joint]:
+        return []
     return [EffortStatement.of("MJCF", "joint", name, "actuatorfrcrange", range_)]
 
 
@@ -405,10 +403,13 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the limits of an actuator's force that the file states, before the gear [N or N m]."""
+    """Return the limits of an actuator's force that the file states, before the gear [N or N m].
+
+    Ranges from -``UNSTATED`` to ``UNSTATED`` or more are omitted.
+    """
     found, name = [], str(model.actuator(actuator).name)
-    if model.actuator_forcelimited[actuator]:
-        range_ = model.actuator_forcerange[actuator]
+    range_ = model.actuator_forcerange[actuator]
+    if model.actuator_forcelimited[actuator] and not _is_unstated(range_):
         found.append(EffortStatement.of("MJCF", "actuator", name, "forcerange", range_))
     plain = (
         model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
@@ -418,10 +419,16 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
     control = int(model.actuator_ctrladr[actuator])
     if plain and model.actuator_ctrllimited[control]:
         factor, range_ = model.actuator_gainprm[actuator, 0], model.actuator_ctrlrange[control]
-        found.append(
-            EffortStatement.of("MJCF", "actuator", name, "ctrlrange", range_, float(factor))
-        )
+        statement = EffortStatement.of("MJCF", "actuator", name, "ctrlrange", range_, float(factor))
+        if not _is_unstated((statement.lower, statement.upper)):
+            found.append(statement)
     return found
+
+
+def _is_unstated(range_: Sequence[float]) -> bool:
+    """Return True if both ends of a range of torque or force are so large that it is no limit."""
+    low, high = range_
+    return bool(low <= -UNSTATED and high >= UNSTATED)
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0

@@ -590,3 +590,53 @@ def test_empty_force_range_in_the_default_of_another_actuator_tag_is_found(
     other = text.replace(f"<{tag} forcerange", "<joint actuatorfrcrange").replace("RANGE", "-2 2")
     path.write_text(other)
     assert read_mjcf(path).find_attribute("actuator", "turn", ("forcerange",)) is None
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        '<joint name="j"/>|<motor joint="j" forcerange="-1e9 1e9"/>',
+        '<joint name="j"/>|<motor joint="j" ctrlrange="-1e9 1e9"/>',
+        '<joint name="j"/>|<motor joint="j" gear="-0.1" forcerange="-2e9 1e9"/>',
+        '<joint name="j" actuatorfrcrange="-1e9 1e9"/>|<motor joint="j"/>',
+        '<joint name="j"/>|<motor joint="j" forcerange="-1e9 1e9"/><motor joint="j"/>',
+    ],
+)
+def test_range_from_the_number_that_states_no_limit_is_unknown(
+    tmp_path: Path, attributes: str
+) -> None:
+    """1e9 N m is the number for an unknown limit in both formats, and no motor has it."""
+    joint, motors = attributes.split("|")
+    limit = resolve_effort_limit(_compile_pendulum(joint, motors), 0)
+    assert limit.code == "unknown"
+    assert limit.symmetric_torque == math.inf
+
+
+@pytest.mark.parametrize(
+    ("joint", "motor"),
+    [
+        ('<joint name="j" actuatorfrcrange="-3 1e9"/>', '<motor joint="j"/>'),
+        ('<joint name="j"/>', '<motor joint="j" forcerange="-3 1e9"/>'),
+        ('<joint name="j"/>', '<motor joint="j" gear="-2" forcerange="-1e9 1.5"/>'),
+    ],
+)
+def test_limit_of_one_direction_counts(joint: str, motor: str) -> None:
+    """Reference: the joint torques of MuJoCo for commands of -10 and 10."""
+    model = _compile_pendulum(joint, motor)
+    data = mujoco.MjData(model)
+    torques = []
+    for command in (-10.0, 10.0):
+        data.ctrl[0] = command
+        mujoco.mj_forward(model, data)
+        torques.append(float(data.qfrc_actuator[0]))
+    limit = resolve_effort_limit(model, 0)
+    assert limit.lower == min(torques) == -3.0
+    assert limit.symmetric_torque == 3.0
+
+
+def _compile_pendulum(joint: str, motors: str) -> mujoco.MjModel:
+    """Return a pendulum with the joint "j" and motors, as XML elements."""
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body name="b">{joint}<geom size="0.1"/></body></worldbody>'
+        f"<actuator>{motors}</actuator></mujoco>"
+    )
