@@ -6,6 +6,7 @@ difference was selected, the differences are listed with examples of the option 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
+from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.sync.models import Sync, format_difference_label
 from pupper_analysis.tools.sync.plan import UnwrittenCause
@@ -90,10 +92,24 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
     """Return the command that the report proposes to run next."""
     if not chosen and not sync.agree:
-        return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
+        return doc.NextStep("sync", ("--take", _select_side(sync.differences[0]), "--dry-run"))
     if dry_run and sync.edits and not sync.withheld:
         return doc.NextStep("sync", omitted=("--dry-run",))
     return doc.NextStep("crosscheck")
+
+
+def _select_side(difference: Difference) -> str:
+    """Return the file whose value the report proposes to take, ``"urdf"`` or ``"mjcf"``.
+
+    The URDF, unless the value in the URDF is missing, or is a limit or mass of zero, which many
+    exporters write for an unknown value.
+    """
+    unstated = (math.inf, -math.inf, *((0.0,) if difference.kind in ("effort", "mass") else ()))
+    urdf, mjcf = (
+        value is not None and not (isinstance(value, float | int) and value in unstated)
+        for value in (difference.urdf, difference.mjcf)
+    )
+    return "mjcf" if mjcf and not urdf else "urdf"
 
 
 def _describe_impossible_changes(sync: Sync) -> Iterable[doc.Words]:

@@ -135,3 +135,18 @@ def test_robot_in_memory_is_refused_because_files_are_written_in_place() -> None
     with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
         pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("efforts", "side"), [((21.0, 25.0), "urdf"), ((0.0, 25.0), "mjcf"), ((None, 25.0), "mjcf")]
+)
+def test_proposed_side_states_the_value(
+    tmp_path: Path, efforts: tuple[float | None, float], side: str
+) -> None:
+    """A value that the URDF lacks, or an exporter's zero, is not proposed for the MJCF."""
+    urdf, mjcf = (change_part(ROBOT, "thigh1", effort=effort or 0.0) for effort in efforts)
+    write_parts(tmp_path, urdf, mjcf)
+    file = tmp_path / "robot.urdf"
+    if efforts[0] is None:
+        file.write_text(file.read_text().replace('effort="0.0"', 'effort="1e9"'))
+    assert f"next: pupper-analysis sync robot.urdf robot.xml --take {side} " in run(tmp_path).stdout
