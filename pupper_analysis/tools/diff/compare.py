@@ -55,7 +55,13 @@ from pupper_analysis.tools.diff.elements import (
     find_changed_elements,
     match_elements,
 )
-from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, read_version
+from pupper_analysis.tools.diff.version import (
+    HELD_KIND,
+    Version,
+    VersionedFile,
+    open_version,
+    read_version,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +266,13 @@ class _Comparison:
             raise ModelError(self.sources[1].name, message)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]
-        for joints, where in ((gone, VERSION_NAMES.first), (come, VERSION_NAMES.second)):
+        for joints, where, other in (
+            (gone, VERSION_NAMES.first, self.two),
+            (come, VERSION_NAMES.second, self.one),
+        ):
             for name in joints:
+                if (HELD_KIND, name) in other.extra_values:
+                    continue  # reported by `_compare_extra_values`
                 old, new = ("there", None) if joints is gone else (None, "there")
                 message = diagnose("joint-in-one-version", subject=("joint", name), file=where)
                 self.differences.append(Difference("joint", name, old, new, "", message, {}))
@@ -364,6 +375,9 @@ class _Comparison:
         for key in dict.fromkeys((*old_values, *new_values)):
             kind, element = key
             old, new = old_values.get(key), new_values.get(key)
+            if kind == HELD_KIND:
+                old = old or _get_joint_type(self.one.tree, element)
+                new = new or _get_joint_type(self.two.tree, self.new_name.get(element, element))
             if _to_lists(old) != _to_lists(new):
                 both = {
                     "one": _describe_changed_value(old, new),
@@ -402,6 +416,12 @@ class _Comparison:
 def _sum_mass(values: MultibodyTree) -> float:
     """Return the total mass of a tree [kg]."""
     return float(sum(body.mass for body in values.bodies.values()))
+
+
+def _get_joint_type(tree: MultibodyTree, name: str) -> dict[str, str] | None:
+    """Return the type of a joint of a tree, in MuJoCo's words; None if the tree lacks the joint."""
+    joint = tree.joints.get(name)
+    return None if joint is None else {"type": "slide" if joint.slides else "hinge"}
 
 
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:

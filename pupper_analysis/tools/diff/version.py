@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import mujoco
 import numpy as np
@@ -71,7 +71,7 @@ class Version:
         file: File.
         tree: Joints and bodies. The base of a URDF is free if `RobotModel.has_free_base`.
         extra_values: {(kind, element): value} outside the tree: mimic joints, motors, springs,
-            tendons ...
+            tendons, joints that are held (``HELD_KIND``) ...
         elements: Collision shapes of a URDF (`list_collisions`), or elements of an MJCF
             (`list_elements`).
         bodies: {base or joint: name of the base body or of the moved body}.
@@ -107,14 +107,18 @@ def _read_urdf_version(file: UrdfFile) -> Version:
     tree = UrdfTree(root)
     for joint in tree.joints.values():
         joint.remove("mimic")
-    _, _, held = fix_other_joints(root)
+    kinds = {name: joint.kind for name, joint in tree.joints.items()}
+    _, fixed, held = fix_other_joints(root)
     base, stated = tree.base.name, read_urdf_model(file)
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
     carriers = {base: base, **{joint.name: joint.child for joint in tree.moving}}
     return Version(
         file=file,
         tree=replace(urdf_tree(root, file.path, base, frames), floating=stated.has_free_base),
-        extra_values={("mimic", name): list(value) for name, value in mimics.items()},
+        extra_values={
+            **{("mimic", name): list(value) for name, value in mimics.items()},
+            **{(HELD_KIND, name): {"type": kinds[name]} for name in fixed},
+        },
         elements=list_collisions(stated),
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
@@ -137,7 +141,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     named, joined = name_elements(spec, set()), join_free_base(spec)
     whole = compile_spec(spec.copy(), file.path)
     dropped = drop_other_objects(spec, file.path, None)
-    _, _, held = delete_ball_joints(spec, file.path)
+    _, balls, held = delete_ball_joints(spec, file.path)
     notes = [*file.notes, *named, *([joined] if joined else []), *dropped, *held]
     for key in list(spec.keys):
         spec.delete(key)  # the size of a keyframe may not fit after removals
@@ -162,12 +166,36 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     return Version(
         file=published,
         tree=with_null_efforts(mjcf_tree(model, base, frames), null_efforts(file)),
-        extra_values={**others, **_collect_motor_values(NamedModel(reference))},
+        extra_values={
+            **others,
+            **_collect_motor_values(NamedModel(reference)),
+            **{(HELD_KIND, name): _collect_ball_values(whole, name) for name in balls},
+        },
         elements=list_elements(file),
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
         notes=tuple(notes),
     )
+
+
+HELD_KIND: Final = "joint"
+"""Kind of the values of joints that the tree holds at rest: ball joints of an MJCF, floating and
+planar joints of a URDF."""
+
+
+def _collect_ball_values(model: mujoco.MjModel, name: str) -> dict[str, Any]:
+    """Collect the type and the numbers other than 0 of a ball joint: {attribute: value}."""
+    joint = model.joint(name)
+    dof = int(joint.dofadr[0])
+    numbers: dict[str, float | list[float]] = {
+        "damping": float(model.dof_damping[dof]),
+        "stiffness": float(joint.stiffness[0]),
+        "armature": float(model.dof_armature[dof]),
+        "frictionloss": float(model.dof_frictionloss[dof]),
+        "range": float(joint.range[1]) if model.jnt_limited[joint.id] else 0.0,
+        "pos": _to_numbers(joint.pos, trim=False),
+    }
+    return {"type": "ball", **{word: value for word, value in numbers.items() if np.any(value)}}
 
 
 def _disable_fusestatic(file: MjcfFile) -> MjcfFile:

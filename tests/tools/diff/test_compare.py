@@ -744,3 +744,63 @@ def test_command_prints_changes_and_torques(tmp_path: Path) -> None:
     assert row.split() == ["knee0", f"{before:.4g}", f"{after:.4g}", "+100", "%"]
     assert not any(line.startswith("knee1") for line in lines)
     assert content["same"] is False
+
+
+BALL = """<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>
+<body name="arm" pos="0.2 0 0">{joint}<geom size="0.05" pos="0 0 -0.2"/>
+<body name="fore" pos="0 0 -0.2"><joint name="elbow" axis="0 1 0"/><geom size="0.05"/></body>
+</body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('<joint name="j" type="ball"/>', "", "type ball in the old file, none in the new"),
+        ("", '<joint name="j" type="ball"/>', "none in the old file, type ball in the new"),
+        (
+            '<joint name="j" type="ball"/>',
+            '<joint name="j" axis="1 0 0"/>',
+            "type ball in the old file, type hinge in the new",
+        ),
+        (
+            '<joint name="j" type="ball"/>',
+            '<joint name="j" type="ball" damping="2" range="0 90"/>',
+            "nothing in the old file, damping 2, range 1.5708 in the new",
+        ),
+    ],
+)
+def test_changed_ball_joint_is_named(tmp_path: Path, old: str, new: str, told: str) -> None:
+    """The trees of both versions hold ball joints at rest, and are equal."""
+    files = tmp_path / "old.xml", tmp_path / "new.xml"
+    for file, joint in zip(files, (old, new), strict=True):
+        file.write_text(BALL.format(joint=joint))
+    diff = pa.diff_models(*files)
+    first = next(change for change in diff.changes if change.element == "j")
+    assert told in str(first.diagnostic)
+    place = files[0] if old else files[1]
+    assert f"{place.name}:2" in (first.old_place + first.new_place)
+    assert pa.diff_models(files[1], files[1]).same
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("floating", "fixed"), ("planar", "floating"), ("revolute", "floating")]
+)
+def test_changed_joint_that_a_tree_cannot_move_is_named(tmp_path: Path, old: str, new: str) -> None:
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "abc")
+    limit = '<limit lower="-1" upper="1" effort="3" velocity="3"/>'
+    joint = '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>{}</joint>'
+    files = tmp_path / "old.urdf", tmp_path / "new.urdf"
+    for file, kind in zip(files, (old, new), strict=True):
+        middle = joint.format("j", kind, "a", "b", limit if kind == "revolute" else "")
+        file.write_text(
+            f'<robot name="r">{links}{middle}'
+            f"{joint.format('k', 'revolute', 'b', 'c', limit)}</robot>"
+        )
+    diff = pa.diff_models(*files)
+    assert not diff.same
+    assert [change.element for change in diff.changes] == ["j"]
+    assert pa.diff_models(files[0], files[0]).same
