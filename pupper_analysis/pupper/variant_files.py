@@ -19,7 +19,13 @@ import mujoco
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, VariantError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    InputError,
+    ModelError,
+    UnknownNameError,
+    VariantError,
+)
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import (
     MAX_FILE_BYTES,
@@ -36,6 +42,8 @@ from pupper_analysis.models.menagerie import is_menagerie_name
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import make_input_error, one_line
 from pupper_analysis.models.published import is_published_name, is_uri
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.pupper.named_robots import make_unknown_robot_error
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
@@ -114,11 +122,20 @@ def _derive_files(
     Returns:
         XML text of the URDF, and spec of the MJCF; callers must copy the cached spec.
     """
+    links = UrdfTree(read_urdf(urdf_source).root).links  # a damaged file is a ModelError
     try:
         urdf_text = read_text(urdf_source)
     except InputError as error:
         raise make_input_error(urdf_source, error) from error
     mjcf_spec = _read_base(mjcf_source, mjcf_stamp).spec.copy()
+    sites = [site.name for site in mjcf_spec.sites]
+    for frame in BASE_MODELS[spec.base].feet.values():
+        for source, what, names in (
+            (urdf_source, "link (for a foot)", links),
+            (mjcf_source, "site (for a foot)", sites),
+        ):
+            if frame not in names:
+                raise UnknownNameError(source, what, frame, names)
     if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
         from pupper_analysis.pupper import derive  # yourdfpy is slow to import
 
@@ -134,6 +151,11 @@ def _derive_files(
                 f"{scales[0]:g} and {scales[1]:g}",
                 diagnose("scales-make-no-robot", message=one_line(error)),
             ) from error
+        except (AttributeError, LookupError, TypeError) as error:
+            problem = diagnose(
+                "base-not-derivable", other=mjcf_source.name, message=one_line(error)
+            )
+            raise ModelError(urdf_source, problem) from error
     return urdf_text, mjcf_spec
 
 

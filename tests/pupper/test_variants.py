@@ -3,6 +3,7 @@ specifications.
 """
 
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -132,6 +133,38 @@ def test_missing_base_urdf_of_a_variant_is_a_model_error(
     (tmp_path / "urdf" / "pupper_v3.urdf").unlink()
     with pytest.raises(pa.ModelError, match=r"pupper_v3\.urdf: there is no such file"):
         pa.load_variant("v3-heavy")
+
+
+@pytest.mark.parametrize(
+    ("kind", "file", "pattern", "new", "told"),
+    [
+        ("urdf", "pupper_v3.urdf", "(?s).*", "", "the file is empty"),
+        ("urdf", "pupper_v3.urdf", "(?s)(.{3000}).*", r"\1", "not well-formed XML"),
+        ("urdf", "pupper_v3.urdf", 'value="0.05"', 'value="nan"', "not a finite number"),
+        ("urdf", "pupper_v3.urdf", "<limit[^>]*/>", "", "revolute without a <limit>"),
+        ("urdf", "pupper_v3.urdf", "leg_back_r_3_foot_site", "x", "no link .for a foot."),
+        ("urdf", "pupper_v3.urdf", "(?s)<inertial>.*?</inertial>", "", "no variant can be derived"),
+        ("mjcf", "pupper_v3_body.xml", "leg_back_r_3_foot_site", "x", "no site .for a foot."),
+        ("mjcf", "pupper_v3_body.xml", "(?s)(.{1500}).*", r"\1", "not well-formed XML"),
+    ],
+)
+def test_damaged_base_file_of_a_variant_is_a_model_error_with_the_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    file: str,
+    pattern: str,
+    new: str,
+    told: str,
+) -> None:
+    for folder in ("urdf", "mjcf"):
+        shutil.copytree(find_model_folder(folder), tmp_path / folder)
+    monkeypatch.setattr(variant_files, "find_model_folder", lambda folder: tmp_path / folder)
+    damaged = tmp_path / kind / file
+    damaged.write_text(re.sub(pattern, new, damaged.read_text(), count=0))
+    with pytest.raises(pa.ModelError, match=told) as raised:
+        pa.load_variant("v3-heavy")
+    assert str(tmp_path / kind) in str(raised.value)
 
 
 @pytest.mark.parametrize("as_folder", [False, True])
