@@ -275,7 +275,7 @@ def judge_stance(
         converted=converted,
         remarks=remarks,
         creep=fed.creep,
-        notes=fed.notes,
+        notes=(*fed.notes, *_select_slip_notes(alone)),
     )
 
 
@@ -323,6 +323,12 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
     """Return the names of the joints whose motors are overloaded: torque / effort limit above 1."""
     utilisations = zip(statics.joint_names, statics.motor_utilisation, strict=True)
     return tuple(name for name, utilisation in utilisations if utilisation > 1)
+
+
+def _select_slip_notes(alone: Outcome | None) -> tuple[Diagnostic, ...]:
+    """Return the note about a foot that slid in the simulation without feed-forward, if any."""
+    notes = () if alone is None else alone.notes
+    return tuple(note for note in notes if note.code == "foot-slid")
 
 
 def classify_ending(run: Outcome) -> Ending:

@@ -128,6 +128,10 @@ MAX_SINKING_RATIO = 0.1
 height above the feet. A stand loses height, for example, if the legs are too short to compensate
 for the penetration of the feet. Chosen, not tuned."""
 
+_MAX_SLIP_RATIO = 0.1
+"""Upper bound [1] of the displacement of a foot along its ground, divided by the CoM height above
+the feet, without a note that the foot has slid. Chosen as `MAX_SINKING_RATIO`."""
+
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
 """Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N], above which the two
 files describe different robots. The rounding of numbers in files causes 1e-6. Chosen, not tuned.
@@ -378,6 +382,7 @@ def verify_stand(
         notes.append(_describe_remaining_motion(rest_cause, result.nudge))
     if not result.collapses:
         notes += describe_refuted(result.stability)
+        notes += _describe_slip(result, reference.com_height)
     judged = replace(
         result,
         passed=not failures,
@@ -761,6 +766,26 @@ def _describe_height_loss(
     if not result.feedforward:
         return [diagnose("sags-too-far", loss=loss, share=share)]
     return [diagnose("height-lost", loss=loss, share=share, sunk=sunk)]
+
+
+def _describe_slip(result: StandVerification, com_height: float) -> list[Diagnostic]:
+    """Create the note about the foot that slid farthest; empty up to `_MAX_SLIP_RATIO`.
+
+    ``com_height`` is the CoM height of the stand above the feet [m].
+    """
+    foot = max(result.foot_slip, key=result.foot_slip.__getitem__, default=None)
+    if foot is None or not result.foot_slip[foot] > _MAX_SLIP_RATIO * com_height:
+        return []
+    slip = result.foot_slip[foot]
+    return [
+        diagnose(
+            "foot-slid",
+            subject=("foot", foot),
+            distance=Quantity(slip, "m"),
+            share=Quantity(slip / com_height, "1"),
+            alone=not result.feedforward,
+        )
+    ]
 
 
 def _find_standing_failures(
