@@ -42,6 +42,7 @@ from pupper_analysis.simulation.stability import (
     find_final_spectrum,
     is_solver_error,
     measure_response,
+    moves_equally_without_nudge,
     nudge_state,
 )
 from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
@@ -159,7 +160,9 @@ def comes_to_rest(
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
     response_alone = replace(spectrum, unstable=())
-    is_harmless = is_solver_error(model, state, held.ctrl, nudge, last_second)
+    is_harmless = is_solver_error(
+        model, state, held.ctrl, nudge, last_second
+    ) or moves_equally_without_nudge(model, state, held.ctrl, nudge, nudged_states)
     if find_instability(response_alone, nudge, is_harmless=is_harmless) or _has_left_stand(
         reference, nudged_states[-1]
     ):

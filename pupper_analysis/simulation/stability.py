@@ -458,6 +458,33 @@ def remains_small(
     return is_finite and further.left <= highest and further.stays
 
 
+def moves_equally_without_nudge(
+    model: mujoco.MjModel, before: Array, ctrl: Array, nudge: Nudge, states: Array
+) -> bool:
+    """Return True if a robot that moves after a nudge would move equally without the nudge.
+
+    An example is creep whose speed changes, since `measure_response` compares the mean velocity of
+    the base with that before the nudge. Here the state before the nudge is simulated without the
+    nudge. The effect of the nudge is the difference of the velocities, which must decay.
+
+    Args:
+        model: MuJoCo model.
+        before: State before the nudge (mjSTATE_FULLPHYSICS).
+        ctrl: Actuator commands, shape (model.nu,).
+        nudge: Response to the nudge.
+        states: States after each step after the nudge, shape (n, size), n > 2.
+    """
+    if nudge.decayed or not nudge.stays:
+        return False
+    unnudged = simulate_commands(model, before, np.tile(ctrl, (len(states), 1)))
+    if monitor.has_diverged(states, float(model.opt.timestep)):
+        return False
+    velocities, third = slice(1 + model.nq, 1 + model.nq + model.nv), len(states) // 3
+    speeds = np.abs(states[:, velocities] - unnudged[:, velocities]).max(axis=1, initial=0.0)
+    motion, left = float(speeds[third : 2 * third].max()), float(speeds[-third:].max())
+    return left <= max(_MAX_SPEED_RATIO * motion, _DECAYED_RATIO * NUDGE_SPEED)
+
+
 def is_solver_error(
     model: mujoco.MjModel,
     before: Array,

@@ -58,6 +58,7 @@ from pupper_analysis.simulation.stability import (
     evaluate_final_stability,
     is_solver_error,
     measure_response,
+    moves_equally_without_nudge,
     remains_small,
     simulate_nudge,
 )
@@ -283,7 +284,8 @@ def verify_stand(
        feed-forward, the robot does not collapse (`StandVerification.collapses`).
     3. The robot comes to rest again near the stand after a nudge: a velocity of all coordinates
        (``NUDGE_SPEED`` of ``robot.fall``). A foot with almost no load may bounce (`remains_small`),
-       and the constraint solver may have small errors (`is_solver_error`).
+       and the constraint solver may have small errors (`is_solver_error`). Motion that is the same
+       without the nudge, such as creep, does not count (`moves_equally_without_nudge`).
     4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless a simulation
        refutes the mode.
 
@@ -426,7 +428,14 @@ def _evaluate_standing(
             cause = "solver-error-moves"
         if cause and not remains_small(model, run.states[-1], held.ctrl, nudge, run.last):
             cause = None
-    failures += find_instability(result.stability, nudge, is_harmless=cause is not None)
+    is_harmless = cause is not None or (
+        not failures
+        and nudge is not None
+        and moves_equally_without_nudge(
+            held.drive.model, run.last[-1], held.ctrl, nudge, run.states[run.settling :]
+        )
+    )
+    failures += find_instability(result.stability, nudge, is_harmless=is_harmless)
     stays = not result.collapses and (
         not failures or _stands_despite_idle_feet(robot, record, result, failures)
     )
