@@ -84,6 +84,11 @@ def _select_verdict_word(hold: Hold) -> doc.Text | None:
     return None
 
 
+def _is_payload_refuted(hold: Hold) -> bool:
+    """Return True if a simulation with a payload fails although the motors hold the payload."""
+    return hold.payload_trial is not None and not hold.payload_trial.passed
+
+
 def _find_overloaded_motors(hold: Hold) -> list[str]:
     """Return the joints whose motors exceed their limits in the worst posture of a search."""
     return [
@@ -96,6 +101,8 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 def _select_next_step(hold: Hold) -> doc.NextStep:
     """Return the command to suggest next, for example `hold` with the largest payload."""
     payload = hold.payload.worst_posture_mass
+    if _is_payload_refuted(hold):
+        payload = hold.mass_by_commands_alone
     overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))
     if not hold.passed:
         step = doc.NextStep("audit")
@@ -136,6 +143,8 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
         payload=_format_payload_limit(payload),
         joint=doc.Name(joint) if joint else "",
         alone="" if math.isnan(alone) else _format_payload_limit(alone),
+        refuted=_is_payload_refuted(hold),
+        fails=_is_payload_refuted(hold) and math.isnan(alone),
         loaded=hold.carried > 0,
         unstated=math.isnan(payload),
     )

@@ -134,3 +134,23 @@ def test_second_line_names_the_joint_of_the_payload_and_the_mass_without_compens
     mass, motor = table.rows[-1][1:]
     assert getattr(mass, "text", "") == f"{held.payload.worst_posture_mass:.4g}"
     assert motor == Name(joint)
+
+
+def test_payload_that_the_simulation_refutes_is_not_proposed() -> None:
+    """Solo12 states limits of 1000 N m: the motors held 313 kg, and the next command failed."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    assert held.payload_trial is not None
+    why = diagnose("nudge-does-not-decay", speed=1e-3, after=Quantity(7.0, "s"), left=5e-4)
+    shaking = replace(held.payload_trial, passed=False, failures=(why,))
+    for alone, step in (
+        (0.254, NextStep("hold", ("--payload", "0.25kg"))),
+        (np.nan, NextStep("audit")),
+        (0.0, NextStep("audit")),
+    ):
+        document = hold_document(replace(held, payload_trial=shaking, mass_by_commands_alone=alone))
+        assert document.next_step == step
+        line = document.findings[1]
+        assert isinstance(line, Text)
+        assert line.short.startswith("motors hold ")
+        assert (", simulation FAILS" in line.short) is bool(np.isnan(alone))
+        assert "FAILS" in line.en
