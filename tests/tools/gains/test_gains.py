@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,11 +13,19 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.units import HINGE_UNITS
 from pupper_analysis.present.document import Number, Table, get_english
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.tools.gains.document import _format_range, gain_plot, gains_document
+from pupper_analysis.tools.gains.document import (
+    _format_range,
+    _make_bound_table,
+    _make_class_table,
+    gain_plot,
+    gains_document,
+)
 from pupper_analysis.tools.gains.gains import (
     MAX_NOISE_RATIO,
+    GainBound,
     GainStudy,
     JointClass,
     _Gains,
@@ -339,3 +347,34 @@ def test_bound_of_the_damping_keeps_the_present_stiffness() -> None:
     )
     gains = _Gains(loop, np.array([34.0]), np.array([1.7]))
     assert gains.find_stable_pair() == (1.0, 0.5)
+
+
+def test_each_gain_is_in_its_column() -> None:
+    """References: the fields of the classes and bounds, which all differ."""
+    numbers = iter(np.arange(1.1, 20.0, 0.7))
+    floats = {
+        entry.name: float(next(numbers))
+        for entry in fields(JointClass)
+        if entry.name.startswith(("k", "least", "largest", "re"))
+    }
+    one = JointClass(name="hip_*", joints=("hip_l", "hip_r"), **floats)
+    bounds = [
+        GainBound(
+            factor=1.5 + place, simulated=2.25 + place, frequency=30.0 + place, joints=("hip",)
+        )
+        for place in range(3)
+    ]
+    study: Any = SimpleNamespace(
+        classes=(one,), units=HINGE_UNITS, by_inertia=False, error=None, encoder_bits=None,
+        least_kp=bounds[0], largest_kp=bounds[1], largest_kd=bounds[2], least_kp_alone=None,
+    )  # fmt: skip
+    (row,) = _make_class_table(study).rows
+    assert [cell.value for cell in row if isinstance(cell, Number)] == [
+        *(one.kp, one.least_kp, one.largest_kp_of_torque, one.recommended_kp),
+        *(one.kd, one.largest_kd, one.largest_kd_alone, one.largest_kd_of_encoder),
+        one.recommended_kd,
+    ]
+    rows = _make_bound_table(study).rows
+    assert [[cell.value for cell in row if isinstance(cell, Number)] for row in rows] == [
+        [bound.factor, bound.simulated, bound.frequency] for bound in bounds
+    ]
