@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text
+from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text, get_english
 from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
 from tests.support.arm import arm
@@ -154,3 +154,45 @@ def test_payload_that_the_simulation_refutes_is_not_proposed() -> None:
         assert line.short.startswith("motors hold ")
         assert (", simulation FAILS" in line.short) is bool(np.isnan(alone))
         assert "FAILS" in line.en
+
+
+def test_tool_position_and_sags_are_each_in_their_row() -> None:
+    """References: the vectors of the result [m], which all differ; the table contains mm."""
+    held = replace(
+        pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9}),
+        tool_position=np.array([0.1, 0.2, 0.3]),
+        tool_sag=np.array([0.003, -0.004, 0.0]),
+        simulated_tool_sag=np.array([0.006, -0.008, 0.0]),
+    )
+    (table,) = [
+        block
+        for block in hold_document(held).blocks
+        if isinstance(block, Table) and "Tool: " in str(block.title)
+    ]
+    rows = {
+        get_english(row[0]): [getattr(cell, "text", "") for cell in row[1:]] for row in table.rows
+    }
+    assert rows == {
+        "position in the world": ["+100.0 +200.0 +300.0", "374.2"],
+        "sag without feed-forward": ["+3.00 -4.00 +0.00", "5.00"],
+        "sag without feed-forward, simulated": ["+6.00 -8.00 +0.00", "10.00"],
+    }
+
+
+def test_finding_states_each_limit_of_the_tool() -> None:
+    """References: payloads and force of the result, which all differ."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    document = hold_document(held)
+    (line,) = [line for line in document.details if "The motors hold" in str(line)]
+    payload = held.payload
+    for value in (payload.mass, payload.worst_posture_mass, held.force.weakest):
+        assert f"{value:.3g} " in get_english(line)
+    assert f"hold {payload.mass:.3g} kg" in get_english(line)
+    assert f"withstand {held.force.weakest:.3g} N" in get_english(line)
+    (table,) = [
+        block
+        for block in document.blocks
+        if isinstance(block, Table) and "Payload at the tool" in str(block.title)
+    ]
+    masses = [getattr(row[1], "value", np.nan) for row in table.rows]
+    assert masses == [payload.mass, payload.servos, payload.worst_posture_mass]
