@@ -196,3 +196,22 @@ def test_finding_states_each_limit_of_the_tool() -> None:
     ]
     masses = [getattr(row[1], "value", np.nan) for row in table.rows]
     assert masses == [payload.mass, payload.servos, payload.worst_posture_mass]
+
+
+def test_predicted_and_simulated_sag_of_joints_are_each_in_their_column() -> None:
+    """References: equilibrium, and simulated positions that deviate by 0.1 rad and 0.1 m."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    assert held.settled is not None
+    simulated = held.settled.qpos + 0.1
+    held = replace(held, sagging=replace(held.sagging, joint_positions=simulated))
+    (table,) = [
+        block
+        for block in hold_document(held).blocks
+        if isinstance(block, Table) and "Motor torques" in str(block.title)
+    ]
+    headings = [get_english(column.name) for column in table.columns]
+    slides = [name.endswith("slide") for name in held.posture.joint_names]
+    shown_by = np.where(slides, 1e3, 180 / np.pi)
+    for name, positions in (("sag", held.settled.qpos), ("sag, simulated", simulated)):
+        column = [getattr(row[headings.index(name)], "value", np.nan) for row in table.rows]
+        assert column == pytest.approx((shown_by * (positions - held.posture.qpos)).tolist())
