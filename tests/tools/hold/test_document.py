@@ -215,3 +215,23 @@ def test_predicted_and_simulated_sag_of_joints_are_each_in_their_column() -> Non
     for name, positions in (("sag", held.settled.qpos), ("sag, simulated", simulated)):
         column = [getattr(row[headings.index(name)], "value", np.nan) for row in table.rows]
         assert column == pytest.approx((shown_by * (positions - held.posture.qpos)).tolist())
+
+
+def test_worst_torque_limit_and_utilisation_are_each_in_their_column() -> None:
+    """References: the result of the search, whose numbers all differ."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    (table,) = [
+        block
+        for block in hold_document(held).blocks
+        if isinstance(block, Table) and "Worst posture of each motor" in str(block.title)
+    ]
+    worst = held.worst
+    for index, row in enumerate(table.rows):
+        joint, *cells = row[:4]
+        assert joint == Name(worst.joint_names[index])
+        expected = (
+            worst.joint_torques[index],
+            worst.limits[index],
+            100 * worst.utilisation[index],
+        )
+        assert [getattr(cell, "value", np.nan) for cell in cells] == pytest.approx(expected)
