@@ -235,3 +235,15 @@ def test_worst_torque_limit_and_utilisation_are_each_in_their_column() -> None:
             100 * worst.utilisation[index],
         )
         assert [getattr(cell, "value", np.nan) for cell in cells] == pytest.approx(expected)
+
+
+def test_first_line_states_torque_and_utilisation_of_the_worst_posture() -> None:
+    """References: torque [N m, N] and utilisation of the most loaded motor of the search."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    line = hold_document(held).findings[0]
+    assert isinstance(line, Text)
+    worst = held.worst
+    index = int(np.nanargmax(worst.utilisation))
+    torque, share = abs(worst.joint_torques[index]), 100 * worst.utilisation[index]
+    assert line.short.startswith(f"worst posture: {torque:.3g} ")
+    assert line.short.endswith(f" = {share:.3g} % of the limit ({worst.joint_names[index]})")
