@@ -18,7 +18,7 @@ from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
-from pupper_analysis.present.document import get_english
+from pupper_analysis.present.document import Table, get_english
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.gains.gains import study_gains
 from pupper_analysis.tools.heat.document import heat_document
@@ -420,3 +420,36 @@ def test_gains_and_heat_of_a_robot_with_an_assumed_mass_do_not_pass(tmp_path: Pa
     assert gains.stands_stably
     assert not gains.passed
     assert printed(gains).startswith("UNKNOWN")
+
+
+def test_each_column_of_the_table_has_its_number() -> None:
+    """All numbers differ, so that an exchange of two columns is found; times in minutes."""
+    motor = MotorHeat(
+        joint="knee", motor="m", torque=1.5, continuous_torque=2.25, largest_torque=4.5,
+        current=3.25, cold_loss=5.5, steady_loss=6.75, steady_temperature=47.5,
+        limit_temperature=81.0, time_to_limit=600.0, limiting_number="", unknown=(),
+    )  # fmt: skip
+    weak = replace(motor, joint="hip", torque=9.0)
+    study = HeatStudy(
+        name="robot", stand=stand_of("v3"), motors=(motor, weak, weak), omitted=(), loss=13.5,
+        supply_voltage=24.0, battery_current=0.5625, battery_energy=None, battery_time=None,
+        times=np.zeros(1), temperatures=np.zeros((1, 3)),
+    )  # fmt: skip
+    [table] = [block for block in heat_document(study).blocks if isinstance(block, Table)]
+    printed = {
+        get_english(column.name): (get_english(cell), column.unit)
+        for column, cell in zip(table.columns, table.rows[0], strict=True)
+    }
+    assert printed == {
+        "joint": ("knee", ""), "motor": ("m", ""), "torque": ("+1.500", "N m"),
+        "continuous": ("2.25", "N m"), "at most": ("4.5", "N m"), "current": ("3.25", "A"),
+        "cold loss": ("5.5", "W"), "final loss": ("6.75", "W"),
+        "final temperature": ("47.5", "°C"), "limit": ("81", "°C"),
+        "time to limit": ("10.0", "min"),
+    }  # fmt: skip
+    assert [weak.too_weak for weak in study.motors] == [False, True, True]
+    counts = [get_english(one) for one in heat_document(study).failures]
+    assert any(line.startswith("2 of 3 motors cannot") for line in counts)
+    cool = replace(study, motors=(motor,))
+    losses = [get_english(one) for one in heat_document(cool).findings]
+    assert "copper loss of all motors 13.5 W = 0.562 A at 24 V" in losses
