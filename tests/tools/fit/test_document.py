@@ -17,6 +17,7 @@ from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.tools.fit.command import _select_next_step
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, SURROUNDINGS_KINDS, Parameter
+from pupper_analysis.tools.fit.record.recorder import Recording
 from pupper_analysis.tools.fit.result import (
     Determined,
     Estimate,
@@ -172,6 +173,18 @@ def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
     for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.1516 deg")):
         assert kept in line.short
         assert len(line.short) < MAX_ANSWER_WIDTH < len(line.en)
+
+
+def test_counts_of_a_recording_are_those_of_its_stands() -> None:
+    """All counts differ, so that an exchange is found; with and without missing stands."""
+    recording = Recording(
+        name="dog", file="s.csv", recorded_stands=("a", "b"), existing_stands=("c",),
+        missing_stands=("d", "e", "f"), friction_angles={}, findings=(),
+    )  # fmt: skip
+    summary = get_english(make_document(recording).failures[0])
+    assert summary.startswith("2 stands recorded, 1 were in s.csv before, 3 missing")
+    complete = make_document(replace(recording, missing_stands=()))
+    assert get_english(complete.findings[0]).startswith("2 stands recorded, 1 were in s.csv before")
 
 
 def test_weight_equal_to_the_mass_of_the_file_is_no_confirmation() -> None:
