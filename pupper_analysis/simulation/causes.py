@@ -50,6 +50,11 @@ with the solvers CG and PGS, 0.02 to 0.12 of the nudge.
 """
 
 
+def lacks_decay(nudge: Nudge) -> bool:
+    """Return True if motion after a nudge does not decay, and is faster than solver errors."""
+    return not (nudge.decayed or nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed)
+
+
 def find_instability(
     stability: Stability, nudge: Nudge | None, *, is_harmless: bool = False
 ) -> list[Diagnostic]:
@@ -68,8 +73,7 @@ def find_instability(
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
-    is_noise = nudge is not None and nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
-    if nudge is not None and not (nudge.decayed or is_noise or is_harmless or messages):
+    if nudge is not None and lacks_decay(nudge) and not (is_harmless or messages):
         after = Quantity(nudge.duration, "s")
         messages.append(
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)
@@ -91,9 +95,7 @@ def proves_unrest(nudge: Nudge) -> bool:
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True
-    is_noise = nudge.left <= _SOLVER_NOISE_RATIO * nudge.speed
-    is_slow = max(nudge.motion, nudge.left) < MAX_RESTING_SPEED
-    return not (nudge.decayed or is_noise or is_slow)
+    return lacks_decay(nudge) and not max(nudge.motion, nudge.left) < MAX_RESTING_SPEED
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:

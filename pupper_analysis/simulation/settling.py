@@ -22,7 +22,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.causes import find_instability, lacks_decay
 from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.monitor import MEASURING_TIME
 from pupper_analysis.simulation.rollout import (
@@ -160,9 +160,10 @@ def comes_to_rest(
         return False
     nudge = measure_response(model, state, nudged_states, last_second)
     response_alone = replace(spectrum, unstable=())
-    is_harmless = is_solver_error(
-        model, state, held.ctrl, nudge, last_second
-    ) or moves_equally_without_nudge(model, state, held.ctrl, nudge, nudged_states)
+    is_harmless = lacks_decay(nudge) and (
+        is_solver_error(model, state, held.ctrl, nudge, last_second)
+        or moves_equally_without_nudge(model, state, held.ctrl, nudge, nudged_states)
+    )
     if find_instability(response_alone, nudge, is_harmless=is_harmless) or _has_left_stand(
         reference, nudged_states[-1]
     ):

@@ -35,6 +35,7 @@ from pupper_analysis.simulation.causes import (
     find_chatter,
     find_creep,
     find_instability,
+    lacks_decay,
     proves_unrest,
 )
 from pupper_analysis.simulation.monitor import (
@@ -418,23 +419,23 @@ def _evaluate_standing(
     if failures:
         failures += find_creep(robot, stand, held.prediction)
     nudge = result.nudge
-    cause = None
+    cause, is_equal, model = None, False, held.drive.model
     if not failures and nudge is not None and not nudge.decayed:
-        model = held.drive.model
+        is_fast = lacks_decay(nudge)
         # A light foot may bounce although the samples of the record show no lift.
         if has_light_foot:
             cause = "light-foot-bounces"
-        elif is_solver_error(model, run.last[-1], held.ctrl, nudge, run.last):
+        elif is_fast and is_solver_error(model, run.last[-1], held.ctrl, nudge, run.last):
             cause = "solver-error-moves"
         if cause and not remains_small(model, run.states[-1], held.ctrl, nudge, run.last):
             cause = None
-    is_harmless = cause is not None or (
-        not failures
-        and nudge is not None
-        and moves_equally_without_nudge(
-            held.drive.model, run.last[-1], held.ctrl, nudge, run.states[run.settling :]
+        nudged = run.states[run.settling :]
+        is_equal = (
+            cause is None
+            and is_fast
+            and moves_equally_without_nudge(model, run.last[-1], held.ctrl, nudge, nudged)
         )
-    )
+    is_harmless = cause is not None or is_equal
     failures += find_instability(result.stability, nudge, is_harmless=is_harmless)
     stays = not result.collapses and (
         not failures or _stands_despite_idle_feet(robot, record, result, failures)

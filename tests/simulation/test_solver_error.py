@@ -76,9 +76,8 @@ def test_stand_with_an_inexact_solver_has_the_verdict_of_bare_mujoco(
         speeds.append(np.abs(velocities).max())
     assert speeds[1] < 1.5 * speeds[0]
     assert run.passed, run.failures
-    is_noticed = "solver-error-moves" in {note.code for note in run.notes}
-    assert is_noticed == (run.nudge is not None and not run.nudge.decayed)
-    assert is_noticed or "CG" not in option
+    # The motion with PGS, 0.015 mrad/s, is too slow for a note.
+    assert ("solver-error-moves" in {note.code for note in run.notes}) == ("CG" in option)
 
 
 def test_solver_error_is_motion_that_converged_contact_forces_remove() -> None:

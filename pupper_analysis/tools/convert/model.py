@@ -50,7 +50,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
-from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.causes import find_instability, lacks_decay
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import (
     Nudge,
@@ -416,7 +416,7 @@ def run_from_keyframe(path: Path, duration: float = HOLD_DURATION) -> KeyframeRu
     start = full_state(model, data)
     nudge = measure_response(model, start, simulate_nudge(model, start, data.ctrl.copy(), duration))
     stability = judge_stability(model, data)
-    is_harmless = is_solver_error(model, start, data.ctrl.copy(), nudge)
+    is_harmless = lacks_decay(nudge) and is_solver_error(model, start, data.ctrl.copy(), nudge)
     failures = tuple(find_instability(stability, nudge, is_harmless=is_harmless))
     return KeyframeRun(model.key(0).name, stability, nudge, failures)
 
