@@ -29,6 +29,7 @@ from pupper_analysis.present.scene import (
     StandingScene,
     coarsen_mesh,
     describe_scene,
+    select_visible_geoms,
 )
 from pupper_analysis.robot.robot import Robot
 
@@ -175,6 +176,21 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     limbs = _list_links(robot, qpos)
     links = [line for body, line in limbs if int(model.body_weldid[body]) not in of_legs]
     return Skeleton(legs, tuple(links), tuple(base_parts), bool(visible))
+
+
+def list_visible_geoms(robot: Robot) -> list[int]:
+    """List the geoms of a robot that MuJoCo's viewer shows by default, by index in MuJoCo's model.
+
+    Geoms of other objects in the MJCF, such as a wall, are not listed. If no geom is visible, the
+    other geoms of the robot are listed.
+    """
+    model = robot.mj_model
+    root = model.body_rootid[model.body(robot.mj_base).id]
+    return [
+        geom
+        for geom in select_visible_geoms(model)
+        if not root or model.body_rootid[model.geom_bodyid[geom]] == root
+    ]
 
 
 def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:

@@ -29,11 +29,13 @@ from pupper_analysis.base.array_types import Array, Pixels
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, add_geom, compile_spec
+from pupper_analysis.models.shapes import get_mesh, read_shape
 from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     Skeleton,
     compute_skeleton,
     draw_silhouette,
+    list_visible_geoms,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -53,8 +55,12 @@ IMAGE_UP = math.sin(CAMERA_ELEVATION) * CAMERA_FORWARD + math.cos(CAMERA_ELEVATI
 )
 """Direction upwards in the image, in the world frame."""
 _TILE_MARGIN = 0.09
-"""Smallest margin around a robot's skeleton and ground in its tile (part of the picture), relative
+"""Smallest margin around the drawn robot and its ground in the tile (part of the picture), relative
 to the tile width [1]. Chosen, not tuned.
+"""
+_MAX_TILE_RATIO = 1.5
+"""Largest height of a tile, relative to its width [1]. A single tile is at most as high as wide.
+Chosen, not tuned: a humanoid in its stand is about 2.4 times as high as wide.
 """
 LABEL_HEIGHT = 0.125
 """Height of the strip for the text below a robot, relative to the width of the robot's tile [1].
@@ -128,21 +134,27 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
 
     ``poses`` contains pairs of a robot and its configuration, shape (nq,), with the joints in
     actuator order. ``width`` is that of the picture [pixels], ``columns`` the number of tiles in a
-    row.
+    row. A tile contains all visible geoms of the robot. The widest or the highest robot determines
+    the scale (`_MAX_TILE_RATIO`).
     """
     lines = [compute_skeleton(robot, qpos) for robot, qpos in poses]
     grounds = []
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
-    for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
+    for index, ((robot, qpos), line) in enumerate(zip(poses, lines, strict=True)):
         radius = max(robot.contact_radius.values())
         ground = _bound_ground(line, radius)
-        body, edges = project_points(line.points()), project_points(ground)
-        low[index] = np.minimum(body.min(axis=0) - radius, edges.min(axis=0))
-        high[index] = np.maximum(body.max(axis=0) + radius, edges.max(axis=0))
+        body = project_points(line.points())
+        shown = [body - radius, body + radius, project_points(ground), _outline_geoms(robot, qpos)]
+        points = np.concatenate(shown)
+        low[index], high[index] = points.min(axis=0), points.max(axis=0)
         grounds.append(ground)
     size = high - low
     tile_width = width // columns
-    scale = (1 - 2 * _TILE_MARGIN) * tile_width / float(size[:, 0].max())
+    max_height = min(_MAX_TILE_RATIO * tile_width, width)
+    scale = min(
+        (1 - 2 * _TILE_MARGIN) * tile_width / float(size[:, 0].max()),
+        (max_height - (2 * _TILE_MARGIN + LABEL_HEIGHT) * tile_width) / float(size[:, 1].max()),
+    )
     gap, label = _TILE_MARGIN * tile_width / scale, LABEL_HEIGHT * tile_width / scale
     tiles: list[Tile] = []
     top = 0
@@ -158,6 +170,28 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
             tiles.append(Tile(*poses[index], *drawn, left, top, tile_width, height, scale, middle))
         top += height
     return tiles
+
+
+def _outline_geoms(robot: Robot, qpos: Array) -> Array:
+    """Return image points, shape (n, 2) [m], whose bounding box is that of the visible geoms.
+
+    Geoms of other objects in the MJCF, such as a wall, are not included. ``qpos`` has the shape
+    (nq,), with the joints in actuator order.
+    """
+    model, data = robot.mj_model, robot.compute_kinematics(qpos)
+    points = [np.empty((0, 2))]
+    for geom in list_visible_geoms(robot):
+        shape = read_shape(model, geom, data)
+        if shape.kind == "mesh":  # all vertices: a mesh need not have a convex hull
+            mesh = get_mesh(model, int(model.geom_dataid[geom]))
+            points.append(project_points(shape.pose.point(mesh.vertices)))
+            continue
+        # Support function in the directions of the image's axes.
+        directions = np.array([IMAGE_RIGHT, IMAGE_UP])
+        high, low = shape.support(directions), shape.support(-directions)
+        if high is not None and low is not None:
+            points.append(np.array([high, -low]))
+    return np.concatenate(points)
 
 
 def _bound_ground(lines: Skeleton, radius: float) -> Array:

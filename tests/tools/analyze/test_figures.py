@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.tools.analyze import figures as render
 from pupper_analysis.tools.analyze.figures import lay_out_tiles
+from tests.support.legged import quadruped, rewrite_file, with_arm
 from tests.support.patience import PATIENCE
 from tests.support.variants import load, stand_of
 
@@ -274,6 +276,44 @@ def test_tiles_of_robots_of_different_size_have_one_scale() -> None:
     ends = np.array([[0.0, 0, 0], 0.1 * render.IMAGE_RIGHT])
     lengths = [np.ptp(tile.pixels(ends)[:, 0]) for tile in lay_out_tiles(poses, WIDTH, 2)]
     assert lengths[0] == pytest.approx(lengths[1])
+
+
+def mast_on_arm(folder: Path) -> tuple[pa.Robot, pa.Stand]:
+    """Return a quadruped with an arm that carries a visual mast, 1.2 m high and 0.8 m wide."""
+    pair = with_arm(quadruped(folder, floor=True, actuators="position"))
+    mast = '<geom name="mast" type="box" size="0.02 0.4 0.6" contype="0" conaffinity="0"/>'
+    rewrite_file(pair.mjcf, ('<geom name="hand"', f'{mast}<geom name="hand"'))
+    robot = pa.load_robot(*pair)
+    return robot, pa.solve_stand(robot)
+
+
+def test_tile_contains_the_corners_of_a_geom_on_an_arm(tmp_path: Path) -> None:
+    """Reference: MuJoCo's pose of the geom, and the half sizes in the MJCF [m]."""
+    robot, stand = mast_on_arm(tmp_path)
+    tiles = lay_out_tiles([(robot, stand.qpos)] * 2, WIDTH, 2)
+    data = robot.compute_kinematics(stand.qpos)
+    mast = data.geom("mast")
+    corners = np.array(list(itertools.product((-0.02, 0.02), (-0.4, 0.4), (-0.6, 0.6))))
+    for tile in tiles:
+        x, y = tile.pixels(mast.xpos + corners @ mast.xmat.reshape(3, 3).T).T
+        assert tile.left < x.min() < x.max() < tile.left + tile.width
+        label = render.LABEL_HEIGHT * tile.width
+        assert tile.top < y.min() < y.max() < tile.top + tile.height - label
+        assert tile.height <= 1.5 * tile.width + 1
+
+
+def test_single_tile_of_a_high_robot_is_not_higher_than_wide(tmp_path: Path) -> None:
+    robot, stand = mast_on_arm(tmp_path)
+    (tile,) = lay_out_tiles([(robot, stand.qpos)], WIDTH, 1)
+    assert tile.height <= tile.width + 1
+
+
+@pytest.mark.slow
+def test_geom_on_an_arm_does_not_touch_the_edge_of_the_rendered_picture(tmp_path: Path) -> None:
+    picture = render_with_opengl([mast_on_arm(tmp_path)], tmp_path / "a.png", width=WIDTH)
+    image = pixels(picture.path)
+    for edge in (image[0], image[-1], image[:, 0], image[:, -1]):
+        assert is_background(edge).all()
 
 
 @pytest.mark.slow
