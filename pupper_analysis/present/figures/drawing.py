@@ -327,13 +327,32 @@ def title_panel(axes: Axes, title: str) -> None:
         axes.spines[spine].set_visible(False)
 
 
-def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with the given symbols at the lower edge of a figure."""
+def shorten_names(names: Sequence[str]) -> list[str]:
+    """Remove the parts that all names contain: ``FL`` and ``FR`` for ``FL_foot`` and ``FR_foot``.
+
+    Parts are separated by underscores. The names are returned unchanged if the short names would be
+    empty or equal.
+    """
+    parts = [name.split("_") for name in names]
+    short = [
+        "_".join(part for part in own if not all(part in other for other in parts)) for own in parts
+    ]
+    return short if all(short) and len({*short}) == len(names) else list(names)
+
+
+def add_legend(figure: Figure, handles: Sequence[Artist], *, outside: bool = False) -> None:
+    """Add a legend with the given symbols at the lower edge of a figure, in as few rows as fit.
+
+    If ``outside`` is True, the constrained layout of the figure reserves the space of the legend.
+    """
     for rows in range(1, len(handles) + 1):
-        legend = figure.legend(handles=list(handles), loc="lower center",
+        legend = figure.legend(handles=list(handles),
+                               loc="outside lower center" if outside else "lower center",
                                ncols=-(-len(handles) // rows), fontsize=FONT_SIZE,
                                frameon=False, handletextpad=0.5, columnspacing=0.8,
                                handlelength=1.6)  # fmt: skip
+        for entry in legend.get_texts():
+            entry.set_parse_math(False)
         if legend.get_window_extent().width <= figure.bbox.width or rows == len(handles):
             return
         legend.remove()

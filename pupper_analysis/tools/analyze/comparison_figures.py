@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ from pupper_analysis.base.units import (
     JointUnits,
     find_common_units,
 )
+from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.present.figures import drawing
 
 if TYPE_CHECKING:
@@ -63,21 +65,23 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = _make_panels(analyses, "Motor torque, in percent of each motor's limit", 0.42)
-    for analysis, axes in panels:
-        legs = _list_legs(analysis)
-        rows = list(_group_joints(analysis, legs).items())
+    groups = [_group_joints(analysis, _list_legs(analysis)) for analysis in analyses]
+    most = max((len(group.rows) for group in groups), default=0)
+    title = "Motor torque, in percent of each motor's limit\nnumbers: largest prediction of the row"
+    figure, panels = _make_panels(analyses, title, 0.45, most * _MIN_ROW_HEIGHT)
+    for (analysis, axes), group in zip(panels, groups, strict=True):
+        rows = list(group.rows.items())
         limits = np.array([joint.effort for joint in analysis.joints], float)
         units = analysis.statics.torque_units
         predicted = np.abs(np.asarray(analysis.statics.joint_torques, float))
         simulated = np.abs(np.asarray(analysis.verification.joint_torques, float))
         limited = np.isfinite(limits) & (limits > 0)
         percent = np.where(limited, 100 / np.where(limited, limits, 1.0), np.nan)
-        for row, (_, joints_and_legs) in enumerate(rows):
-            joints = [joint for joint, _ in joints_and_legs]
+        for row, (_, joints_and_limbs) in enumerate(rows):
+            joints = [joint for joint, _ in joints_and_limbs]
             offsets = np.linspace(-0.24, 0.24, len(joints)) if len(joints) > 1 else np.zeros(1)
-            for (joint, leg), offset in zip(joints_and_legs, offsets, strict=True):
-                style = {"color": "0.3", "marker": "o"} if leg is None else _get_leg_style(leg)
+            for (joint, limb), offset in zip(joints_and_limbs, offsets, strict=True):
+                style = {"color": "0.3", "marker": "o"} if limb is None else _get_limb_style(limb)
                 place = row + offset
                 style |= {"clip_on": False}  # a torque of zero lies on the axis
                 axes.plot(percent[joint] * predicted[joint], place, ls="", ms=5, **style)
@@ -87,22 +91,27 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             peak = max(joints, key=lambda joint: predicted[joint])
             share = f" = {percent[peak] * predicted[peak]:.1f} %" if limited[peak] else ", no limit"
             axes.annotate(f"{predicted[peak]:.3f} {units[peak]}{share}", (1, row),
-                          ha="right", va="center", xycoords=axes.get_yaxis_transform(),
-                          size=drawing.FONT_SIZE - 1, xytext=(0, 0),
+                          ha="left", va="center", xycoords=axes.get_yaxis_transform(),
+                          size=drawing.FONT_SIZE - 1, xytext=(6, 0),
                           textcoords="offset points")  # fmt: skip
         axes.set_yticks(range(len(rows)), [name for name, _ in rows], parse_math=False)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
         axes.grid(axis="x", color=drawing.GRID_COLOUR)
         limit = f"{_format_range(limits[limited])} {find_common_units(units).effort}"
-        drawing.title_panel(axes, f"{analysis.name}: limit {limit}")
-        _write_feet(axes, list(legs))
-        # Room for the values at the right end of the axis.
-        axes.set_xlim(0, 1.75 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
+        title = f"{analysis.name}: limit {limit}"
+        if len(title) > _TITLE_LETTERS and len(panels) > 1:
+            title = f"{analysis.name}\nlimit {limit}"
+        drawing.title_panel(axes, title)
+        axes.set_xlim(0, 1.1 * max(1e-3, np.nanmax(np.append(percent * predicted, 0.0))))
     _share_limits(panels, "x")
     handles = [
         Line2D([], [], marker="o", ls="", color="0.3", label="predicted (Pinocchio)"),
         Line2D([], [], marker="|", ls="", color="k", ms=8, label="simulated, with feed-forward"),
+        *(
+            Line2D([], [], ls="", label=label, **_get_limb_style(limb))
+            for limb, label in _label_limbs([analysis.name for analysis in analyses], groups)
+        ),
     ]
     _save_with_legend(figure, handles, path)
 
@@ -185,9 +194,11 @@ _COLOUR_MAP = "viridis"
 
 
 def _make_panels(
-    analyses: Sequence[Analysis], title: str, aspect: float
+    analyses: Sequence[Analysis], title: str, aspect: float, min_height: float = 0.0
 ) -> tuple[Figure, list[tuple[Analysis, Axes]]]:
     """Return a titled figure and a panel for each analysis; ``aspect`` is height by width.
+
+    ``min_height`` is the smallest height of the axes of a panel [inch].
 
     Raises:
         ConfigurationError: If there is no analysis.
@@ -196,7 +207,7 @@ def _make_panels(
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
     columns = min(len(analyses), NUM_COLUMNS)
     num_rows = -(-len(analyses) // columns)
-    height = num_rows * (aspect * drawing.PAGE_WIDTH / columns + 0.45) + 0.7
+    height = num_rows * (max(aspect * drawing.PAGE_WIDTH / columns, min_height) + 0.45) + 0.7
     figure = drawing.make_page_figure(title, height, layout="constrained")
     grid = figure.subplots(num_rows, columns, squeeze=False).ravel()
     for unused in grid[len(analyses) :]:
@@ -216,13 +227,26 @@ def _list_legs(analysis: Analysis) -> dict[str, tuple[str, ...]]:
     return dict(sorted((" + ".join(sorted(names)), joints) for joints, names in feet.items()))
 
 
-def _group_joints(
-    analysis: Analysis, legs: Mapping[str, Sequence[str]]
-) -> dict[str, list[tuple[int, int | None]]]:
-    """Return {row title: (joint index, leg index) of each joint} for the rows of the torque figure.
+@dataclass(frozen=True)
+class _JointGroups:
+    """Rows of a panel of the torque figure, and the limbs that have a colour and a marker.
 
-    A row contains corresponding joints of the legs (`_list_legs`), or a single other joint. The leg
-    is None for a joint outside of legs, for example.
+    Attributes:
+        rows: {row title: (joint index, limb index) of each joint}. The limb index is None for a
+            joint that has no counterpart on another limb, for example.
+        limbs: Name of each limb: of a leg, or of a side such as ``left``.
+    """
+
+    rows: dict[str, list[tuple[int, int | None]]]
+    limbs: tuple[str, ...]
+
+
+def _group_joints(analysis: Analysis, legs: Mapping[str, Sequence[str]]) -> _JointGroups:
+    """Group joints for the torque figure: a row contains the corresponding joints of the limbs.
+
+    These are joints at the same place in the legs (`_list_legs`), or pairs of other joints whose
+    names differ only in the word for left or right (`find_mirror_pairs`). A limb is named without
+    the parts that all legs, or both joints of a pair, have in common.
     """
     names = [joint.name for joint in analysis.joints]
     by_depth: defaultdict[int, dict[int, int | None]] = defaultdict(dict)
@@ -232,12 +256,27 @@ def _group_joints(
             index = names.index(name)
             is_shared = len(legs) == 1 or index in depths
             by_depth[depths.setdefault(index, depth)][index] = None if is_shared else leg
+    limbs = drawing.shorten_names(list(legs)) if len(legs) > 1 else []
     others = [index for index in range(len(names)) if index not in depths]
-    titles = [_join_common_parts([names[index] for index in row]) for row in by_depth.values()]
-    if len({*titles, *(names[index] for index in others)}) < len(titles) + len(others):
-        titles = [f"joint {depth + 1}" for depth in by_depth]
-    rows = {title: list(row.items()) for title, row in zip(titles, by_depth.values(), strict=True)}
-    return rows | {names[index]: [(index, None)] for index in others}
+    partners = dict(find_mirror_pairs(names[index] for index in others))
+    second = {*partners.values()}
+    other_rows: list[dict[int, int | None]] = []
+    for index in others:
+        if names[index] in second:
+            continue
+        pair = [names[index], *(partners[name] for name in [names[index]] if name in partners)]
+        sides = drawing.shorten_names(pair) if len(pair) > 1 else []
+        limbs += [side for side in sorted(sides) if side not in limbs]
+        places = map(limbs.index, sides) if sides else [None]
+        other_rows.append(dict(zip(map(names.index, pair), places, strict=True)))
+    rows = [*by_depth.values(), *other_rows]
+    titles = [_join_common_parts([names[index] for index in row]) for row in rows]
+    if len({*titles}) < len(titles):
+        numbered = [f"joint {depth + 1}" for depth in by_depth]
+        titles = [*numbered, *(names[min(row)] for row in other_rows)]
+    return _JointGroups(
+        {title: list(row.items()) for title, row in zip(titles, rows, strict=True)}, tuple(limbs)
+    )
 
 
 def _join_common_parts(names: Sequence[str]) -> str:
@@ -250,38 +289,44 @@ def _join_common_parts(names: Sequence[str]) -> str:
     return "_".join(shared) or names[0]
 
 
-_LEG_MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚"}
-"""{marker of a leg in Matplotlib: the same shape as a character, for the names of the feet}."""
+_LIMB_MARKERS = ("o", "s", "^", "D", "v", "P")
+"""Matplotlib's markers of the limbs."""
 
 
-def _get_leg_style(leg: int) -> dict[str, Any]:
-    """Return colour and marker of the leg with index ``leg``; both repeat after the last one."""
-    markers = tuple(_LEG_MARKERS)
-    colour = drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
-    return {"color": colour, "marker": markers[leg % len(markers)]}
+def _get_limb_style(limb: int) -> dict[str, Any]:
+    """Return colour and marker of the limb with index ``limb``; both repeat after the last one."""
+    colour = drawing.SERIES_COLOURS[limb % len(drawing.SERIES_COLOURS)]
+    return {"color": colour, "marker": _LIMB_MARKERS[limb % len(_LIMB_MARKERS)]}
 
 
-def _write_feet(axes: Axes, legs: Sequence[str]) -> None:
-    """Write the feet of each leg above a panel, right-aligned, in colour and marker of the leg.
+def _label_limbs(
+    robots: Sequence[str], groups: Sequence[_JointGroups]
+) -> Iterator[tuple[int, str]]:
+    """Yield (limb index, label) of the limbs of all robots, for a common legend.
 
-    Nothing is written for a single leg, or for more legs than colours.
+    The label is the name of the limb. If the names of limbs with this index differ between robots,
+    the label contains each name with its robots. Robots with more limbs than colours are omitted.
     """
-    if not 1 < len(legs) <= len(drawing.SERIES_COLOURS):
-        return
-    right = 0.0
-    for leg in reversed(range(len(legs))):
-        style = _get_leg_style(leg)
-        name = f"{_LEG_MARKERS[style['marker']]} {legs[leg]}"
-        axes.annotate(name, (1, 1), xycoords="axes fraction", xytext=(-right, 4),
-                      textcoords="offset points", ha="right", va="bottom", weight="bold",
-                      size=drawing.FONT_SIZE - 1, color=style["color"],
-                      parse_math=False)  # fmt: skip
-        right += (len(name) + 1) * _LETTER_WIDTH * (drawing.FONT_SIZE - 1)
+    names: defaultdict[int, defaultdict[str, list[str]]]
+    names = defaultdict(lambda: defaultdict(list))
+    for robot, group in zip(robots, groups, strict=True):
+        if len(group.limbs) <= len(drawing.SERIES_COLOURS):
+            for limb, name in enumerate(group.limbs):
+                names[limb][name].append(robot)
+    for limb, owners in sorted(names.items()):
+        if len(owners) == 1:
+            yield limb, next(iter(owners))
+        else:
+            yield limb, ", ".join(f"{name} ({', '.join(own)})" for name, own in owners.items())
 
 
-_LETTER_WIDTH = 0.72
-"""Assumed mean width of a character in the names of the feet, in parts of the font size. Chosen,
-not tuned."""
+_TITLE_LETTERS = 32
+"""Largest number of characters in a row of a panel's title, if a figure has two columns. Chosen for
+the bold font of the title."""
+
+_MIN_ROW_HEIGHT = 0.17
+"""Smallest height of a row of the torque figure [inch], so that the markers of two limbs fit.
+Chosen, not tuned."""
 
 
 def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
@@ -395,9 +440,7 @@ def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
 
 def _save_with_legend(figure: Figure, handles: Sequence[Any], path: str | Path) -> None:
     """Put a legend below the panels, and write the figure."""
-    figure.legend(handles=list(handles), loc="outside lower center", ncols=min(len(handles), 6),
-                  fontsize=drawing.FONT_SIZE, frameon=False, handletextpad=0.5,
-                  columnspacing=0.9)  # fmt: skip
+    drawing.add_legend(figure, handles, outside=True)
     drawing.save_figure(figure, path)
 
 

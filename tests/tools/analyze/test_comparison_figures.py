@@ -13,7 +13,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
@@ -61,6 +63,19 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 def panels(figure: Figure) -> list[Axes]:
     """Return the panels of a figure, in the order of the robots."""
     return [axes for axes in figure.axes if axes.get_title(loc="left")]
+
+
+def limb_styles(figure: Figure) -> dict[str, tuple[Any, Any]]:
+    """Return {label: (colour, marker)} of the legs or sides in the legend of a torque figure."""
+    (legend,) = figure.legends
+    handles = dict(zip((text.get_text() for text in legend.get_texts()), legend.legend_handles,
+                       strict=True))  # fmt: skip
+    return {
+        label: (line.get_color(), line.get_marker())
+        for label, line in handles.items()
+        if isinstance(line, Line2D) and line.get_color() not in ("0.3", "k") and line.get_marker()
+        not in ("None", None, "")
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -155,8 +170,8 @@ def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
         np.testing.assert_allclose(sorted(drawn), sorted(100 * np.abs(torques) / efforts))
     assert [label.get_text() for label in axes.get_yticklabels()] == ["leg_1", "leg_2", "leg_3"]
     # Legs differ without colours.
-    names = {text.get_text() for text in axes.texts}
-    assert {"● FL", "■ FR", "▲ RL", "◆ RR"} <= names
+    assert {limb: marker for limb, (_, marker) in limb_styles(figures[0]).items()} == {
+        "FL": "o", "FR": "s", "RL": "^", "RR": "D"}  # fmt: skip
 
 
 def test_torque_figure_has_one_colour_and_name_per_leg_with_several_contact_points(
@@ -164,14 +179,16 @@ def test_torque_figure_has_one_colour_and_name_per_leg_with_several_contact_poin
 ) -> None:
     """A biped with four contact points per foot, a common waist, and a toe on the left leg only.
 
-    The torque of a joint is its index, so that a mark is that of the joint.
+    The arms have the colours of the legs on their side, and one row for both elbows. The torque of
+    a joint is its index, so that a mark is that of the joint.
     """
-    names = ("waist", "left_hip", "right_hip", "left_knee", "right_knee", "left_toe", "head")
+    names = ("waist", "left_hip", "right_hip", "left_knee", "right_knee", "left_toe", "head",
+             "right_elbow", "left_elbow")  # fmt: skip
     legs = {
         "right_sole": ("waist", "right_hip", "right_knee"),
         "left_sole": ("waist", "left_hip", "left_knee", "left_toe"),
     }
-    torques = SimpleNamespace(joint_torques=np.arange(7.0), torque_units=("N m",) * 7)
+    torques = SimpleNamespace(joint_torques=np.arange(9.0), torque_units=("N m",) * 9)
     analysis = SimpleNamespace(
         name="walker",
         joints=[SimpleNamespace(name=name, effort=100.0) for name in names],
@@ -185,14 +202,62 @@ def test_torque_figure_has_one_colour_and_name_per_leg_with_several_contact_poin
     )
     FIGURES["torques.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
-    labels = {text.get_text().split()[-1]: text.get_color() for text in axes.texts}
-    left, right = labels["left_sole"], labels["right_sole"]
+    styles = limb_styles(figures[0])
+    assert list(styles) == ["left", "right"]
+    left, right = (colour for colour, _ in styles.values())
     assert left != right
     marks = [line for line in axes.lines if line.get_marker() in ("o", "s")]
     colours = {int(np.asarray(line.get_xdata())[0] + 0.5): line.get_color() for line in marks}
-    assert colours == {0: "0.3", 1: left, 2: right, 3: left, 4: right, 5: left, 6: "0.3"}
+    assert colours == {0: "0.3", 1: left, 2: right, 3: left, 4: right, 5: left, 6: "0.3",
+                       7: right, 8: left}  # fmt: skip
     rows = [label.get_text() for label in axes.get_yticklabels()]
-    assert rows == ["waist", "hip", "knee", "left_toe", "head"]
+    assert rows == ["waist", "hip", "knee", "left_toe", "head", "elbow"]
+
+
+def test_legend_states_the_robots_if_the_names_of_their_limbs_differ(
+    figures: list[Figure],
+) -> None:
+    analysis = analysis_of("v3")
+    feet = {"FL": "left_front_foot", "FR": "right_front_foot", "RL": "left_hind_foot",
+            "RR": "right_hind_foot"}  # fmt: skip
+    jacobians = {
+        point: SimpleNamespace(foot=feet[one.foot], joints=one.joints)
+        for point, one in analysis.foot_jacobians.items()
+    }
+    renamed = change_analysis(analysis, name="dog", foot_jacobians=jacobians)
+    FIGURES["torques.png"]([analysis, renamed], Path("unused.png"))
+    assert list(limb_styles(figures[0])) == [
+        "FL (v3), left_front (dog)", "FR (v3), left_hind (dog)",
+        "RL (v3), right_front (dog)", "RR (v3), right_hind (dog)"]  # fmt: skip
+
+
+def test_texts_of_a_torque_figure_with_long_names_do_not_overlap(figures: list[Figure]) -> None:
+    """Names as in Go2: the title of a panel covered the names of the feet."""
+    analysis = analysis_of("v3")
+    jacobians = {
+        point: SimpleNamespace(foot=f"{one.foot}_foot", joints=one.joints)
+        for point, one in analysis.foot_jacobians.items()
+    }
+    limits = zip(analysis.joints, [23.7, 23.7, 45.43] * 4, strict=True)
+    joints = [SimpleNamespace(name=joint.name, effort=effort) for joint, effort in limits]
+    named = change_analysis(
+        analysis, name="go2_description", joints=joints, foot_jacobians=jacobians
+    )
+    FIGURES["torques.png"]([named, named, named], Path("unused.png"))
+    (figure,) = figures
+    figure.draw_without_rendering()
+    texts = [text for text in figure.findobj(Text)
+             if text.get_text().strip() and text.get_visible()]  # fmt: skip
+    assert {"FL", "FR", "RL", "RR"} <= {text.get_text() for text in texts}
+    boxes = [text.get_window_extent() for text in texts]
+    page = figure.bbox
+    for index, box in enumerate(boxes):
+        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
+        assert inside, texts[index].get_text()
+        for other, text in zip(boxes[:index], texts, strict=False):
+            overlap = min(box.x1, other.x1) > max(box.x0, other.x0) + 1 and min(
+                box.y1, other.y1) > max(box.y0, other.y0) + 1  # fmt: skip
+            assert not overlap, (text.get_text(), texts[index].get_text())
 
 
 def test_torque_figure_states_the_torque_of_a_motor_without_limit(figures: list[Figure]) -> None:
