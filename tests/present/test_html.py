@@ -37,6 +37,7 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     diagnostic_text,
+    text,
 )
 from pupper_analysis.present.documents import registry, sources
 from pupper_analysis.present.documents.loads import mass_text
@@ -629,6 +630,30 @@ def test_audit_with_warnings_is_not_marked_as_passed() -> None:
     text = Page(write_page(replace(audit(), passed=True, counts=counts))).shown()
     assert "! WARNINGS" in text
     assert "✓" not in text
+
+
+@pytest.mark.parametrize(
+    ("passed", "warned", "expected"),
+    [
+        (True, False, "verdict good"),
+        (False, False, "verdict bad"),
+        (True, True, "verdict warn"),
+        (None, False, "verdict "),
+    ],
+)
+def test_colour_of_a_verdict_is_the_mark_of_the_document(
+    passed: bool | None, warned: bool, expected: str
+) -> None:
+    """A verdict that is neither good nor bad has no colour and no sign."""
+    shown = Document(
+        text("report"), Name("v3"), (), passed=passed, warned=warned, verdict=Name("MEASURED")
+    )
+    badges = Page(write.render_page(Report(text("report"), (shown,)))).root.xpath(
+        "//span[starts-with(@class, 'verdict')]"
+    )
+    assert {badge.get("class") for badge in badges} == {expected}
+    signs = {"✓" in read_text(badge) or "✗" in read_text(badge) for badge in badges}
+    assert signs == {passed is not None and not warned}
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         text("study-of-designs"),
         doc.Name(outcome.robot),
         blocks,
+        passed=outcome.is_measured,
         verdict=text("designs-measured" if outcome.is_measured else "no-design-measured"),
         findings=tuple(findings),
     )

@@ -94,6 +94,24 @@ def test_main_effects_on_a_full_grid_equal_the_closed_form(tmp_path: Path) -> No
     assert "3 of 4" in rows[1]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("height", [0.15, 0.5])
+def test_verdict_of_a_study_report_agrees_with_the_exit_status(
+    tmp_path: Path, height: float
+) -> None:
+    """The second height is out of reach, so that no design has a value of the metric."""
+    file, page = tmp_path / "study.toml", tmp_path / "study.html"
+    file.write_text(f'robot = "v3"\nmeasure = ["servo_sag"]\n[vary]\nheight = [{height}]\n')
+    given = ["study", str(file), "-o", str(tmp_path / "out"), "--report", str(page)]
+    measured = height == 0.15
+    assert answer(*given, "--workers", "1").returncode == (0 if measured else 1)
+    badges = Page(page.read_text(encoding="utf-8")).root.xpath(
+        "//span[starts-with(@class, 'verdict')]"
+    )
+    expected = "verdict good" if measured else "verdict bad"
+    assert {badge.get("class") for badge in badges} == {expected}
+
+
 def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.study.StudyOutcome:
     with ThreadPoolExecutor(1) as thread:
         study.run(tmp_path / "there", executor=thread)
