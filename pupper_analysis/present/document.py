@@ -123,11 +123,15 @@ class Axis:
         name: Name of the quantity.
         unit: Unit of the values.
         form: Format specification of the values, such as ``".2f"``.
+        low: Lower end of the axis of a line plot; None for the smallest value, with a margin.
+        logarithmic: Whether the axis of a line plot is logarithmic. Values must be positive.
     """
 
     name: Words
     unit: str
     form: str
+    low: float | None = None
+    logarithmic: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +148,8 @@ class Series:
         marked_index: Index, in ``x`` and ``y``, of the point with the larger marker; None if no
             point is marked. Without effect if ``points`` is False.
         reference: Whether the other lines are compared with this line.
+        shaded: Whether the series is an area, bounded by the polygon of the points, instead of a
+            line. Areas are drawn below the lines.
     """
 
     name: Words
@@ -153,6 +159,7 @@ class Series:
     note: Words | None = None
     marked_index: int | None = None
     reference: bool = False
+    shaded: bool = False
 
 
 @dataclass(frozen=True)
@@ -196,13 +203,15 @@ class LinePlot(Plot):
         x: Horizontal axis.
         y: Vertical axis.
         series: Lines.
-        note: Meaning of the notes in the legend; None without notes.
+        note: Meaning of the notes in the legend, or a remark; None without notes.
+        equal_scales: Whether a unit has the same length on both axes.
     """
 
     x: Axis
     y: Axis
     series: Sequence[Series]
     note: Words | None = None
+    equal_scales: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -583,6 +583,65 @@ def test_line_plot_marks_its_point_beside_omitted_points(count: int) -> None:
     assert len(line["points"]) <= plots.MAX_LINE_POINTS + 1
 
 
+def test_logarithmic_axis_has_equal_distances_for_equal_ratios() -> None:
+    axes = (Axis(Name("x"), "1", "g", logarithmic=True), Axis(Name("y"), "1", "g", low=0.0))
+    curve = Series(Name("a"), [1.0, 10.0, 100.0], [2.0, 3.0, 4.0])
+    marks = plots.draw_svg(LinePlot(Name("t"), *axes, [curve])).marks
+    (line,) = (mark for mark in marks if mark["tag"] == "polyline")
+    (x0, _), (x1, _), (x2, _) = line["points"]
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=0.1)
+    ticks = {
+        mark["words"].text: mark for mark in marks if mark["tag"] == "text" and not mark["unit"]
+    }
+    assert {"1", "2", "5", "10", "20", "50", "100"} <= ticks.keys()
+    bottom = plots.PLOT_HEIGHT - plots.BOTTOM_MARGIN
+    assert ticks["0"]["y"] - 4 == pytest.approx(bottom)  # the axis begins at zero
+
+
+@pytest.mark.parametrize("height", [0.5, 2.0, 30.0])
+def test_square_is_a_square_with_equal_scales(height: float) -> None:
+    """A further point makes the range of the vertical axis smaller or larger."""
+    axis = Axis(Name("f"), "N", "g")
+    square = Series(Name("a"), [0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0, 0.0])
+    point = Series(Name("b"), [0.0], [height], points=True)
+    drawn = plots.draw_svg(LinePlot(Name("t"), axis, axis, [square, point], equal_scales=True))
+    line = next(mark for mark in drawn.marks if mark["tag"] == "polyline")
+    assert np.ptp(line["points"], axis=0)[0] == pytest.approx(
+        np.ptp(line["points"], axis=0)[1], abs=0.11
+    )
+    inside = np.array(line["points"])
+    assert (inside > 0).all()
+    assert (inside < [drawn.width, drawn.height]).all()
+
+
+def test_legend_of_a_page_has_the_symbols_of_the_plot() -> None:
+    """Points of two series were circles, and their keys lines."""
+    axis = Axis(Name("x"), "1", "g")
+    series = [
+        Series(Name("line"), [0.0, 1.0], [0.0, 1.0]),
+        Series(Name("square"), [0.2], [0.5], points=True),
+        Series(Name("triangle"), [0.8], [0.5], points=True),
+        Series(Name("region"), [0.0, 1.0, 1.0], [0.0, 0.0, 1.0], shaded=True),
+    ]
+    shown = Document(text("report"), Name("v3"), (LinePlot(Name("t"), axis, axis, series),))
+    page = Page(write.render_page(Report(text("report"), (shown,))))
+    keys = {
+        read_text(key).strip(): [(one.tag, one.get("class")) for one in key.iterdescendants()][1]
+        for key in page.root.xpath("//span[@class='key']")
+    }
+    assert keys == {
+        "line": ("line", "series s0"),
+        "square": ("polygon", "dot s1"),
+        "triangle": ("polygon", "dot s2"),
+        "region": ("rect", "area"),
+    }
+    (drawing,) = page.root.xpath("//figure[@class='plot']/svg")
+    corners = {one.get("class"): len(one.get("points").split()) for one in drawing.iter("polygon")}
+    assert corners == {"dot s1": 4, "dot s2": 3, "area": 3}
+    order = [one.get("class") for one in drawing.iter("polygon", "polyline")]
+    assert order.index("area") < order.index("series s0")  # an area covers no line
+
+
 # Files and commands
 
 

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Patch, Polygon, Rectangle
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -25,7 +25,7 @@ from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import GENERATOR_NAME, PICTURE_KIND
 from pupper_analysis.base.provenance import collect_provenance
 from pupper_analysis.present.document import Plot, Words, get_english
-from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
+from pupper_analysis.present.html.plots import AREA_CLASS, Drawing, Mark, draw_svg
 
 FIGURE_DPI = 180
 """Resolution of figures in PNG files [pixels per inch]. Chosen, not tuned."""
@@ -76,6 +76,9 @@ _CLASS_COLOURS = {
     "empty": "0.93",
 }
 """{class of the HTML report's style sheet: colour in Matplotlib of a mark with this class}."""
+
+_AREA_STYLE: dict[str, Any] = {"facecolor": BLUE_COLOUR, "alpha": 0.14, "lw": 0}
+"""Options of Matplotlib for a shaded area."""
 
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
@@ -199,13 +202,12 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
                 )
             case "polyline":
                 axes.plot(*np.array(mark["points"]).T, **_make_line_style(kind, 1.3))
-            case "circle":
-                place, radius = (mark["cx"], mark["cy"]), mark["r"]
-                if kind == "grid":
-                    axes.add_patch(Circle(place, radius, color=GRID_COLOUR, fill=False, lw=0.7))
-                else:
-                    diameter = 2 * radius * size / _LETTER_HEIGHT
-                    axes.plot(*place, ls="", ms=diameter, zorder=_DOT_ZORDER, **_make_dot(kind))
+            case "polygon":
+                axes.add_patch(Polygon(mark["points"], **_AREA_STYLE, zorder=_GRID_ZORDER))
+            case "dot":
+                diameter = 2 * mark["r"] * size / _LETTER_HEIGHT
+                place = mark["cx"], mark["cy"]
+                axes.plot(*place, ls="", ms=diameter, zorder=_DOT_ZORDER, **_make_dot(kind))
             case "text":
                 _write_words(mark, axes, size)
     # All of it is inside the drawing's own frame: laying out need not measure each word.
@@ -274,28 +276,21 @@ def _count_legend_columns(drawing: Drawing, size: float) -> int:
 
 
 def _make_legend(drawing: Drawing) -> list[Artist]:
-    """Create the entries of a plot's legend; a series of points without a line has a marker."""
-    lines = {
-        mark["class"].split()[-1]
-        for mark in drawing.marks
-        if mark["tag"] == "polyline" and len(mark["points"]) > 1
-    }
-    dots = {mark["class"].split()[-1] for mark in drawing.marks if mark["tag"] == "circle"} - lines
-    return [
-        _make_handle(name, kind, dot=kind in dots)
-        for name, kind in _collect_legend(drawing).items()
-    ]
+    """Create the entries of a plot's legend; a point without a line has a marker."""
+    return [_make_handle(name, kind) for name, kind in _collect_legend(drawing).items()]
 
 
-def _make_handle(name: str, kind: str, *, dot: bool = False) -> Artist:
+def _make_handle(name: str, kind: str) -> Artist:
     """Create a legend entry of Matplotlib: a text with a line, a dot or a patch as symbol.
 
     ``kind`` is a class of the style sheet, or a colour; empty for a text without a symbol.
     """
     if not kind:
         return Line2D([], [], ls="", label=name)
-    if dot:
-        return Line2D([], [], ls="", label=name, **_make_dot(kind))
+    if kind.startswith("dot "):
+        return Line2D([], [], ls="", label=name, **_make_dot(kind.split()[-1]))
+    if kind == AREA_CLASS:
+        return Patch(**_AREA_STYLE, label=name)
     if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
         return Line2D([], [], label=name, **_make_line_style(kind, 1.3))
     return Patch(color=_CLASS_COLOURS.get(kind, kind), label=name)

@@ -8,7 +8,7 @@ text for each position.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, ClassVar
@@ -57,6 +57,21 @@ Further series use the same styles again, from the first.
 """
 
 
+AREA_CLASS = "area"
+"""Class of the style sheet of a shaded area."""
+
+DOT_OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
+    "s1": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    "s2": ((0.0, -1.1), (1.05, 0.85), (-1.05, 0.85)),
+    "s3": ((0.0, -1.2), (1.0, 0.0), (0.0, 1.2), (-1.0, 0.0)),
+    "s4": ((0.0, 1.1), (-1.05, -0.85), (1.05, -0.85)),
+    "s5": ((-0.35, -1.1), (0.35, -1.1), (0.35, -0.35), (1.1, -0.35), (1.1, 0.35), (0.35, 0.35),
+           (0.35, 1.1), (-0.35, 1.1), (-0.35, 0.35), (-1.1, 0.35), (-1.1, -0.35), (-0.35, -0.35)),
+}  # fmt: skip
+"""{class of the style sheet: corners of a point, divided by its radius, with y downwards}: square,
+triangle, diamond, triangle that points down, and plus. Points of ``s0`` are circles."""
+
+
 @dataclass(frozen=True)
 class Drawing:
     """Plot that was converted to SVG elements (marks), in the user units of the SVG.
@@ -66,7 +81,8 @@ class Drawing:
         width: Width [CSS pixels].
         height: Height [CSS pixels].
         marks: Lines, points and words, in drawing order.
-        legend: (text of the entry, class of the style sheet) pairs.
+        legend: (text of the entry, class of the style sheet) pairs. The class of a series that is a
+            single point is ``dot`` and the style, such as ``dot s1``.
         note: Meaning of the notes in the legend; None if absent.
     """
 
@@ -127,7 +143,8 @@ def round_ticks(low: float, high: float, count: int = 5, *, degrees: bool = Fals
 def _draw_line_plot(plot: LinePlot) -> Drawing:
     """Convert a line plot to a drawing: grid, axes and lines, each line with labelled points.
 
-    The size is `PLOT_WIDTH` by `PLOT_HEIGHT` [CSS pixels]. Points that are not finite are omitted.
+    The size is `PLOT_WIDTH` by `PLOT_HEIGHT` [CSS pixels]; with equal scales, the height is larger
+    if the data require this. Points that are not finite are omitted.
     """
     x, y, series = plot.x, plot.y, plot.series
     lines, marked = [], []
@@ -139,35 +156,98 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
     inside = any(one.points or bool(np.any(np.diff(line[:, 0]) < 0))
                  for one, line in zip(series, lines, strict=True))  # fmt: skip
-    left, right = _compute_range(points[:, 0], _X_MARGIN if inside else 0.0)
-    low, high = _compute_range(points[:, 1], 0.06)
+    left, right = _compute_axis_range(x, points[:, 0], _X_MARGIN if inside else 0.0)
+    low, high = _compute_axis_range(y, points[:, 1], _Y_MARGIN)
     flat = _MIN_HEIGHT_RATIO * max(abs(low), abs(high)) - (high - low)
-    if flat > 0:
+    if flat > 0 and not y.logarithmic:
         low, high = low - flat / 2, high + flat / 2
     wide, tall = PLOT_WIDTH - LEFT_MARGIN - RIGHT_MARGIN, PLOT_HEIGHT - TOP_MARGIN - BOTTOM_MARGIN
+    if plot.equal_scales:
+        tall = min(max(tall, wide * (high - low) / (right - left)), _MAX_HEIGHT_RATIO * wide)
+        size = max((right - left) / wide, (high - low) / tall)  # of a CSS pixel
+        left, right = _widen_range(left, right, size * wide)
+        low, high = _widen_range(low, high, size * tall)
+    scale_x, scale_y = _select_scale(x), _select_scale(y)
 
     def place(values: Array) -> Array:
         """Convert data, shape (n, 2), to positions in the SVG, shape (n, 2) [CSS pixels]."""
-        across = LEFT_MARGIN + wide * (values[:, 0] - left) / (right - left)
-        up = TOP_MARGIN + tall * (high - values[:, 1]) / (high - low)
+        start, end = scale_x(np.array([left, right]))
+        bottom, top = scale_y(np.array([low, high]))
+        across = LEFT_MARGIN + wide * (scale_x(values[:, 0]) - start) / (end - start)
+        up = TOP_MARGIN + tall * (top - scale_y(values[:, 1])) / (top - bottom)
         return np.column_stack([across, up])
 
-    columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
-              for v in round_ticks(left, right, 6, degrees=x.unit in ("°", "deg"))}  # fmt: skip
-    rows = {v: place(np.array([[points[0, 0], v]]))[0, 1]
-          for v in round_ticks(low, high, 6)}  # fmt: skip
+    columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0] for v in _list_ticks(x, left, right)}
+    rows = {v: place(np.array([[points[0, 0], v]]))[0, 1] for v in _list_ticks(y, low, high)}
     marks = [
         *draw_grid(columns, rows, wide, tall),
         *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
     ]
-    for index, (one, line, mark) in enumerate(zip(series, lines, marked, strict=True)):
+    drawn_series = sorted(
+        enumerate(zip(series, lines, marked, strict=True)), key=lambda item: not item[1][0].shaded
+    )
+    for index, (one, line, mark) in drawn_series:
         labels = [
             f"{format_axis_value(x, across)}, {format_axis_value(y, up)}" for across, up in line
         ]
         marks += draw_series(place(line), labels, replace(one, marked_index=mark), index)
     return Drawing(
-        plot.title, PLOT_WIDTH, PLOT_HEIGHT, tuple(marks), draw_legend(series), plot.note
+        plot.title,
+        PLOT_WIDTH,
+        TOP_MARGIN + tall + BOTTOM_MARGIN,
+        tuple(marks),
+        draw_legend(series),
+        plot.note,
     )
+
+
+_Y_MARGIN = 0.06
+"""Margin of the vertical axis [1], relative to the range of the values. Chosen, not tuned."""
+
+_MAX_HEIGHT_RATIO = 0.8
+"""Largest height of a plot with equal scales, divided by the width [1]. Chosen, not tuned."""
+
+
+def _select_scale(axis: Axis) -> Callable[[Array], Array]:
+    """Return the function that converts values, shape (n,), to positions along an axis [1]."""
+    return np.log10 if axis.logarithmic else np.asarray
+
+
+def _compute_axis_range(axis: Axis, values: Array, margin: float) -> tuple[float, float]:
+    """Compute the ends of an axis, with a margin relative to the range of the values."""
+    if axis.logarithmic:
+        low, high = _compute_range(np.log10(values), margin)
+        return float(10.0**low), float(10.0**high)
+    if axis.low is None:
+        return _compute_range(values, margin)
+    _, high = _compute_range(np.append(values, axis.low), margin)
+    return axis.low, high
+
+
+def _widen_range(low: float, high: float, span: float) -> tuple[float, float]:
+    """Widen a range to ``span``, with the same centre."""
+    return (low + high - span) / 2, (low + high + span) / 2
+
+
+def _list_ticks(axis: Axis, low: float, high: float) -> list[float]:
+    """List the values of the ticks between the ends of an axis, ascending."""
+    if axis.logarithmic:
+        return round_log_ticks(low, high)
+    return round_ticks(low, high, 6, degrees=axis.unit in ("°", "deg"))
+
+
+_MAX_FINE_DECADES = 3.0
+"""Largest range of a logarithmic axis [decades] with ticks at 1, 2 and 5 times each power of 10. A
+larger range has a tick per power. Chosen, not tuned.
+"""
+
+
+def round_log_ticks(low: float, high: float) -> list[float]:
+    """Choose round tick values of a logarithmic axis from ``low`` to ``high``, ascending."""
+    start, end = math.floor(math.log10(low)), math.ceil(math.log10(high))
+    digits = (1, 2, 5) if math.log10(high / low) <= _MAX_FINE_DECADES else (1,)
+    values = (float(f"{digit}e{power}") for power in range(start, end + 1) for digit in digits)
+    return [value for value in values if low <= value <= high]
 
 
 _X_MARGIN = 0.03
@@ -239,10 +319,17 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
-            f"s{index % NUM_SERIES_STYLES}",
+            _select_legend_class(one, f"s{index % NUM_SERIES_STYLES}"),
         )
         for index, one in enumerate(series)
     )
+
+
+def _select_legend_class(series: Series, style: str) -> str:
+    """Return the class of a legend entry: an area, a point without a line, or a line."""
+    if series.shaded:
+        return AREA_CLASS
+    return f"dot {style}" if series.points and np.size(series.x) == 1 else style
 
 
 def _count_characters(words: Words) -> int:
@@ -323,6 +410,8 @@ def draw_series(places: Array, labels: Sequence[str], series: Series, index: int
         index: Index of the series, which selects the style.
     """
     rounded = np.round(places, 1).tolist()
+    if series.shaded:
+        return [{"tag": "polygon", "class": AREA_CLASS, "points": rounded}]
     style = f"s{index % NUM_SERIES_STYLES}"
     marks: list[Mark] = [
         {
@@ -334,7 +423,7 @@ def draw_series(places: Array, labels: Sequence[str], series: Series, index: int
         }
     ]
     marks += [
-        {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy,
+        {"tag": "dot", "class": f"dot {style}", "cx": cx, "cy": cy,
          "r": MARKED_DOT_RADIUS if point == series.marked_index else DOT_RADIUS}
         for point, (cx, cy) in enumerate(rounded if series.points else [])
     ]  # fmt: skip

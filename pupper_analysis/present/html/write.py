@@ -51,7 +51,7 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.present.html.plots import draw_svg
+from pupper_analysis.present.html.plots import DOT_OUTLINES, draw_svg
 from pupper_analysis.present.scene import (
     JointAxis,
     collect_visible_shapes,
@@ -474,6 +474,7 @@ def render_page(shown: Report, language: str = "en") -> str:
             library=library if scenes else None,
             three=_mark_safe(library.script if library else ""),
             meshes=meshes,
+            dot_outlines=DOT_OUTLINES,
             style=_read_part("style.css"),
             script=_read_part("page.js"),
             viewer=_read_part("view.js"),
