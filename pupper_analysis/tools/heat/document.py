@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.motors.assignment import describe_weak_motor
@@ -17,12 +18,13 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes, task_text
+from pupper_analysis.robot.alike import name_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat
 
-_MAX_CURVES = 4
-"""Largest number of motors in the plot of temperatures: the hottest motors, and the motor that the
-report names first. Chosen, not tuned."""
+_MAX_CURVES = 3
+"""Largest number of curves in the plot of temperatures, of the motors that are first to reach their
+limit. With limits and a mark, more curves would have equal styles. Chosen, not tuned."""
 
 
 _LIMIT_TEMPERATURE = "limit_temperature"
@@ -235,8 +237,8 @@ def _drop_nonfinite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
-    """Create the plot of the winding temperatures over time.
+def heat_plots(study: HeatStudy) -> list[doc.Plot]:
+    """Create the plot of the winding temperatures over time, or of the torques of weak motors.
 
     Raises:
         ConfigurationError: If no temperature of a loaded motor is known, for example.
@@ -247,32 +249,166 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
     return plots
 
 
-def _list_plots(study: HeatStudy) -> Iterable[doc.LinePlot]:
-    """Yield the plot of the temperatures of the hottest and limiting motors, if known."""
-    known = [
-        index for index, motor in enumerate(study.motors) if motor.steady_temperature is not None
-    ]
-    if not known or not study.times[-1]:
+def _list_plots(study: HeatStudy) -> Iterable[doc.Plot]:
+    """Yield the plot that supports the verdict: torques if motors are too weak, or temperatures.
+
+    If a motor is too weak, the stance is impossible, and no temperatures are stated. Nothing is
+    yielded if no temperature of a loaded motor is known.
+    """
+    if study.weak:
+        yield _make_torque_plot(study)
         return
-    ends = study.temperatures[-1]
-    hottest = sorted(known, key=lambda index: -float(ends[index]))[:_MAX_CURVES]
-    first = study.motors.index(study.first)
-    if first in known and first not in hottest:
-        hottest[-1] = first
-    hottest.sort(key=lambda index: index != first)
-    minutes = study.times / 60
-    series = [
-        doc.Series(doc.Name(study.motors[index].joint), minutes, study.temperatures[:, index])
-        for index in hottest
+    known = [index for index, motor in enumerate(study.motors) if _has_curve(motor)]
+    if known and study.times[-1]:
+        yield _make_temperature_plot(study, _group_equal_curves(study, known))
+
+
+def _has_curve(motor: MotorHeat) -> bool:
+    """Return True if the temperature of the winding over time is known."""
+    return motor.steady_temperature is not None
+
+
+def _make_torque_plot(study: HeatStudy) -> doc.BarPlot:
+    """Create the bar plot of each motor's torque, in % of its largest torque at rest."""
+    bars = [
+        doc.PlotBar(
+            doc.Name(motor.joint),
+            100 * abs(motor.torque) / motor.largest_torque,
+            limit=100.0,
+        )
+        for motor in study.motors
+        if motor.largest_torque
     ]
-    limits = {study.motors[index].limit_temperature for index in hottest} - {None}
+    return doc.BarPlot(
+        _make_plot_title(study, "heat-torque-plot"),
+        doc.Axis(text("heat-share"), "%", ".0f"),
+        bars,
+        (text("heat-stance-torque"), None, text("heat-largest-torque")),
+    )
+
+
+def _make_plot_title(study: HeatStudy, key: str) -> doc.Text:
+    """Create the title of a plot: quantity, motors, and ambient temperature if known."""
+    motors = dict.fromkeys(motor.motor for motor in study.motors)
+    known = [index for index, motor in enumerate(study.motors) if _has_curve(motor)]
+    ambient = sorted({float(study.temperatures[0, index]) for index in known})
+    ends = dict.fromkeys(f"{temperature:.3g}" for temperature in ambient[:1] + ambient[-1:])
+    return text(key, motors=join_words(map(doc.Name, motors)), ambient=", ".join(ends))
+
+
+def _group_equal_curves(study: HeatStudy, known: list[int]) -> list[list[int]]:
+    """Group motors with equal temperature curves and limits; the most critical group first.
+
+    Curves are equal if their temperatures differ by at most `_EQUAL_TEMPERATURES`. ``known`` are
+    the indices of the motors with a curve.
+    """
+
+    def rank(index: int) -> tuple[bool, float, float]:
+        """Return a sort key: the first motor of the study, the time to the limit, the end."""
+        time = study.motors[index].time_to_limit
+        end = float(study.temperatures[-1, index])
+        first = study.motors[index] is study.first
+        return not first, math.inf if time is None else time, -end
+
+    groups: list[list[int]] = []
+    for index in sorted(known, key=rank):
+        curve, limit = study.temperatures[:, index], study.motors[index].limit_temperature
+        for group in groups:
+            if limit == study.motors[group[0]].limit_temperature and np.allclose(
+                curve, study.temperatures[:, group[0]], rtol=0.0, atol=_EQUAL_TEMPERATURES
+            ):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    return groups
+
+
+def _make_temperature_plot(study: HeatStudy, groups: list[list[int]]) -> doc.LinePlot:
+    """Create the plot of the temperatures of the most critical groups of motors, with limits.
+
+    The curves end at `_MAX_RISE_RATIO` times the limit, as temperature rise. The first time to a
+    limit is marked.
+    """
+    minutes, drawn = study.times / 60, groups[:_MAX_CURVES]
+    series = [
+        doc.Series(
+            doc.Name(name_joints([study.motors[index].joint for index in sorted(group)])),
+            *_cut_curve(minutes, study.temperatures[:, group[0]], study.motors[group[0]]),
+            note=_describe_end(study.motors[group[0]]),
+        )
+        for group in drawn
+    ]
+    first = study.first
+    limits = {study.motors[group[0]].limit_temperature for group in drawn} - {None}
     series += [
-        doc.Series(text("heat-limit"), minutes, np.full(len(minutes), limit), reference=True)
+        doc.Series(
+            text("heat-limit"),
+            minutes[[0, -1]],
+            np.full(2, limit),
+            reference=True,
+            note=doc.Name(f"{limit:.3g} °C"),
+        )
         for limit in sorted(limit for limit in limits if limit is not None)
     ]
-    yield doc.LinePlot(
-        text("heat-plot"),
+    time, limit = first.time_to_limit, first.limit_temperature
+    if time is not None and limit is not None and 0 < time <= study.times[-1]:
+        name = text("heat-first-at-limit", time=_format_duration(time))
+        series.append(doc.Series(name, [time / 60], [limit], points=True, marked_index=0))
+    return doc.LinePlot(
+        _make_plot_title(study, "heat-plot"),
         doc.Axis(text("heat-time"), "min", ".3g"),
         doc.Axis(text("heat-temperature"), "°C", ".3g"),
         series,
+        _describe_omitted_curves(study, groups),
     )
+
+
+def _describe_end(motor: MotorHeat) -> doc.Words | None:
+    """Return the final temperature or the time to the limit of a motor, for the legend."""
+    time, final = motor.time_to_limit, motor.steady_temperature
+    if time is not None and math.isfinite(time):
+        return text("heat-curve-reaches", time=_format_duration(time))
+    if final is not None and math.isfinite(final):
+        return text("heat-curve-settles", final=f"{final:.3g}")
+    return text("heat-curve-rises")
+
+
+def _describe_omitted_curves(study: HeatStudy, groups: list[list[int]]) -> doc.Words | None:
+    """Return a remark on motors without a curve: unknown temperature, or less critical motors."""
+    unknown = [motor.joint for motor in study.motors if motor.torque and not _has_curve(motor)]
+    unknown += study.omitted
+    cooler = sum(map(len, groups[_MAX_CURVES:]))
+    if not unknown and not cooler:
+        return None
+    shown = join_words([doc.Name(joint) for joint in unknown[:_MAX_NAMED_JOINTS]])
+    return text(
+        "heat-not-drawn",
+        cooler=cooler or "",
+        both=bool(cooler and unknown),
+        unknown=shown if unknown else "",
+        more=len(unknown) - _MAX_NAMED_JOINTS if len(unknown) > _MAX_NAMED_JOINTS else "",
+    )
+
+
+def _cut_curve(minutes: Array, temperatures: Array, motor: MotorHeat) -> tuple[Array, Array]:
+    """Return the part of a rising curve, shape (n,), up to `_MAX_RISE_RATIO` times the limit."""
+    limit, ambient = motor.limit_temperature, float(temperatures[0])
+    end = math.inf if limit is None else ambient + _MAX_RISE_RATIO * (limit - ambient)
+    if limit is None or limit <= ambient or temperatures[-1] <= end:
+        return minutes, temperatures
+    inside = temperatures < end
+    crossing = float(np.interp(end, temperatures, minutes))
+    return np.append(minutes[inside], crossing), np.append(temperatures[inside], end)
+
+
+_MAX_RISE_RATIO = 1.3
+"""Largest temperature rise over the ambient air that is drawn, divided by the rise at the limit
+[1]. Chosen, not tuned."""
+
+_EQUAL_TEMPERATURES = 0.5
+"""Largest difference of two temperature curves that are drawn as one [K]. Below the accuracy of the
+thermal model, and hardly visible. Chosen, not tuned."""
+
+_MAX_NAMED_JOINTS = 4
+"""Largest number of joints that the remark on motors without a curve names. Chosen, not tuned."""

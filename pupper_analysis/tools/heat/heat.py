@@ -34,6 +34,11 @@ from pupper_analysis.stance.task import StandTask
 _NUM_TIMES = 121
 """Number of times of the curves of temperature. Chosen, not tuned."""
 
+_OVERHEATING_DURATION = 2.0
+"""Duration of the curves, divided by the time in which the first motor reaches its temperature
+limit [1]. The prediction is of no use after the first motor has failed. Chosen, not tuned.
+"""
+
 _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
@@ -373,11 +378,16 @@ def _compute_cold_loss(
 def _choose_times(
     heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
 ) -> Array:
-    """Return the times of the temperature curves [s], shape (n,), from 0 to the longest end time.
+    """Return the times of the temperature curves [s], shape (n,), from 0 to an end time.
 
-    The end time of a motor is, for example, the time until it reaches the temperature limit.
+    If a motor reaches its temperature limit, the end time is `_OVERHEATING_DURATION` times the
+    first such time. Otherwise, it is the longest time in which a winding settles.
     """
     longest = 0.0
+    hot = [heat.time_to_limit for heat in heats if heat.time_to_limit is not None]
+    first = min(hot, default=math.inf)
+    if 0 < first < math.inf:
+        return np.linspace(0.0, min(_OVERHEATING_DURATION * first, _MAX_DURATION), _NUM_TIMES)
     for heat, motor in zip(heats, motors, strict=True):
         if heat.steady_temperature is None or not heat.current:
             continue

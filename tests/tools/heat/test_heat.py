@@ -18,10 +18,10 @@ from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
-from pupper_analysis.present.document import Table, get_english
+from pupper_analysis.present.document import BarPlot, LinePlot, Table, get_english
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.gains.gains import study_gains
-from pupper_analysis.tools.heat.document import heat_document
+from pupper_analysis.tools.heat.document import heat_document, heat_plots
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support import arm
 from tests.support.commands import answer, run_command
@@ -327,6 +327,78 @@ def test_motor_that_overheats_at_an_unknown_time_precedes_cool_motors() -> None:
     assert study.first is hot
     rated = replace(unknown, joint="rated", torque=2.0, continuous_torque=1.5)
     assert replace(study, motors=(cool, unknown, rated)).first is rated
+
+
+def make_heat(joint: str, **changes: object) -> MotorHeat:
+    """Return a motor whose winding settles at 40 degC, with other values if given."""
+    values: dict[str, object] = {
+        "joint": joint, "motor": "a", "torque": 1.0, "current": 1.0, "cold_loss": 1.0,
+        "steady_loss": 1.0, "steady_temperature": 40.0, "limit_temperature": 80.0,
+        "time_to_limit": math.inf, "continuous_torque": 2.0, "largest_torque": 3.0,
+        "limiting_number": "", "unknown": (), **changes,
+    }  # fmt: skip
+    return MotorHeat(**values)  # type: ignore[arg-type]
+
+
+def make_rising_study(
+    motors: list[MotorHeat], final: list[float], minutes: float = 60.0
+) -> HeatStudy:
+    """Return a study whose temperatures rise linearly from 20 degC to ``final``."""
+    times = np.linspace(0.0, 60.0 * minutes, 121)
+    return HeatStudy(
+        name="robot", stand=stand_of("v3"), motors=tuple(motors), omitted=(), loss=None,
+        supply_voltage=None, battery_current=None, battery_energy=None, battery_time=None,
+        times=times, temperatures=20 + np.outer(times / times[-1], np.array(final) - 20),
+    )  # fmt: skip
+
+
+def test_figure_of_weak_motors_shows_torques_instead_of_temperatures() -> None:
+    """Temperatures of the other motors looked cool, and the motors that failed were missing."""
+    weak = make_heat("calf", torque=-6.0, steady_temperature=None, time_to_limit=None)
+    (plot,) = heat_plots(make_rising_study([make_heat("hip"), weak], [40.0, math.nan]))
+    assert isinstance(plot, BarPlot)
+    shares = {get_english(bar.name): (bar.value, bar.limit) for bar in plot.bars}
+    assert shares == {"hip": pytest.approx((100 / 3, 100.0)), "calf": (200.0, 100.0)}
+
+
+def test_curves_end_above_the_limit_and_the_first_time_is_marked() -> None:
+    """Reference: the line from 20 degC at 0 to 620 degC at 60 min reaches 80 degC at 6 min."""
+    hot = make_heat("knee", time_to_limit=360.0, steady_temperature=math.inf)
+    (plot,) = heat_plots(make_rising_study([hot, make_heat("hip")], [620.0, 40.0]))
+    assert isinstance(plot, LinePlot)
+    knee, hip, limit, mark = plot.series
+    assert np.max(knee.y) == pytest.approx(20 + 1.3 * (80 - 20))
+    assert knee.x[-1] == pytest.approx(60 * 78 / 600)  # type: ignore[index]
+    assert (np.max(hip.y), np.max(hip.x)) == (40.0, 60.0)
+    assert set(limit.y) == {80.0}  # type: ignore[arg-type]
+    assert (mark.x, mark.y, mark.points) == ([6.0], [80.0], True)
+    assert "6 min" in get_english(mark.name)
+
+
+def test_equal_curves_are_one_line_and_omitted_motors_are_stated() -> None:
+    joints = [f"leg_{side}_{number}" for number in (1, 2, 3, 4) for side in "lr"]
+    motors = [make_heat(joint) for joint in joints]
+    unknown = make_heat("tail", steady_temperature=None, time_to_limit=None, motor="b")
+    final = [*np.repeat([30.0, 32.0, 34.0, 36.0], 2), math.nan]
+    (plot,) = heat_plots(make_rising_study([*motors, unknown], final))
+    assert isinstance(plot, LinePlot)
+    names = [get_english(series.name) for series in plot.series]
+    assert names == ["leg_*_1", "leg_*_4", "leg_*_3", "limit"]  # the first motor, then the hottest
+    assert plot.note is not None
+    note = get_english(plot.note)
+    assert note == "not drawn: 2 cooler motors; tail, temperature unknown"
+    title = get_english(plot.title)
+    assert title == "Temperature of the windings, a, b, air at 20 °C"
+
+
+@pytest.mark.slow
+def test_curves_last_twice_the_time_to_the_first_limit() -> None:
+    """Curves of motors that run away reached 18 000 degC, beyond which no limit is visible."""
+    robot, motor = load("v3"), find_motor("dephy-actpack")
+    study = study_heat(robot, stand_of("v3"), motors_of(motor), limit=30.0)
+    assert study.times[-1] == pytest.approx(2 * study.first.time_to_limit)
+    at_limit = np.interp(study.first.time_to_limit, study.times, study.temperatures.max(axis=1))
+    assert at_limit == pytest.approx(30.0, abs=0.1)
 
 
 @pytest.mark.slow
