@@ -688,11 +688,18 @@ def _refuse_replaced_stiffness(robot: Robot, named: Collection[str]) -> None:
 
 
 def draw_requested_stand(
-    robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation,
+    path: Path | None,
+    subject: str | None = None,
 ) -> None:
-    """Draw a stand to the file of ``--figure``, and print the path; without a path, do nothing."""
-    if path is not None:
-        from pupper_analysis.present.figures.pose import write_pose_figure
+    """Draw a stand to the file of ``--figure``, and print the path; without a path, do nothing.
 
-        write_pose_figure(robot, stand, statics, path)
+    ``subject`` replaces the part of the title after the name of the robot.
+    """
+    if path is not None:
+        from pupper_analysis.present.figures.pose import DEFAULT_SUBJECT, write_pose_figure
+
+        write_pose_figure(robot, stand, statics, path, subject=subject or DEFAULT_SUBJECT)
         shared.confirm_written(path)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import shapely
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, FancyArrowPatch
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
@@ -137,7 +138,74 @@ def test_base_without_visual_shapes_is_drawn_by_its_collision_shapes(tmp_path: P
     assert {"base (collision shapes)", "other link"} <= set(labels)
 
 
+def test_silhouettes_include_links_outside_of_base_and_legs(tmp_path: Path) -> None:
+    """Reference: radius of the sphere on the last link of the arm, in the MJCF [m]."""
+    robot = pa.load_robot(*with_arm(quadruped(tmp_path)))
+    skeleton = compute_skeleton(robot, pa.solve_stand(robot).qpos)
+    (hand,) = skeleton.others
+    for projection in (FROM_ABOVE, np.eye(3)[[0, 2]]):
+        outline = hand.silhouette(lambda points, projection=projection: points @ projection.T)
+        assert outline.area == pytest.approx(math.pi * 0.025**2, rel=0.03)
+    for own in hand.points:
+        assert (skeleton.points() == own).all(axis=1).any()
+
+
+def test_forward_direction_is_the_heading_of_the_base() -> None:
+    """Reference: cosine and sine of the yaw of the task [rad]."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=0.3, pitch=0.1))
+    forward = compute_skeleton(robot, stand.qpos).forward
+    np.testing.assert_allclose(forward, (math.cos(0.3), math.sin(0.3), 0), atol=1e-6)
+
+
 # ------------------------------------------------------------------------------------- figures
+
+
+def test_each_view_of_a_pose_has_scale_bar_front_and_names_of_feet() -> None:
+    """The bars are as long as their labels state [mm], in the units of the view [m]."""
+    robot, stand = load("v3"), stand_of("v3")
+    figure = make_pose_figure(robot, stand, pa.stance.stand_statics(robot, stand))
+    figure.draw_without_rendering()
+    assert len(figure.axes) == 2
+    for axes, direction in zip(figure.axes, ((1, -1), (0, 1)), strict=True):
+        (bar,) = (part for part in axes.artists if isinstance(part, AnchoredSizeBar))
+        (line,) = bar.size_bar.get_children()
+        assert bar.txt_label.get_text() == f"{1e3 * line.get_width():g} mm"
+        texts = {text.get_text(): text.get_window_extent() for text in axes.texts}
+        assert {"front", "FL", "FR", "RL", "RR"} <= set(texts)
+        boxes = [box for name, box in texts.items() if name]
+        for box in boxes:
+            assert figure.bbox.x0 < box.x0 < box.x1 < figure.bbox.x1
+            assert sum(box.overlaps(other) for other in boxes) == 1  # itself
+        # +x points to the lower right in the oblique view, and upwards from above.
+        (arrow,) = (part for part in axes.patches if isinstance(part, FancyArrowPatch))
+        tail, tip = np.array(arrow._posA_posB)  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(np.sign(np.round(tip - tail, 6)), direction)
+
+
+def test_title_of_a_pose_states_what_was_computed() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    statics = pa.stance.stand_statics(robot, stand)
+    title = make_pose_figure(robot, stand, statics).get_suptitle()
+    assert title == "v3: stance and static contact forces"
+    title = make_pose_figure(robot, stand, statics, subject="best stance").get_suptitle()
+    assert title == "v3: best stance"
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["FL_foot", "FR_foot"], ["FL", "FR"]),
+        (["left_ankle_roll_link", "right_ankle_roll_link"], ["left", "right"]),
+        (["foot", "foot_left"], ["foot", "foot_left"]),
+        (["a_x", "x_a"], ["a_x", "x_a"]),
+        (["foot"], ["foot"]),
+    ],
+)
+def test_short_names_omit_common_parts_if_they_remain_distinct(
+    names: list[str], short: list[str]
+) -> None:
+    assert drawing.shorten_names(names) == short
 
 
 def test_pose_figure_of_a_welded_base_with_all_feet_lifted_has_no_arrow() -> None:
@@ -179,9 +247,10 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
         assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
         assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
         assert sum(box.overlaps(other) for other in boxes) == 1  # itself
-    for axes in figure.axes:
+    # The forces are vertical: from above, their arrows have no length.
+    for axes, count in zip(figure.axes, (3, 0), strict=True):
         arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
-        assert len(arrows) == 3
+        assert len(arrows) == count
 
 
 FORMULA = "a$b_c$ $\\frac$ ^"
@@ -289,7 +358,11 @@ def test_long_caption_of_a_pose_does_not_cover_the_panels() -> None:
     figure = make_pose_figure(robot, replace(stand, task=task), statics)
     figure.draw_without_rendering()
     caption = figure.texts[-1].get_window_extent()
-    assert figure.texts[-1].get_text().count("\n") >= 2
+    rows = figure.texts[-1].get_text().split("\n")
+    assert len(rows) >= 3
+    for row in rows:  # no pair of coordinates is divided
+        assert row.count("(") == row.count(")")
+    assert all(row[-1] in ",;" for row in rows[:-1])
     assert caption.x1 < figure.bbox.x1
     for axes in figure.axes:
         title = axes._left_title  # type: ignore[attr-defined]

@@ -6,10 +6,12 @@ above.
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -17,8 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.patches import FancyArrowPatch, Patch, PathPatch, Polygon
 from matplotlib.path import Path as Path2D
+from matplotlib.patheffects import withStroke
+from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
 from pupper_analysis.base.array_types import Array, IntArray
@@ -36,7 +40,7 @@ from pupper_analysis.robot.robot import Robot
 if TYPE_CHECKING:
     from pupper_analysis.stance.stand import Stand
     from pupper_analysis.statics.equilibrium import GravityCompensation
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -50,10 +54,10 @@ _FINEST_CELLS, _COARSEST_CELLS = 64, 16
 are merged: number in the first grid, and lower bound in further grids. Each further grid has 3/4
 of the cells per side. Chosen, not tuned.
 """
-_MAX_BASE_FACES = 2500
-"""Number of triangles of the base's meshes above which the vertices are merged in a coarser grid,
-as far as `_COARSEST_CELLS` permits. Chosen, not tuned: it bounds the computing time of the
-silhouettes.
+_MAX_BASE_FACES, _MAX_LINK_FACES = 2500, 600
+"""Numbers of triangles of the base's meshes, and of another link's meshes, above which the vertices
+are merged in a coarser grid, as far as `_COARSEST_CELLS` permits. Chosen, not tuned: they bound the
+computing time of the silhouettes.
 """
 _MIN_DETAIL = 1 / 80
 """Largest width of the gaps and needles that a silhouette of meshes omits, divided by the longer
@@ -80,8 +84,8 @@ _CIRCLE_POINTS = np.array([(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 
 
 
 @dataclass(frozen=True, eq=False)
-class BasePart:
-    """Convex shape of the base, or all meshes of the base, in the world frame.
+class BodyPart:
+    """Convex shape of a link, or all meshes of a link, in the world frame.
 
     Attributes:
         points: Points, shape (n, 3) [m]: vertices of the meshes, or points on the surface of the
@@ -94,7 +98,7 @@ class BasePart:
     faces: IntArray | None
 
     def silhouette(self, project: Callable[[Array], Array]) -> shapely.Geometry:
-        """Compute the outline of this part of the base in a parallel projection, as polygons.
+        """Compute the outline of this part in a parallel projection, as polygons.
 
         Args:
             project: Function that projects points, shape (n, 3) [m], from the world into the image,
@@ -127,23 +131,29 @@ class Skeleton:
             frame: from a joint, or the base frame, to the next joint, or to the frame of the last
             body.
         base: Geoms of the base, and of the bodies without joints on the base.
+        others: Visible geoms of the bodies that are neither part of the base nor between the base
+            and a foot, such as torso, head and arms of a humanoid.
+        forward: Horizontal direction of the base's x axis, shape (3,), in the world frame. Zeros if
+            the axis is within 30 degrees of the vertical.
         has_visuals: True if ``base`` contains visual geoms (groups 0 to 2). False: the base has no
             such geoms, and ``base`` contains its other geoms.
     """
 
     legs: dict[str, Array]
     links: tuple[Array, ...]
-    base: tuple[BasePart, ...]
+    base: tuple[BodyPart, ...]
+    others: tuple[BodyPart, ...]
+    forward: Array
     has_visuals: bool
 
     def points(self) -> Array:
-        """Return all points of base and limbs, shape (n, 3) [m], expressed in the world frame."""
-        base = (part.points for part in self.base)
-        return np.concatenate([*base, *self.legs.values(), *self.links])
+        """Return all points of parts and limbs, shape (n, 3) [m], expressed in the world frame."""
+        parts = (part.points for part in (*self.base, *self.others))
+        return np.concatenate([*parts, *self.legs.values(), *self.links])
 
 
 def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
-    """Compute the lines of the limbs and the shapes of the base that a figure of a robot draws.
+    """Compute the lines and shapes that a figure of a robot draws: limbs, base, and other links.
 
     ``qpos`` has the shape (nq,), with the joints in actuator order.
     """
@@ -161,21 +171,58 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     on_base = model.body_weldid[model.geom_bodyid] == model.body_weldid[base]
     own = [geom for geom in range(model.ngeom) if on_base[geom] and model.geom_bodyid[geom] > 0]
     visible = [geom for geom in own if model.geom_group[geom] < NUM_VISIBLE_GROUPS]
-    shapes = [(geom, read_shape(model, geom, data)) for geom in visible or own]
+    of_legs = {int(model.body_weldid[body]) for body in leg_bodies}
+    links: dict[int, list[int]] = {}  # {rigid body outside of base and legs: geoms}
+    for geom in list_visible_geoms(robot):
+        link = int(model.body_weldid[model.geom_bodyid[geom]])
+        if not on_base[geom] and link not in of_legs:
+            links.setdefault(link, []).append(geom)
+    others = [_read_parts(model, data, geoms, _MAX_LINK_FACES) for geoms in links.values()]
+    lines = [
+        line
+        for body, line in _list_links(robot, qpos)
+        if int(model.body_weldid[body]) not in of_legs
+    ]
+    return Skeleton(
+        legs,
+        tuple(lines),
+        tuple(_read_parts(model, data, visible or own, _MAX_BASE_FACES)),
+        tuple(itertools.chain.from_iterable(others)),
+        _find_forward_direction(data.xmat[base].reshape(3, 3)),
+        bool(visible),
+    )
+
+
+def _find_forward_direction(rotation: Array) -> Array:
+    """Return the horizontal direction of a frame's x axis; zeros if the axis is almost vertical."""
+    x, y, _ = rotation[:, 0]
+    length = math.hypot(x, y)
+    return np.array([x, y, 0.0]) / length if length > _MIN_HORIZONTAL_PART else np.zeros(3)
+
+
+_MIN_HORIZONTAL_PART = 0.5
+"""Smallest horizontal component of the base's x axis [1] for which the front is marked. Chosen, not
+tuned."""
+
+
+def _read_parts(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], max_faces: int
+) -> list[BodyPart]:
+    """Return the shapes of geoms in the world frame: one part for all meshes, then convex shapes.
+
+    The meshes are simplified to about ``max_faces`` triangles. Shapes without a finite surface are
+    omitted.
+    """
+    shapes = [(geom, read_shape(model, geom, data)) for geom in geoms]
     meshes = [
-        Mesh(mesh.vertices @ shape.pose.rotation.T + shape.pose.position, mesh.faces)
+        Mesh(shape.pose.point(mesh.vertices), mesh.faces)
         for geom, shape in shapes
         if shape.kind == "mesh"
         for mesh in [get_mesh(model, int(model.geom_dataid[geom]))]
     ]
     convex = [_sample_surface(shape) for _, shape in shapes if shape.kind != "mesh"]
-    base_parts = [BasePart(points, None) for points in convex if points is not None]
-    if meshes:
-        base_parts.insert(0, _merge_meshes(meshes))
-    of_legs = {int(model.body_weldid[body]) for body in leg_bodies}
-    limbs = _list_links(robot, qpos)
-    links = [line for body, line in limbs if int(model.body_weldid[body]) not in of_legs]
-    return Skeleton(legs, tuple(links), tuple(base_parts), bool(visible))
+    parts = [BodyPart(points, None) for points in convex if points is not None]
+    return [_merge_meshes(meshes, max_faces), *parts] if meshes else parts
 
 
 def list_visible_geoms(robot: Robot) -> list[int]:
@@ -193,11 +240,11 @@ def list_visible_geoms(robot: Robot) -> list[int]:
     ]
 
 
-def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
-    """Merge the meshes of the base to one part, simplified to about `_MAX_BASE_FACES` triangles."""
+def _merge_meshes(meshes: Sequence[Mesh], max_faces: int) -> BodyPart:
+    """Merge meshes to one part, simplified to about ``max_faces`` triangles."""
     sizes = [float(np.ptp(mesh.vertices, axis=0).max()) for mesh in meshes]
     longest, cells = max(sizes), _FINEST_CELLS
-    while sum(len(mesh.faces) for mesh in meshes) > _MAX_BASE_FACES and cells >= _COARSEST_CELLS:
+    while sum(len(mesh.faces) for mesh in meshes) > max_faces and cells >= _COARSEST_CELLS:
         meshes = [
             coarsen_mesh(mesh, max(round(cells * size / longest), 1)) if len(mesh.faces) else mesh
             for mesh, size in zip(meshes, sizes, strict=True)
@@ -205,7 +252,7 @@ def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
         cells = round(0.75 * cells)
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
-    return BasePart(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+    return BodyPart(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def _sample_surface(shape: Shape) -> Array | None:
@@ -246,6 +293,9 @@ def _make_projection(elevation: float, azimuth: float) -> Array:
     )
 
 
+DEFAULT_SUBJECT = "stance and static contact forces"
+"""Part of the title of a pose figure after the name of the robot, unless a caller specifies it."""
+
 _PROJECTIONS = (
     (_make_projection(16, -33), "from the front"),
     (_make_projection(90, 180), "from above"),
@@ -266,6 +316,8 @@ _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 limbs are light."""
 _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
 """Colours of the base: faces, and edges with the polygon of the hips."""
+_LINK_FILL_COLOUR, _LINK_EDGE_COLOUR = "#D5D9E0", "#4B5563"
+"""Colours of the faces and edges of links that are part of neither base nor legs."""
 _SUPPORT_COLOUR = "#CFE8F7"
 """Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
@@ -285,23 +337,41 @@ _COM_PROJECTION_STYLE: dict[str, Any] = {
 
 
 def write_pose_figure(
-    robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation,
+    path: str | Path,
+    *,
+    subject: str = DEFAULT_SUBJECT,
 ) -> None:
-    """Draw legs, base, contact forces, centre of mass and support polygon of a stand as PNG.
+    """Draw links, contact forces, centre of mass and support polygon of a stand as PNG.
 
-    The left panel is an oblique view, the right panel a view from above.
+    The left panel is an oblique view, the right panel a view from above. ``subject`` is the part of
+    the title after the name of the robot.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
         OutputError: If the file cannot be written, or is an existing file of another kind.
     """
-    drawing.save_figure(make_pose_figure(robot, stand, statics), path)
+    drawing.save_figure(make_pose_figure(robot, stand, statics, subject=subject), path)
 
 
-def _make_title(robot: Robot, stand: Stand) -> str:
-    """Return the title of the figure: robot, and the clearances and margins that are violated."""
+def _make_title(robot: Robot, stand: Stand, subject: str) -> str:
+    """Return the title of the figure: robot, subject, and violated clearances and margins."""
     violations = "; ".join(map(str, stand.blocked))
-    return f"{robot.name}: stance{violations and f', {violations}'}"
+    return f"{robot.name}: {subject}{violations and f'; {violations}'}"
+
+
+def _wrap_caption(caption: str) -> list[str]:
+    """Divide a caption into rows after commas and semicolons, except inside parentheses."""
+    kept = re.sub(r"(?<![,;]) |(?<=,) (?=[^()]*\))", "\N{NO-BREAK SPACE}", caption)
+    return textwrap.wrap(
+        kept,
+        _CAPTION_LETTERS,
+        max_lines=_MAX_CAPTION_ROWS,
+        placeholder=" ...",
+        break_on_hyphens=False,
+    )
 
 
 def make_pose_figure(
@@ -309,20 +379,23 @@ def make_pose_figure(
     stand: Stand,
     statics: GravityCompensation,
     create: Callable[..., Figure] = Figure,
+    *,
+    subject: str = DEFAULT_SUBJECT,
 ) -> Figure:
     """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
-    ``create`` returns an empty figure, as ``pyplot.figure`` does.
+    ``subject`` is the part of the title after the name of the robot. ``create`` returns an empty
+    figure, as ``pyplot.figure`` does.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    title = textwrap.wrap(_make_title(robot, stand), _TITLE_LETTERS)
+    title = textwrap.wrap(_make_title(robot, stand, subject), _TITLE_LETTERS)
     height = 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure("\n".join(title), height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    rows = textwrap.wrap(text, _CAPTION_LETTERS, max_lines=_MAX_CAPTION_ROWS, placeholder=" ...")
+    rows = _wrap_caption(text)
     top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
     caption = figure.text(0.012, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
                           parse_math=False)  # fmt: skip
@@ -331,20 +404,18 @@ def make_pose_figure(
         axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, bottom - 0.18))
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
+        _mark_front(axes, projection, lines.forward)
+        _write_feet(axes, projection, lines, robot.feet)
         forces = f", forces up to {_find_largest_force(seen):.3g} N" if seen.contacts else ""
         largest = forces if place < 0.5 else ""
         drawing.title_panel(axes, f"{side}{largest}")
         axes.set_axis_off()
-    _draw_scale(axes, seen)
+        _draw_scale(axes, seen)
     base_label = "base" if lines.has_visuals else "base (collision shapes)"
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
-        *(
-            [Line2D([], [], color=_FAR_COLOUR, lw=2, **{**leg, "ms": 3}, label="other link")]
-            if lines.links
-            else []
-        ),
+        *_make_link_handles(lines, {**leg, "ms": 3}),
         Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label=base_label),
@@ -368,6 +439,15 @@ def make_pose_figure(
     ]
     drawing.add_legend(figure, handles)
     return figure
+
+
+def _make_link_handles(lines: Skeleton, joint: Mapping[str, Any]) -> list[Line2D | Patch]:
+    """Create the legend entry of links outside of base and legs: silhouette, or line; or none."""
+    if lines.others:
+        return [Patch(facecolor=_LINK_FILL_COLOUR, edgecolor=_LINK_EDGE_COLOUR, label="other link")]
+    if lines.links:
+        return [Line2D([], [], color=_FAR_COLOUR, lw=2, **joint, label="other link")]
+    return []
 
 
 def make_skeleton_figure(
@@ -458,16 +538,13 @@ def _draw_stand(
         """Draw a polyline through ``points``, shape (n, 3) [m], in the projection."""
         axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
 
-    for part in lines.base:
-        draw_silhouette(
-            axes,
-            part.silhouette(lambda points: points @ projection.T),
-            fc=_BASE_FILL_COLOUR,
-            ec=_BASE_EDGE_COLOUR,
-            alpha=0.4,
-            lw=0.8,
-            zorder=3,
-        )
+    for parts, fill, edge, order in (
+        (lines.others, _LINK_FILL_COLOUR, _LINK_EDGE_COLOUR, 2.5),
+        (lines.base, _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR, 3),
+    ):
+        for part in parts:
+            silhouette = part.silhouette(lambda points: points @ projection.T)
+            draw_silhouette(axes, silhouette, fc=fill, ec=edge, alpha=0.4, lw=0.8, zorder=order)
     support: dict[str, Any] = {
         "fc": _SUPPORT_COLOUR,
         "ec": drawing.BLUE_COLOUR,
@@ -506,7 +583,66 @@ def _draw_stand(
     line(seen.com, **_COM_STYLE, zorder=6)
     line(seen.com_projection, **_COM_PROJECTION_STYLE, zorder=6)
     axes.set_aspect("equal")
-    axes.margins(0.06)
+    axes.margins(_SIDE_MARGIN, 0.06)
+
+
+_SIDE_MARGIN = 0.1
+"""Margin on the left and right of a view, relative to the drawn width [1]. Chosen for the names of
+the feet."""
+
+
+def _mark_front(axes: Axes, projection: Array, forward: Array) -> None:
+    """Draw an arrow along the forward direction of the base in the strip below a view.
+
+    ``forward`` is a unit vector, shape (3,), in the world frame, or zero: nothing is drawn then.
+    """
+    direction = projection @ forward
+    length = float(np.hypot(*direction))
+    if not length:
+        return
+    half = _FRONT_ARROW_LENGTH / 2 * direction / length
+    middle = np.array([_FRONT_ARROW_LENGTH / 2, _FRONT_ARROW_LENGTH / 2])
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    corner = ScaledTranslation(_FRONT_ARROW_PLACE, 0, cast(Any, axes.transAxes))
+    ends = [tuple((middle + side * half) / 72) for side in (-1, 1)]
+    axes.add_patch(
+        FancyArrowPatch(
+            *ends, arrowstyle="-|>", mutation_scale=9, lw=1.4, shrinkA=0, shrinkB=0,
+            color=drawing.GREY_COLOUR, transform=figure.dpi_scale_trans + corner,
+        )
+    )  # fmt: skip
+    axes.annotate("front", (_FRONT_ARROW_PLACE, 0), xycoords="axes fraction",
+                  xytext=(_FRONT_ARROW_LENGTH + 4, middle[1]), textcoords="offset points",
+                  ha="left", va="center", size=drawing.FONT_SIZE,
+                  color=drawing.GREY_COLOUR)  # fmt: skip
+
+
+_FRONT_ARROW_LENGTH, _FRONT_ARROW_PLACE = 16.0, 0.68
+"""Length of the arrow that marks the front [pt], and its left end relative to the width of the view
+[1]. Chosen, not tuned."""
+
+
+def _write_feet(
+    axes: Axes, projection: Array, lines: Skeleton, feet: Mapping[str, Sequence[str]]
+) -> None:
+    """Write the name of each foot beside its outermost contact point in the view.
+
+    ``feet`` contains the contact points of each foot. Parts that all names contain are omitted.
+    """
+    tips = {point: projection @ leg[-1] for point, leg in lines.legs.items()}
+    centre = float(np.mean([tip[0] for tip in tips.values()]))
+    shown = {foot: [tips[point] for point in points if point in tips]
+             for foot, points in feet.items()}  # fmt: skip
+    shown = {foot: places for foot, places in shown.items() if places}
+    for name, places in zip(drawing.shorten_names(list(shown)), shown.values(), strict=True):
+        side = 1 if np.mean([place[0] for place in places]) >= centre else -1
+        outermost = places[int(np.argmax([side * place[0] for place in places]))]
+        text = axes.annotate(name, tuple(outermost), xytext=(7 * side, 0),
+                             textcoords="offset points", ha="left" if side > 0 else "right",
+                             va="center", size=drawing.FONT_SIZE - 1, zorder=8,
+                             parse_math=False)  # fmt: skip
+        text.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 
 def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> None:
@@ -538,8 +674,14 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     for contact in seen.contacts:
         tail = contact.point - scale * contact.force
         tip, end = (tuple(projection @ place) for place in (contact.point, tail))
-        axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
+        if math.dist(tip, end) > _MIN_ARROW_RATIO * scale * largest:
+            axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
         axes.plot(*end, alpha=0.0)  # so that there is room for it
+
+
+_MIN_ARROW_RATIO = 0.01
+"""Smallest length in a view of the arrow of a contact force, relative to the length of the longest
+arrow [1]. A shorter arrow is seen from its end, and is not drawn. Chosen, not tuned."""
 
 
 def _find_largest_force(seen: StandingScene) -> float:
@@ -553,7 +695,10 @@ def _measure_support(seen: StandingScene) -> float:
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
-    """Draw a scale bar with a round length, labelled in mm, below the view from above."""
+    """Draw a scale bar with a round length, labelled in mm, below a view.
+
+    The bar is to scale for lengths from left to right in the view.
+    """
     limit = 0.6 * _measure_support(seen) or 0.3 * float(np.ptp(axes.get_xlim()))
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)
     length = max(fitting, default=_SCALE_LENGTHS[0])

@@ -491,7 +491,10 @@ def _draw_lines(canvas: Axes, tile: Tile) -> None:
         seen = tile.pixels(leg).T
         canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
         canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
-    for part in lines.base:
-        silhouette = part.silhouette(tile.pixels)
-        style = {"fc": "#F3C453", "ec": "#7A5300", "alpha": 0.6, "lw": thick / 10, "zorder": 3}
-        draw_silhouette(canvas, silhouette, **style)
+    for parts, face, edge in (
+        (lines.others, "#C5CAD3", "#4B5563"),
+        (lines.base, "#F3C453", "#7A5300"),
+    ):
+        style = {"fc": face, "ec": edge, "alpha": 0.6, "lw": thick / 10, "zorder": 3}
+        for part in parts:
+            draw_silhouette(canvas, part.silhouette(tile.pixels), **style)

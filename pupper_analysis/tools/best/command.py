@@ -57,6 +57,7 @@ def command(
     with shared.show_progress("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, request.place, kp=kp, kd=kd)
     request.show(result, robot)
-    draw_requested_stand(robot, result.stance.stand, result.stance.statics, figure)
+    subject = f"best stance for {objective}, and static contact forces"
+    draw_requested_stand(robot, result.stance.stand, result.stance.statics, figure, subject)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
