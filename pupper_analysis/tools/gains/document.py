@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
@@ -139,7 +140,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         )
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd
-        least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
+        least = _find_least_stiffness(study)
         kp_text, least_text = format_pair(kp, least, ".3g")
         kd_text, most_text = format_pair(kd, kd * (largest or 0.0), ".3g")
         return text(
@@ -155,6 +156,15 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         least=format_number(study.least_kp.factor or 0.0, ".3g"),
         most="" if largest is None else format_number(largest, ".3g"),
     )
+
+
+def _find_least_stiffness(study: GainStudy) -> float:
+    """Return the smallest kp of a study with equal gains [N m/rad, N/m]; 0 without a bound.
+
+    The stand is stable with feed-forward, and a free-base robot also stands without feed-forward.
+    """
+    bound = study.classes[0].reference_kp * (study.least_kp.factor or 0.0)
+    return max(bound, study.least_kp_alone or 0.0)
 
 
 def _format_range(gains: Iterable[float], unit: str) -> str:
@@ -314,43 +324,71 @@ def _name_first_joints(bound: GainBound) -> doc.Words:
 
 
 def gain_plot(study: GainStudy) -> doc.LinePlot:
-    """Create the plot of the largest stable damping over the stiffness, with the reference gains.
+    """Create the plot of stable stiffness and damping, with the reference and recommended gains.
 
     Axes are absolute if all joints have equal gains, otherwise factors on the reference gains.
     """
     first = study.classes[0]
     kp, kd = (first.reference_kp, first.reference_kd) if study.uniform else (1.0, 1.0)
     known = np.isfinite(study.curve_dampings)
-    series = [
-        doc.Series(
-            text("gains-largest-kd"),
-            kp * study.curve_factors[known],
-            kd * study.curve_dampings[known],
-        ),
-        doc.Series(
-            text("gains-reference" if study.by_inertia else "gains-present"),
-            [kp],
-            [kd],
-            points=True,
-            marked_index=0,
-        ),
+    stiffnesses, dampings = kp * study.curve_factors[known], kd * study.curve_dampings[known]
+    points = [
+        (text("gains-reference" if study.by_inertia else "gains-present"), kp, kd),
     ]
     if study.recommended_kp_factor is not None and study.recommended_kd_factor is not None:
         recommended = kp * study.recommended_kp_factor, kd * study.recommended_kd_factor
-        series.append(
-            doc.Series(
-                text("gains-recommended"),
-                [recommended[0]],
-                [recommended[1]],
-                points=True,
-                marked_index=0,
-            )
-        )
+        points.append((text("gains-recommended"), *recommended))
+    values = np.array([point[1:] for point in points])
+    least = _find_least_stiffness(study) if study.uniform else (study.least_kp.factor or 0.0)
+    across = np.concatenate([stiffnesses, values[:, 0], [least] if least else []])
+    up = np.concatenate([dampings, values[:, 1]])
+    bottom, top = float(up.min()) / _BOTTOM_RATIO, float(up.max())
+    series = [
+        doc.Series(text("gains-largest-kd"), stiffnesses, dampings),
+        *(
+            doc.Series(name, [across], [up], points=True, marked_index=0)
+            for name, across, up in points
+        ),
+    ]
     units = (study.units.stiffness, study.units.damping) if study.uniform else ("1", "1")
+    if least:
+        note = doc.Name(
+            f"{format_number(least, '.3g')} {units[0] if study.uniform else ''}".strip()
+        )
+        series.append(doc.Series(text("gains-least-kp"), [least] * 2, [bottom, top], note=note))
+    lower = np.maximum(kd * study.curve_least_dampings[known], bottom)
+    region = _make_stable_region(stiffnesses, lower, dampings, least)
+    if len(region):
+        series.append(doc.Series(text("gains-region"), *region.T, shaded=True))
     return doc.LinePlot(
-        text("gains-plot"),
-        doc.Axis(doc.Name("kp"), units[0], ".3g"),
-        doc.Axis(doc.Name("kd"), units[1], ".3g"),
+        text(
+            "gains-plot",
+            rate=f"{1 / study.period:.4g}",
+            delay=format_number(1e3 * study.delay, ".3g"),
+        ),
+        doc.Axis(doc.Name("kp"), units[0], ".3g", logarithmic=bool((across > 0).all())),
+        doc.Axis(doc.Name("kd"), units[1], ".3g", logarithmic=bool((up > 0).all())),
         series,
-        text("gains-plot-note"),
+        None if study.uniform else text("gains-plot-factors"),
     )
+
+
+def _make_stable_region(stiffnesses: Array, lower: Array, upper: Array, least: float) -> Array:
+    """Return the polygon of stable gains (kp, kd), shape (n, 2); empty if there is none.
+
+    ``lower`` and ``upper`` are the bounds of kd at ascending ``stiffnesses``, shape (m,) each;
+    ``least`` is the smallest kp.
+    """
+    if not len(stiffnesses) or least >= stiffnesses[-1]:
+        return np.empty((0, 2))
+    start = max(least, float(stiffnesses[0]))
+    inside = stiffnesses > start
+    kps = np.append(start, stiffnesses[inside])
+    bounds = [np.interp(kps, stiffnesses, bound) for bound in (lower, upper)]
+    edges = [np.column_stack([kps, bound]) for bound in bounds]
+    return np.concatenate([edges[1], edges[0][::-1]])
+
+
+_BOTTOM_RATIO = 2.0
+"""Smallest damping of the curve and the points, divided by the smallest damping that is drawn [1].
+Down to the latter, the stable region is drawn if no damping is too small. Chosen, not tuned."""

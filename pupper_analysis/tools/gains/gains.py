@@ -222,6 +222,8 @@ class GainStudy(Result):
         curve_factors: Factors on the stiffness of the curve, shape (n,).
         curve_dampings: Largest stable factor on the damping for each of ``curve_factors``, shape
             (n,); infinite without a bound, not a number if no tried damping is stable.
+        curve_least_dampings: Smallest stable factor on the damping for each of ``curve_factors``,
+            shape (n,); 0 without a bound, not a number if no tried damping is stable.
         recommended_kp_factor: Recommended factor on the stiffness; None without a recommendation.
         recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
         missing_masses: Message about links with assumed masses; None if the files state all.
@@ -247,6 +249,7 @@ class GainStudy(Result):
     damping_ratio: float = field(metadata={"unit": "1"})
     curve_factors: Array = field(metadata={"unit": "1"})
     curve_dampings: Array = field(metadata={"unit": "1"})
+    curve_least_dampings: Array = field(metadata={"unit": "1"})
     recommended_kp_factor: float | None = field(metadata={"unit": "1"})
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
     missing_masses: Diagnostic | None = None
@@ -361,7 +364,7 @@ def study_gains(
                 encoder_bits,
             )
         )
-    curve, dampings = _compute_damping_curve(gains, num_parts)
+    curve, dampings, least_dampings = _compute_damping_curves(gains, num_parts)
     return GainStudy(
         name=robot.name,
         stand=settled,
@@ -383,6 +386,7 @@ def study_gains(
         damping_ratio=loop.find_smallest_damping_ratio(*present),
         curve_factors=curve,
         curve_dampings=dampings,
+        curve_least_dampings=least_dampings,
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
@@ -469,19 +473,21 @@ def _evaluate_present_sag(
     return failure, alone
 
 
-def _compute_damping_curve(gains: _Gains, num_parts: int) -> tuple[Array, Array]:
-    """Compute the largest stable factor on kd for each factor on kp of the curve.
+def _compute_damping_curves(gains: _Gains, num_parts: int) -> tuple[Array, Array, Array]:
+    """Compute the bounds of the stable factors on kd for each factor on kp of the curve.
 
     Returns:
-        Factors on kp, and largest factors on kd, which may be infinite or NaN, shape (n,) each.
+        Factors on kp; largest factors on kd, which may be infinite or NaN; smallest factors on kd,
+        which may be 0 or NaN; shape (n,) each.
     """
     powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
     curve: Array = _CURVE_RATIO**powers
-    dampings = []
+    dampings, least_dampings = [], []
     for count, factor in enumerate(curve.tolist()):
         report_progress(_STAGE, num_parts - len(curve) + count, num_parts)
         dampings.append(gains.find_largest_damping(factor))
-    return curve, np.array(dampings)
+        least_dampings.append(gains.find_smallest_damping(factor, dampings[-1]))
+    return curve, np.array(dampings), np.array(least_dampings)
 
 
 def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
@@ -656,6 +662,18 @@ class _Gains:
         """
         kp, _ = self.scale_gains(stiffness, 1.0)
         return find_largest_damping_factor(self.loop, kp, self.kd)
+
+    def find_smallest_damping(self, stiffness: float, largest: float) -> float:
+        """Return the smallest stable factor on kd, below the factor ``largest``.
+
+        ``stiffness`` is the factor on kp, and ``largest`` the result of `find_largest_damping`.
+        0 if no tried factor is unstable; NaN if ``largest`` is NaN.
+        """
+        if math.isnan(largest):
+            return math.nan
+        inside = min(largest, MAX_FACTOR)
+        least = self._find_end(lambda factor: self.scale_gains(stiffness, factor), inside, 0.5)
+        return 0.0 if least is None else least
 
     def recommend_factors(
         self, stiffness: tuple[float | None, float | None], least_alone: float

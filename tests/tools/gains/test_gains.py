@@ -15,11 +15,14 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.units import HINGE_UNITS
 from pupper_analysis.present.document import Number, Table, get_english
+from pupper_analysis.simulation.controlled_stand import ControlledStand
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.gains.document import (
     _format_range,
     _make_bound_table,
     _make_class_table,
+    _make_stable_region,
     gain_plot,
     gains_document,
 )
@@ -138,6 +141,52 @@ def test_recommended_gains_are_stable_with_their_margins() -> None:
     assert kd <= study.classes[0].largest_kd / 2  # type: ignore[operator]
     robot = load("v3-heavy")
     assert pa.verify_stand(robot, pa.solve_stand_as_simulated(robot), kp=kp, kd=kd).passed
+
+
+@pytest.mark.slow
+def test_shaded_region_of_the_plot_is_stable_and_its_outside_is_not() -> None:
+    """Reference: eigenvalues of the controlled stand at other gains, with a delay of 10 ms.
+
+    The delay makes small dampings unstable, so that the region has a lower bound.
+    """
+    robot = load("v3")
+    study = study_gains(robot, pa.StandTask(), kp=5.0, kd=0.1, delay=0.01)
+    plot = gain_plot(study)
+    assert get_english(plot.title) == "Stable gains: explicit PD at 500 Hz, delay 10 ms"
+    assert plot.x.logarithmic
+    assert plot.y.logarithmic
+    series = {get_english(one.name): one for one in plot.series}
+    least = series["least kp"]
+    assert set(least.x) == {study.least_kp_alone}  # type: ignore[arg-type]
+    region = series["stable (linear model)"]
+    assert region.shaded
+    corners = np.column_stack([region.x, region.y])
+    assert corners[:, 0].min() == study.least_kp_alone
+    upper, lower = np.split(corners, 2)
+    lower = lower[::-1]
+    bounded = [index for index, (kp, kd) in enumerate(lower) if kd > lower[:, 1].min()]
+    assert bounded  # at large stiffness
+    kp, kd = lower[bounded[0]]
+    most = upper[bounded[0], 1]
+    loop = ControlledStand(make_stand_start(robot, study.stand, kp=5.0, kd=0.1), None, 0.01)
+    dampings = (0.8 * kd, 1.2 * kd, 0.8 * most, 1.2 * most)
+    stable = [loop.is_stable(np.full(12, kp), np.full(12, damping)) for damping in dampings]
+    assert stable == [False, True, True, False]
+
+
+@pytest.mark.parametrize("least", [0.0, 2.0, 4.0, 9.0])
+def test_stable_region_begins_at_the_least_stiffness(least: float) -> None:
+    """Reference: the line kd = kp from 1 to 8, above a kd of 0.5."""
+    kp = np.array([1.0, 2.0, 4.0, 8.0])
+    region = _make_stable_region(kp, np.full(4, 0.5), kp, least)
+    if least >= 8.0:
+        assert not len(region)
+        return
+    start = max(least, 1.0)
+    assert region[0] == pytest.approx((start, start))
+    assert region[-1] == pytest.approx((start, 0.5))
+    assert region[:, 0].max() == 8.0
+    assert (np.diff(region[: len(region) // 2, 0]) > 0).all()
 
 
 @pytest.mark.slow
@@ -309,7 +358,7 @@ def test_gains_of_slides_have_units_of_their_own(tmp_path: Path) -> None:
         assert (torque is None, encoder is None) == (bounds.are_slides, bounds.are_slides)
         assert torque is None or torque == pytest.approx(60 / 0.2)
     document = printed(gains_document(study))
-    assert "kp 1.5e+03 N m/rad or N/m (at least" in document
+    assert "kp 1500 N m/rad or N/m (at least" in document
     assert "kd 5 N m s/rad or N s/m" in document
     servos = study.servos
     assert (servos.stiffness_unit, servos.damping_unit) == (
