@@ -48,6 +48,18 @@ BLACK_COLOUR = "#000000"
 GREY_COLOUR = "#6B7280"
 """Grey of axes, and of lines without another colour."""
 
+# One colour per concept in all figures.
+FORCE_COLOUR = RED_COLOUR
+"""Colour of contact forces."""
+COM_COLOUR = GREEN_COLOUR
+"""Colour of the centre of mass and its projection."""
+SUPPORT_COLOUR = BLUE_COLOUR
+"""Colour of the edges of the support polygon."""
+FEEDFORWARD_COLOUR = BLUE_COLOUR
+"""Colour of a simulation with feed-forward."""
+COMMANDS_COLOUR = RED_COLOUR
+"""Colour of a simulation with position commands only."""
+
 GRID_COLOUR = "#E3E6EB"
 """Colour of grid lines."""
 SERIES_COLOURS = (

@@ -318,16 +318,16 @@ _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
 """Colours of the base: faces, and edges with the polygon of the hips."""
 _LINK_FILL_COLOUR, _LINK_EDGE_COLOUR = "#D5D9E0", "#4B5563"
 """Colours of the faces and edges of links that are part of neither base nor legs."""
-_SUPPORT_COLOUR = "#CFE8F7"
+_SUPPORT_FILL_COLOUR = "#CFE8F7"
 """Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
 """Options of Matplotlib for a ring without a line."""
-_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.GREEN_COLOUR, "mew": 2.2, "ms": 8}
+_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.COM_COLOUR, "mew": 2.2, "ms": 8}
 """Options of Matplotlib for the mark of the centre of mass."""
 _SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.BLACK_COLOUR, "mew": 1.6}
 """Options of Matplotlib for the mark of a swing foot."""
 _COM_PROJECTION_STYLE: dict[str, Any] = {
-    "color": drawing.GREEN_COLOUR,
+    "color": drawing.COM_COLOUR,
     "marker": "x",
     "ls": "",
     "mew": 2.2,
@@ -422,7 +422,7 @@ def make_pose_figure(
         Line2D(
             [],
             [],
-            color=drawing.RED_COLOUR,
+            color=drawing.FORCE_COLOUR,
             marker=r"$\uparrow$",
             ls="",
             ms=9,
@@ -431,8 +431,8 @@ def make_pose_figure(
         Line2D([], [], **_COM_STYLE, label="CoM"),
         Line2D([], [], **_COM_PROJECTION_STYLE, label="projection of the CoM"),
         Patch(
-            facecolor=_SUPPORT_COLOUR,
-            edgecolor=drawing.BLUE_COLOUR,
+            facecolor=_SUPPORT_FILL_COLOUR,
+            edgecolor=drawing.SUPPORT_COLOUR,
             hatch="//",
             label="support polygon",
         ),
@@ -546,8 +546,8 @@ def _draw_stand(
             silhouette = part.silhouette(lambda points: points @ projection.T)
             draw_silhouette(axes, silhouette, fc=fill, ec=edge, alpha=0.4, lw=0.8, zorder=order)
     support: dict[str, Any] = {
-        "fc": _SUPPORT_COLOUR,
-        "ec": drawing.BLUE_COLOUR,
+        "fc": _SUPPORT_FILL_COLOUR,
+        "ec": drawing.SUPPORT_COLOUR,
         "hatch": "//",
         "zorder": 1,
     }
@@ -575,7 +575,7 @@ def _draw_stand(
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE_COLOUR, lw=2.2, zorder=3)
     line(
         np.array([seen.com, seen.com_projection]),
-        color=drawing.GREEN_COLOUR,
+        color=drawing.COM_COLOUR,
         ls="--",
         lw=1.2,
         zorder=6,
@@ -658,7 +658,7 @@ def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> N
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
-    """Draw contact forces as red arrows that end at the contacts, in a parallel projection.
+    """Draw contact forces as arrows that end at the contacts, in a parallel projection.
 
     The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
@@ -666,7 +666,7 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     scale = _MAX_ARROW_RATIO * _measure_support(seen) / largest if largest else 0.0
     arrow = {
         "arrowstyle": "-|>",
-        "color": drawing.RED_COLOUR,
+        "color": drawing.FORCE_COLOUR,
         "lw": 1.8,
         "shrinkA": 0,
         "shrinkB": 0,

@@ -31,6 +31,7 @@ from pupper_analysis.base.units import (
 )
 from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.present.figures import drawing
+from pupper_analysis.robot.stability import HOLD_DURATION
 
 if TYPE_CHECKING:
     from pupper_analysis.simulation.verify import StandVerification
@@ -46,13 +47,13 @@ deviations have the same colour. Chosen, not tuned.
 """
 
 MIN_SHOWN_LOSS = 0.1
-"""Smallest height loss [mm] at which the vertical axis of the height figure may end, so that
+"""Smallest height loss [mm] at which the vertical axis of the height figure ends, so that
 rounding errors are not enlarged. Chosen, not tuned.
 """
 
 _LOSS_WINDOW = 1.0
 """Length [s] of the interval at the end of a simulation. The legend states the mean difference
-between base height and height of the stand in this interval. Chosen, not tuned.
+between height of the stand and base height in this interval. Chosen, not tuned.
 """
 
 
@@ -117,44 +118,64 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw the base height [mm], relative to the stand, over the simulated time [s] as a PNG file.
+    """Draw the height that the base loses [mm] over the simulated time [s] as a PNG file.
 
-    The legend of a panel states the mean over the last second of each curve.
+    The loss is the height of the stand minus that of the base; it is positive downwards. The legend
+    of a panel states the mean over the last second of each curve.
 
     Raises:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = _make_panels(
-        analyses, "Height of the simulated base, relative to the task", 0.5
+    title = (
+        "Height that the simulated base loses, relative to the task\n"
+        f"numbers: mean of the last {_LOSS_WINDOW:g} s"
     )
+    figure, panels = _make_panels(analyses, title, 0.5)
+    nudges = dict[str, None]()  # as an ordered set
     for analysis, axes in panels:
         task = float(analysis.stand.qpos[2])
+        axes.axhline(0.0, **_TASK_STYLE)
         for run, name, style in (
-            (analysis.verification, "with feed-forward", {"color": drawing.BLUE_COLOUR}),
+            (analysis.verification, "with feed-forward", {"color": drawing.FEEDFORWARD_COLOUR}),
             (
                 analysis.sagging,
                 "position commands only",
-                {"color": drawing.RED_COLOUR, "ls": (0, (6, 2))},
+                {"color": drawing.COMMANDS_COLOUR, "ls": (0, (6, 2))},
             ),
         ):
-            heights = 1e3 * (np.asarray(run.height, float) - task)
-            last = heights[run.time > run.time[-1] - _LOSS_WINDOW].mean()
+            losses = 1e3 * (task - np.asarray(run.height, float))
+            last = losses[run.time > run.time[-1] - _LOSS_WINDOW].mean()
             label = f"{name}: {round(last, 2) + 0.0:.2f} mm{' (FAILS)' if run.failures else ''}"
-            axes.plot(run.time, heights, lw=1.4, label=label, **style)
-            _mark_first_contact(axes, run, heights)
-        axes.axhline(0.0, color=drawing.GREEN_COLOUR, ls=(0, (2, 3)), lw=1.2)
+            axes.plot(run.time, losses, lw=1.4, label=label, **style)
+            _mark_first_contact(axes, run, losses)
+            if run.nudge is not None:
+                speed = f"velocities up to {run.nudge.speed:g} m/s or rad/s"
+                nudges[f"nudge at {run.nudge.time:g} s: {speed}"] = None
+                axes.axvline(run.nudge.time, ymax=1 / (1 + _LEGEND_SHARE), **_NUDGE_STYLE)
         axes.set_xlabel("time (s)", size=drawing.FONT_SIZE)
-        axes.set_ylabel("height minus task (mm)", size=drawing.FONT_SIZE)
+        axes.set_ylabel("height lost (mm)", size=drawing.FONT_SIZE)
         axes.grid(color=drawing.GRID_COLOUR)
         axes.legend(fontsize=drawing.FONT_SIZE - 1, frameon=False, loc="upper right")
-        lowest = min(axes.get_ylim()[0], -MIN_SHOWN_LOSS)
-        axes.set_ylim(lowest, -0.35 * lowest)  # the legend is above the curves
+        # Losses grow downwards, as the base does. The legend is above the curves.
+        least, largest = sorted(axes.get_ylim())
+        largest = max(1.05 * largest, MIN_SHOWN_LOSS)
+        axes.set_ylim(largest, min(least, 0.0) - _LEGEND_SHARE * largest)
         drawing.title_panel(axes, f"{analysis.name}: task {1e3 * task:.1f} mm")
     _share_limits(panels, "y")
-    task_line = Line2D([], [], color=drawing.GREEN_COLOUR, ls=(0, (2, 3)), lw=1.2, label="task")
-    note = Line2D([], [], ls="", label=f"numbers: mean of the last {_LOSS_WINDOW:g} s")
-    _save_with_legend(figure, [task_line, note], path)
+    handles = [Line2D([], [], label="task", **_TASK_STYLE)]
+    handles += [Line2D([], [], label=label, **_NUDGE_STYLE) for label in nudges]
+    _save_with_legend(figure, handles, path)
+
+
+_LEGEND_SHARE = 0.35
+"""Height of the strip for the legend above the task in a panel of the height figure, relative to
+the largest shown loss [1]. Chosen, not tuned."""
+_TASK_STYLE: dict[str, Any] = {"color": drawing.GREEN_COLOUR, "alpha": 0.35, "lw": 5.0, "zorder": 1}
+"""Options of Matplotlib for the height of the task: a wide band below the curves, which do not hide
+it."""
+_NUDGE_STYLE: dict[str, Any] = {"color": drawing.GREY_COLOUR, "ls": ":", "lw": 1.0, "zorder": 1.5}
+"""Options of Matplotlib for the line at the time of the nudge."""
 
 
 def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -179,15 +200,24 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         drawing.title_panel(axes, analysis.name)
     colours = ScalarMappable(scale, _COLOUR_MAP)
     bar = figure.colorbar(colours, ax=[axes for _, axes in panels], shrink=0.6, extend="min")
-    bar.set_label("standard deviation of the base height (mm)", size=drawing.FONT_SIZE)
+    bar.set_label(
+        f"standard deviation of the base height (mm),\ncut off at {MIN_SHOWN_DEVIATION:g} mm",
+        size=drawing.FONT_SIZE,
+    )
     bar.ax.tick_params(labelsize=drawing.FONT_SIZE)
     handles = [
         Patch(facecolor="0.8", label="falls"),
-        Patch(facecolor="white", edgecolor="0.3", hatch="////", label="does not stay at rest"),
+        Patch(facecolor="white", edgecolor="0.3", hatch="////", label=_RESTLESS_LABEL),
         Patch(facecolor="none", edgecolor=drawing.RED_COLOUR, lw=2, label="the model's own gains"),
     ]
     _save_with_legend(figure, handles, path)
 
+
+_RESTLESS_LABEL = (
+    f"does not stay at rest: no equilibrium, or a deviation grows within {HOLD_DURATION:g} s"
+)
+"""Legend of the cells without `GainSweep.lasts`. The deviation in a cell covers only the last
+second of a shorter simulation, and can be small."""
 
 _COLOUR_MAP = "viridis"
 """Matplotlib colour map of the deviation of the base height in the heat maps of servo gains."""
@@ -336,8 +366,10 @@ def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
         groups[tuple(joint.name for joint in analysis.joints)].append(axes)
     for group in groups.values():
         limits = np.array([getattr(axes, f"get_{axis}lim")() for axes in group])
+        ends = limits.min(axis=0), limits.max(axis=0)
+        inverted = int(limits[0, 0] > limits[0, 1])
         for axes in group:
-            getattr(axes, f"set_{axis}lim")(limits[:, 0].min(), limits[:, 1].max())
+            getattr(axes, f"set_{axis}lim")(ends[inverted][0], ends[1 - inverted][1])
 
 
 def _format_range(values: Array) -> str:
@@ -348,20 +380,24 @@ def _format_range(values: Array) -> str:
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
-def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact of a link with the ground, a failure, in a plot of heights."""
+def _mark_first_contact(axes: Axes, run: StandVerification, losses: Array) -> None:
+    """Mark the first contact of a link with the ground, a failure, in a plot of height losses.
+
+    ``losses`` are those at the times of ``run.time`` [mm].
+    """
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return
     time = min(contacts)[0]
     links = [link for at, link in contacts if at == time]
-    height = float(np.interp(time, run.time, heights))
-    axes.plot(time, height, "v", color=drawing.BLACK_COLOUR, ms=5)
+    loss = float(np.interp(time, run.time, losses))
+    axes.plot(time, loss, "o", color=drawing.BLACK_COLOUR, mfc="none", mew=1.2, ms=7)
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
-    axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, height),
+    axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, loss),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
                   size=drawing.FONT_SIZE - 1, parse_math=False,
-                  arrowprops={"arrowstyle": "-", "lw": 0.6})  # fmt: skip
+                  bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+                  arrowprops={"arrowstyle": "-", "lw": 0.6, "shrinkB": 3.5})  # fmt: skip
 
 
 def _list_ground_contacts(failures: Sequence[Diagnostic]) -> Iterator[tuple[float, str]]:
@@ -406,8 +442,10 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
                 Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor="white", lw=0)
             )
         bright = falls or float(scale(shown)) > _MIN_BRIGHT_FRACTION
+        # The box keeps the hatching off the number.
         axes.text(column, row, "falls" if falls else _format_deviation(value), ha="center",
                   va="center", size=drawing.FONT_SIZE - 1.5,
+                  bbox={"facecolor": face, "edgecolor": "none", "pad": 1.5},
                   color="black" if bright else "white")  # fmt: skip
     axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
     axes.set_xticks(range(len(sweep.kd)), [f"{kd:g}" for kd in sweep.kd])

@@ -135,18 +135,44 @@ def test_figures_leave_the_settings_of_matplotlib_unchanged(figures: list[Figure
     assert dict(matplotlib.rcParams) == before
 
 
-def test_height_figure_shows_the_loss_without_feed_forward_below_the_task(
-    figures: list[Figure],
-) -> None:
-    """Reference: signs of the simulated heights less the height of the stand [mm]."""
-    FIGURES["heights.png"]([analysis_of("v3")], Path("unused.png"))
+def test_height_figure_shows_positive_losses_below_the_task(figures: list[Figure]) -> None:
+    """Reference: height of the stand less the simulated heights [mm]; the sign of `height_loss`."""
+    analysis = analysis_of("v3")
+    FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
     final = {str(line.get_label()).split(":")[0]: float(np.asarray(line.get_ydata())[-1])
              for line in axes.lines if ":" in str(line.get_label())}  # fmt: skip
-    (held,) = (end for label, end in final.items() if label != "position commands only")
-    assert final["position commands only"] < -1.0
-    assert abs(held) < 0.5 * abs(final["position commands only"])
-    assert axes.get_ylim()[0] < axes.get_ylim()[1]
+    loss = final["position commands only"]
+    assert loss == pytest.approx(
+        1e3 * (analysis.stand.qpos[2] - analysis.sagging.height[-1]), abs=1e-9
+    )
+    assert loss > 1.0
+    assert analysis.sagging.height_loss > 1e-3
+    assert abs(final["with feed-forward"]) < 0.5 * loss
+    # The axis points downwards; its name states the sign.
+    bottom, top = axes.get_ylim()
+    assert bottom > loss > 0 > top
+    assert axes.get_ylabel() == "height lost (mm)"
+
+
+def test_height_figure_names_task_and_nudge(figures: list[Figure]) -> None:
+    """Reference: time [s] and speed of the nudge in the simulation. The curve with feed-forward
+    lies on the task, and must not hide it: the band of the task is wider.
+    """
+    robot, stand = load("v3"), stand_of("v3")
+    run = pa.verify_stand(robot, stand, duration=2.4)
+    assert run.nudge is not None
+    FIGURES["heights.png"]([change_analysis(analysis_of("v3"), verification=run)], Path("unused"))
+    (legend,) = figures[0].legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == ["task", f"nudge at {run.nudge.time:g} s: velocities up to "
+                      f"{run.nudge.speed:g} m/s or rad/s"]  # fmt: skip
+    (axes,) = panels(figures[0])
+    times = [line.get_xdata() for line in axes.lines if line.get_linestyle() == ":"]
+    np.testing.assert_allclose(times, [[run.nudge.time] * 2])
+    widths = {str(line.get_label()).split(":")[0]: line.get_linewidth() for line in axes.lines}
+    band = max(line.get_linewidth() for line in axes.lines if set(line.get_ydata()) == {0.0})
+    assert band >= 3 * widths["with feed-forward"]
 
 
 def test_torque_figure_draws_the_share_of_the_limit_in_a_row_per_joint_of_a_leg(
@@ -282,7 +308,7 @@ def test_panels_of_robots_with_equal_joints_share_axes(figures: list[Figure]) ->
 
 
 def test_height_figure_states_the_mean_of_the_last_second(figures: list[Figure]) -> None:
-    """Reference: mean height [mm] of the simulation's last second less the height of the stand."""
+    """Reference: height of the stand less the simulation's mean height in the last second [mm]."""
     analysis = analysis_of("v3")
     FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
@@ -290,7 +316,7 @@ def test_height_figure_states_the_mean_of_the_last_second(figures: list[Figure])
     assert legend is not None
     sagging = analysis.sagging
     last = sagging.height[sagging.time > sagging.time[-1] - 1.0].mean()
-    expected = f"position commands only: {1e3 * (last - analysis.stand.qpos[2]):.2f} mm"
+    expected = f"position commands only: {1e3 * (analysis.stand.qpos[2] - last):.2f} mm"
     assert expected in [text.get_text() for text in legend.get_texts()]
 
 
@@ -314,6 +340,14 @@ def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
     assert f"touch the ground at {time:.2f} s" in shown
     assert contacts[0].subject is not None
     assert contacts[0].subject.name in shown
+    # The ring around the point does not reach the axis.
+    figure = figures[0]
+    figure.draw_without_rendering()
+    (ring, *_) = (line for line in axes.lines if line.get_marker() == "o")
+    assert ring.get_markerfacecolor() == "none"
+    place = axes.transData.transform(np.asarray(ring.get_xydata())[0])
+    radius = ring.get_markersize() / 2 * figure.dpi / 72
+    assert place[1] - radius > axes.get_window_extent().y0
 
 
 def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
@@ -336,6 +370,20 @@ def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
     cells = [patch for patch in first.patches if isinstance(patch, Rectangle)]
     hatched = {cell.get_xy() for cell in cells if cell.get_hatch()}
     assert hatched == {(0.5, 0.5)}  # kp 20, kd 0.5
+    # The hatching does not cross the number: a box in the colour of the cell is between them.
+    colours = {cell.get_xy(): cell.get_facecolor() for cell in cells if cell.get_fill()}
+    for text in first.texts:
+        box = text.get_bbox_patch()
+        assert box is not None
+        x, y = text.get_position()
+        assert box.get_facecolor() == colours[x - 0.5, y - 0.5]
+    (bar,) = (axes for axes in figures[0].axes if "deviation" in axes.get_ylabel())
+    assert "cut off at 0.0001 mm" in bar.get_ylabel()
+    labels = [text.get_text() for text in figures[0].legends[0].get_texts()]
+    assert any("grows within 12 s" in label for label in labels)
+    figures[0].draw_without_rendering()
+    label = bar.yaxis.label.get_window_extent()
+    assert figures[0].bbox.y0 < label.y0 < label.y1 < figures[0].bbox.y1
     own = [cell.get_xy() for cell in cells if cell.get_linewidth() == 2]
     assert own == [(-0.5, -0.5)]  # v3's own kp 5 and kd 0.1
     faces = [{cell.get_facecolor() for cell in axes.patches if cell.get_fill()}
