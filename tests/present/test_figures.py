@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 import io
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import shapely
@@ -188,6 +190,10 @@ def test_title_of_a_pose_states_what_was_computed() -> None:
     statics = pa.stance.stand_statics(robot, stand)
     title = make_pose_figure(robot, stand, statics).get_suptitle()
     assert title == "v3: stance and static contact forces"
+    soft = pa.solve_stand_as_simulated(robot)
+    for planned, ground in ((stand, "on rigid ground"), (soft, "on the simulated ground")):
+        caption = make_pose_figure(robot, planned, statics).texts[-1].get_text()
+        assert f"; {ground};" in caption.replace("\N{NO-BREAK SPACE}", " ")
     title = make_pose_figure(robot, stand, statics, subject="best stance").get_suptitle()
     assert title == "v3: best stance"
 
@@ -297,6 +303,29 @@ def test_height_legend_states_the_mean_of_the_last_second() -> None:
     times, heights = np.asarray(curve.x), np.asarray(curve.y)
     expected = 1e3 * height - heights[times > times[-1] - 1.0].mean()
     assert f"{expected:.2f}" in get_english(curve.note)
+
+
+def test_height_plot_states_the_contact_penetration_of_a_stand_on_rigid_ground() -> None:
+    """Reference: mean of radius less height of the four feet at the end, by Pinocchio [m].
+
+    The stand was planned for rigid ground: with feed-forward, nothing else lowers the base.
+    """
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.12))
+    run = verify_stand(robot, stand, duration=3.0)
+    assert run.passed
+    axes = run.plot()
+    legend = axes[0].get_legend()
+    assert legend is not None
+    entry = next(text for text in legend.get_texts() if "with feed-forward" in text.get_text())
+    penetration = re.search(r"of which ([\d.]+) mm contact penetration", entry.get_text())
+    assert penetration is not None
+    feet = pa.Configuration(robot, run.motion[-1]).foot_positions()
+    depths = [robot.contact_radius[foot] - centre[2] for foot, centre in feet.items()]
+    assert min(depths) > 1e-3
+    assert float(penetration[1]) == pytest.approx(1e3 * np.mean(depths), rel=0.02)
+    assert f"{1e3 * run.height_loss:.2f} mm, of which" in entry.get_text()
+    plt.close("all")
 
 
 @pytest.mark.parametrize("letters", [5, 60])

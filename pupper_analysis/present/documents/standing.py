@@ -137,12 +137,22 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss of the base [mm] in the last second of a simulation.
 
-    The loss is the requested height ``task`` [m] minus the mean height.
+    The loss is the requested height ``task`` [m] minus the mean height. The part by which the
+    contacts sink in (`StandVerification.contact_sag`) is added if the robot holds and the part is
+    not 0.00 mm.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
     shown = doc.number_cell(loss, ".2f", scale=1e3).text
-    return text("loss-fails", loss=shown) if run.failures else doc.Name(f"{shown} mm")
+    if run.failures:
+        return text("loss-fails", loss=shown)
+    if 1e3 * run.contact_sag >= _MIN_SHOWN_PENETRATION:
+        return text("loss-by-penetration", loss=shown, part=f"{1e3 * run.contact_sag:.2f}")
+    return doc.Name(f"{shown} mm")
+
+
+_MIN_SHOWN_PENETRATION = 0.005
+"""Smallest part of a height loss [mm] that is stated: the smallest that is not rounded to 0."""
 
 
 def list_motions(runs: Sequence[StandVerification]) -> list[doc.Motion]:

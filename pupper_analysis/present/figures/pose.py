@@ -27,6 +27,8 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ig
 
 from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.models.shapes import Mesh, Shape, get_mesh, read_shape
+from pupper_analysis.present.document import get_english
+from pupper_analysis.present.documents.standing import ground_word
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.scene import (
     NUM_VISIBLE_GROUPS,
@@ -394,7 +396,10 @@ def make_pose_figure(
     title = textwrap.wrap(_make_title(robot, stand, subject), _TITLE_LETTERS)
     height = 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure("\n".join(title), height, create=create)
-    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
+    ground = f"; {get_english(ground_word(stand.depths.values()))}" if stand.stance_feet else ""
+    text = (
+        f"{stand.task}{ground}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
+    )
     rows = _wrap_caption(text)
     top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
     caption = figure.text(0.012, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
