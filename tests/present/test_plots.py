@@ -178,7 +178,10 @@ def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> 
     near = stand.for_task(replace(stand.task, ground_clearance=0.2))
     (message,) = near.blocked
     title = replace(posture, stand=near).plot(robot)[0].figure.get_suptitle()
-    assert " ".join(title.split()) == f"v3: stance and static contact forces; {message}"
+    assert (
+        " ".join(title.split())
+        == f"v3: stance and static contact forces on rigid ground; {message}"
+    )
     arm = load_arm(tmp_path)
     posture = pa.solve_posture(arm, [pa.stance.JointsTask({arm.joint_names[0]: 0.3})])
     axes = posture.plot()

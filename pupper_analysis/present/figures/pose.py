@@ -359,9 +359,10 @@ def write_pose_figure(
 
 
 def _make_title(robot: Robot, stand: Stand, subject: str) -> str:
-    """Return the title of the figure: robot, subject, and violated clearances and margins."""
+    """Return the title of the figure: robot, subject, ground, violated clearances and margins."""
     violations = "; ".join(map(str, stand.blocked))
-    return f"{robot.name}: {subject}{violations and f'; {violations}'}"
+    ground = f" {get_english(ground_word(stand.depths.values()))}" if stand.stance_feet else ""
+    return f"{robot.name}: {subject}{ground}{violations and f'; {violations}'}"
 
 
 def _wrap_caption(caption: str) -> list[str]:
@@ -396,10 +397,7 @@ def make_pose_figure(
     title = textwrap.wrap(_make_title(robot, stand, subject), _TITLE_LETTERS)
     height = 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure("\n".join(title), height, create=create)
-    ground = f"; {get_english(ground_word(stand.depths.values()))}" if stand.stance_feet else ""
-    text = (
-        f"{stand.task}{ground}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    )
+    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     rows = _wrap_caption(text)
     top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
     caption = figure.text(0.012, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",

@@ -377,6 +377,13 @@ def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
         assert box is not None
         x, y = text.get_position()
         assert box.get_facecolor() == colours[x - 0.5, y - 0.5]
+        # The colour of the number, black or white, has the higher contrast (WCAG 2.1).
+        red, green, blue, _ = (
+            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in box.get_facecolor()
+        )
+        luminance = 0.2126 * red + 0.7152 * green + 0.0722 * blue
+        is_black = (luminance + 0.05) / 0.05 > 1.05 / (luminance + 0.05)
+        assert text.get_color() == ("black" if is_black else "white")
     (bar,) = (axes for axes in figures[0].axes if "deviation" in axes.get_ylabel())
     assert "cut off at 0.0001 mm" in bar.get_ylabel()
     labels = [text.get_text() for text in figures[0].legends[0].get_texts()]
