@@ -437,16 +437,15 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
         face = "0.8" if falls else colours.cmap(float(scale(shown)))
         corner = (column - 0.5, row - 0.5)
         axes.add_patch(Rectangle(corner, 1, 1, facecolor=face, edgecolor="white", lw=0.8))
-        if not falls and not sweep.lasts[row, column]:
-            axes.add_patch(
-                Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor="white", lw=0)
-            )
         bright = falls or float(scale(shown)) > _MIN_BRIGHT_FRACTION
+        ink = "black" if bright else "white"
+        if not falls and not sweep.lasts[row, column]:
+            axes.add_patch(Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor=ink, lw=0))
         # The box keeps the hatching off the number.
         axes.text(column, row, "falls" if falls else _format_deviation(value), ha="center",
                   va="center", size=drawing.FONT_SIZE - 1.5,
                   bbox={"facecolor": face, "edgecolor": "none", "pad": 2.5},
-                  color="black" if bright else "white")  # fmt: skip
+                  color=ink)  # fmt: skip
     axes.set(xlim=(-0.5, len(sweep.kd) - 0.5), ylim=(-0.5, len(sweep.kp) - 0.5))
     axes.set_xticks(range(len(sweep.kd)), [f"{kd:g}" for kd in sweep.kd])
     axes.set_yticks(range(len(sweep.kp)), [f"{kp:g}" for kp in sweep.kp])

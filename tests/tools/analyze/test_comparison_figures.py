@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
@@ -370,6 +371,9 @@ def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(
     cells = [patch for patch in first.patches if isinstance(patch, Rectangle)]
     hatched = {cell.get_xy() for cell in cells if cell.get_hatch()}
     assert hatched == {(0.5, 0.5)}  # kp 20, kd 0.5
+    (hatching,) = (cell for cell in cells if cell.get_hatch())
+    (number,) = (text for text in first.texts if text.get_position() == (1, 1))
+    assert to_rgba(hatching.get_edgecolor()) == to_rgba(number.get_color())
     # The hatching does not cross the number: a box in the colour of the cell is between them.
     colours = {cell.get_xy(): cell.get_facecolor() for cell in cells if cell.get_fill()}
     for text in first.texts:
