@@ -168,10 +168,12 @@ class PlotBar:
 
     Attributes:
         name: Name beside the bar.
-        value: Length, in the unit of the axis.
+        value: Length, in the unit of the axis; NaN for no bar.
         marker: Value marked by a tick, in the unit of the axis; None if absent.
         limit: Largest allowed magnitude, in the unit of the axis; None if absent.
         unit: Unit that is printed after the value; "" for the unit of the axis.
+        point: Value marked by a point, in the unit of the axis; None if absent.
+        label: Text that is printed instead of value and unit; None for value and unit.
     """
 
     name: Words
@@ -179,6 +181,8 @@ class PlotBar:
     marker: float | None = None
     limit: float | None = None
     unit: str = ""
+    point: float | None = None
+    label: Words | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +225,13 @@ class BarPlot(Plot):
     Attributes:
         axis: Quantity, unit and format of the lengths.
         bars: Bars, from top to bottom.
-        legend: Meaning of a bar's value, marker and limit, in this order. An element is None if no
-            bar has this part.
+        legend: Meaning of a bar's value, marker, limit and point, in this order. An element is None
+            if no bar has this part; the last may be absent.
     """
 
     axis: Axis
     bars: Sequence[PlotBar]
-    legend: tuple[Words, Words | None, Words | None]
+    legend: tuple[Words | None, ...]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -40,7 +41,7 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.documents import registry, sources
-from pupper_analysis.present.documents.loads import mass_text
+from pupper_analysis.present.documents.loads import mass_text, torque_plot
 from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
@@ -653,6 +654,60 @@ def test_write_report_raises_for_invalid_arguments(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError):
         pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def make_statics(torques: list[float], units: tuple[str, ...]) -> Any:
+    """Return the fields of an equilibrium that a torque plot reads."""
+    names = tuple(f"joint{index}" for index in range(len(torques)))
+    return SimpleNamespace(joint_names=names, joint_torques=np.array(torques), torque_units=units)
+
+
+def test_torque_plot_shows_the_utilisation_of_each_motor() -> None:
+    """Torques of hinges and slides shared an axis, on which small motors were invisible."""
+    statics = make_statics([-20.0, 0.5, 30.0], ("N m", "N m", "N"))
+    plot = torque_plot(statics, [-21.0, 0.4, 30.0], [40.0, 1.0, 100.0], worst=[0.6, 1.5, 0.3])
+    assert plot.axis.unit == "%"
+    assert [bar.value for bar in plot.bars] == pytest.approx([50.0, 50.0, 30.0])
+    assert [bar.marker for bar in plot.bars] == pytest.approx([52.5, 40.0, 30.0])
+    assert [bar.point for bar in plot.bars] == pytest.approx([60.0, 150.0, 30.0])
+    labels = [document.get_english(bar.label) for bar in plot.bars if bar.label]
+    assert labels == ["50.0 % of 40 N m", "50.0 % of 1 N m", "30.0 % of 100 N"]
+    drawn = plots.draw_svg(plot)
+    dots = [mark["cx"] for mark in drawn.marks if mark["tag"] == "dot"]
+    limits = {mark["x1"] for mark in drawn.marks if mark["class"] == "limit"}
+    assert len(limits) == 1
+    assert dots[0] < limits.pop() < dots[1] < drawn.width  # the largest point is in the plot
+    assert [kind for _, kind in drawn.legend] == ["bar", "other", "limit", "dot s1"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "label"), [(math.inf, "2 N m, limit unknown"), (0.0, "2 N m, limit 0")]
+)
+def test_motor_without_a_positive_limit_has_no_bar(limit: float, label: str) -> None:
+    """A bar of zero length would look like a motor without load."""
+    plot = torque_plot(make_statics([-2.0, 1.0], ("N m", "N m")), [-2.0, 1.0], [limit, 2.0])
+    drawn = plots.draw_svg(plot)
+    assert sum(mark["class"] == "bar" for mark in drawn.marks) == 1
+    assert label in [
+        document.get_english(mark["words"]) for mark in drawn.marks if mark["tag"] == "text"
+    ]
+
+
+def test_torque_plot_without_limits_shows_torques() -> None:
+    plot = torque_plot(make_statics([-2.0, 1.0], ("N m", "N m")), [-2.0, 1.0], [math.inf] * 2)
+    assert (plot.axis.unit, [bar.value for bar in plot.bars]) == ("N m", [-2.0, 1.0])
+    assert len(plots.draw_svg(plot).legend) == 2
+
+
+def test_small_utilisations_fill_the_plot() -> None:
+    """With the limit at 100 %, bars of 1 to 6 % could not be compared."""
+    plot = torque_plot(make_statics([0.1, 0.2], ("N m",) * 2), [0.1, 0.2], [10.0, 10.0])
+    drawn = plots.draw_svg(plot)
+    widths = [mark["width"] for mark in drawn.marks if mark["class"] == "bar"]
+    assert widths[1] == pytest.approx(2 * widths[0])
+    assert widths[1] > plots.PLOT_WIDTH / 3
+    assert all(mark["class"] != "limit" for mark in drawn.marks)
+    assert [kind for _, kind in drawn.legend] == ["bar", "other"]
 
 
 def test_bar_plot_is_one_sided_if_negative_values_are_rounding() -> None:

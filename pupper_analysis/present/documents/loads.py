@@ -222,32 +222,94 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 
 
 def torque_plot(
-    statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
+    statics: GravityCompensation,
+    simulated: Sequence[float],
+    limits: Sequence[float],
+    *,
+    title: doc.Words | None = None,
+    worst: Sequence[float] | None = None,
 ) -> doc.BarPlot:
-    """Create the bar plot of motor torques [N m, N]: predicted, simulated and limits.
+    """Create the bar plot of motor torques as percentages of the limits: predicted and simulated.
 
-    ``simulated`` torques and ``limits`` have the shape (nu,).
+    A motor without a positive limit has no bar, but the torque as text. Without any positive limit,
+    the bars are torques [N m, N]. If all utilisations are small, the limit is outside of the plot.
+
+    Args:
+        statics: Equilibrium with the predicted torques.
+        simulated: Simulated torques, shape (nu,) [N m, N].
+        limits: Effort limits, shape (nu,) [N m, N].
+        title: Title; default: motor torques against their limits.
+        worst: Largest utilisation of each motor over all postures, shape (nu,) [1].
     """
+    if not any(math.isfinite(limit) and limit > 0 for limit in limits):
+        return _make_plain_torque_plot(statics, simulated, title)
+    bars, far = [], _is_limit_far(statics, limits, worst)
+    for index, name in enumerate(statics.joint_names):
+        torque, limit, unit = (
+            float(statics.joint_torques[index]), float(limits[index]), statics.torque_units[index]
+        )  # fmt: skip
+        scale = 100 / limit if math.isfinite(limit) and limit > 0 else math.nan
+        share = scale * abs(torque)
+        label: doc.Words = doc.Name(f"{format_number(share, '.1f')} % of {limit:g} {unit}")
+        if math.isnan(scale):
+            key = "torque-without-limit" if limit else "torque-with-zero-limit"
+            label = text(key, torque=f"{format_number(abs(torque), '.3g')} {unit}")
+        bars.append(
+            doc.PlotBar(
+                doc.Name(name),
+                share,
+                scale * abs(float(simulated[index])),
+                None if far or math.isnan(scale) else 100.0,
+                point=None if worst is None else 100 * float(worst[index]),
+                label=label,
+            )
+        )
+    return doc.BarPlot(
+        title or text("motor-torques-against-their-limits"),
+        doc.Axis(text("utilisation"), "%", ".1f"),
+        bars,
+        (
+            text("predicted-by-pinocchio"),
+            text("simulated-by-mujoco"),
+            None if far else text("limit"),
+            None if worst is None else text("worst-of-all-postures"),
+        ),
+    )
+
+
+def _is_limit_far(
+    statics: GravityCompensation, limits: Sequence[float], worst: Sequence[float] | None
+) -> bool:
+    """Return True if all utilisations are so small that the limit is outside of the plot."""
+    ratios = np.abs(statics.joint_torques) / np.where(np.greater(limits, 0), limits, np.nan)
+    shares = np.append(ratios, [] if worst is None else worst)
+    return bool(np.nanmax(shares) < _MIN_SHARE_WITH_LIMIT)
+
+
+_MIN_SHARE_WITH_LIMIT = 0.3
+"""Smallest peak utilisation [1] with which a plot of utilisations shows the limit. With smaller
+utilisations, differences between the bars would hardly be visible. Chosen, not tuned."""
+
+
+def _make_plain_torque_plot(
+    statics: GravityCompensation, simulated: Sequence[float], title: doc.Words | None
+) -> doc.BarPlot:
+    """Create the bar plot of motor torques [N m, N] whose limits are not stated."""
     bars = [
         doc.PlotBar(
             doc.Name(name),
             float(statics.joint_torques[index]),
             float(simulated[index]),
-            float(limits[index]),
-            statics.torque_units[index],
+            unit=statics.torque_units[index],
         )
         for index, name in enumerate(statics.joint_names)
     ]
     units = ", ".join(dict.fromkeys(statics.torque_units))
     return doc.BarPlot(
-        text("motor-torques-against-their-limits"),
+        title or text("motor-torques"),
         doc.Axis(text("torque"), units, "+.3f"),
         bars,
-        (
-            text("predicted-by-pinocchio"),
-            text("simulated-by-mujoco"),
-            text("limit"),
-        ),
+        (text("predicted-by-pinocchio"), text("simulated-by-mujoco"), None),
     )
 
 

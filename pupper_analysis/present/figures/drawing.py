@@ -123,14 +123,16 @@ def write_plots(
     *,
     title: Words | None = None,
     names: Sequence[str] = (),
+    max_columns: int = _NUM_COLUMNS,
 ) -> None:
-    """Write plots as a PNG file: a figure with a panel per plot, at most two in a row.
+    """Write plots as a PNG file: a figure with a panel per plot.
 
     Args:
         plots: Plots.
         path: PNG file.
         title: Title of the figure. Default: the title of the first plot.
         names: Title of each panel. Default: the titles of the plots, if there are several.
+        max_columns: Largest number of panels in a row.
 
     Raises:
         ConfigurationError: If there is no plot.
@@ -138,7 +140,8 @@ def write_plots(
     """
     if not plots:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
-    save_figure(make_plots_figure(plots, title=title, names=names), path)
+    figure = make_plots_figure(plots, title=title, names=names, max_columns=max_columns)
+    save_figure(figure, path)
 
 
 def make_plots_figure(
@@ -166,10 +169,11 @@ def make_plots_figure(
         _count_legend_columns(drawing, size / (72 * across))
         for drawing, size in zip(drawings, sizes, strict=True)
     ]
-    legend_lines = max(
+    legend_lines = [
         -(-len(legend) // count) for legend, count in zip(legends, legend_columns, strict=True)
-    )
-    extra_height = 0.4 + len(rows) * (0.15 * several + 0.19 * legend_lines)
+    ]
+    row_lines = [max(legend_lines[at : at + columns]) for at in range(0, len(drawings), columns)]
+    extra_height = 0.4 + sum(0.15 * several + 0.19 * lines for lines in row_lines)
     figure = make_page_figure(
         get_english(title or plots[0].title),
         across * sum(heights) + extra_height,

@@ -204,7 +204,7 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 _Y_MARGIN = 0.06
 """Margin of the vertical axis [1], relative to the range of the values. Chosen, not tuned."""
 
-_MAX_HEIGHT_RATIO = 0.8
+_MAX_HEIGHT_RATIO = 0.6
 """Largest height of a plot with equal scales, divided by the width [1]. Chosen, not tuned."""
 
 
@@ -263,6 +263,10 @@ counts as a rounding error, so that a bar plot has no negative side. Chosen, not
 """
 
 
+_BAR_POINT_CLASS, _BAR_POINT_RADIUS = "dot s1", 4.5
+"""Classes of the style sheet, and radius [CSS pixels], of the point of a bar."""
+
+
 @draw_svg.register
 def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
@@ -271,13 +275,18 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
-    numbers = [f"{number_cell(bar.value, axis.form).text} {bar.unit or axis.unit}" for bar in bars]
+    numbers = [
+        bar.label or Name(f"{number_cell(bar.value, axis.form).text} {bar.unit or axis.unit}")
+        for bar in bars
+    ]
     names = 24.0 + LETTER_WIDTH * max(map(_count_characters, shown))
-    values, step = 24.0 + LETTER_WIDTH * max(map(len, numbers)), 22.0
+    values, step = 24.0 + LETTER_WIDTH * max(map(_count_characters, numbers)), 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
-    reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
-    one_sided = all(bar.value >= -_ROUNDING_RATIO * reach for bar in bars)
+    ends = [value for bar in bars for value in (bar.value, bar.marker, bar.point)
+            if value is not None and math.isfinite(value)]  # fmt: skip
+    reach = max([*map(abs, ends), *limits, 1e-9])
+    one_sided = all(end >= -_ROUNDING_RATIO * reach for end in ends)
     low = 0.0 if one_sided else -reach
 
     def at(value: float) -> float:
@@ -290,9 +299,10 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
         marks.append(draw_words(at(value), TOP_MARGIN + tall + 16, Name(f"{value:g}"), "middle"))
     for index, (bar, name, number) in enumerate(zip(bars, shown, numbers, strict=True)):
         middle = TOP_MARGIN + step * (index + 0.5)
-        start, end = sorted((at(0.0), at(bar.value)))
-        bounds = {"x": start, "y": middle - 6, "width": max(end - start, 0.5), "height": 12.0}
-        marks.append({"tag": "rect", "class": "bar", **bounds})
+        if math.isfinite(bar.value):
+            start, end = sorted((at(0.0), at(bar.value)))
+            bounds = {"x": start, "y": middle - 6, "width": max(end - start, 0.5), "height": 12.0}
+            marks.append({"tag": "rect", "class": "bar", **bounds})
         if bar.limit is not None and math.isfinite(bar.limit):
             for side in (1.0,) if one_sided else (1.0, -1.0):
                 edge = at(side * bar.limit)
@@ -300,13 +310,16 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
         if bar.marker is not None and math.isfinite(bar.marker):
             edge = at(bar.marker)
             marks.append(draw_line(edge, middle - 8, edge, middle + 8, "other"))
+        if bar.point is not None and math.isfinite(bar.point):
+            place = {"cx": at(bar.point), "cy": middle, "r": _BAR_POINT_RADIUS}
+            marks.append({"tag": "dot", "class": _BAR_POINT_CLASS, **place})
         marks.append(draw_words(names - 8, middle + 4, name, "end"))
-        marks.append(draw_words(PLOT_WIDTH - 4, middle + 4, Name(number), "end"))
+        marks.append(draw_words(PLOT_WIDTH - 4, middle + 4, number, "end"))
     marks.append(draw_line(at(0.0), TOP_MARGIN, at(0.0), TOP_MARGIN + tall, "axis"))
     marks.append(
         draw_words(names + wide / 2, TOP_MARGIN + tall + 36, axis.name, "middle", axis.unit)
     )
-    kinds = zip(plot.legend, ("bar", "other", "limit"), strict=True)
+    kinds = zip(plot.legend, ("bar", "other", "limit", _BAR_POINT_CLASS), strict=False)
     legend = tuple((words, kind) for words, kind in kinds if words is not None)
     return Drawing(plot.title, PLOT_WIDTH, TOP_MARGIN + tall + BOTTOM_MARGIN, tuple(marks), legend)
 

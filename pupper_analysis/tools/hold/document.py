@@ -53,19 +53,19 @@ tuned."""
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Create the report of a held posture: torques, worst postures, tool limits and verdict."""
-    limits, run = hold.limits.tolist(), hold.verification
+    limits = hold.limits.tolist()
     return judged_document(
         text("held-posture"),
         hold,
         (
             _make_torque_table(hold, limits),
-            torque_plot(hold.statics, run.joint_torques.tolist(), limits),
+            hold_torque_plot(hold),
             _make_tool_table(hold),
             _make_worst_table(hold.worst, get_display_scales(hold.units)),
             reach_plot(hold.reach),
             _make_payload_table(hold),
             _make_force_table(hold),
-            force_plot(hold.force),
+            *force_plots(hold.force),
         ),
         (_describe_worst_posture(hold), *_describe_loads(hold), *_list_warnings(hold)),
         limit=_describe_worst_payload(hold),
@@ -316,22 +316,46 @@ def _make_force_table(hold: Hold) -> doc.Table:
     )
 
 
-def force_plot(force: ToolForce) -> doc.LinePlot:
-    """Create the plot of the largest forces [N] on a tool that the motors withstand.
+def hold_torque_plot(hold: Hold) -> doc.BarPlot:
+    """Create the plot of the motor utilisation in the posture, and in the worst postures."""
+    posture = _describe_posture(hold)
+    short = posture.short if isinstance(posture, doc.Text) and posture.short else posture
+    return torque_plot(
+        hold.statics,
+        hold.verification.joint_torques.tolist(),
+        hold.limits.tolist(),
+        title=text("torques-in-posture", posture=short),
+        worst=hold.worst.utilisation.tolist(),
+    )
 
-    A closed curve per plane of the world axes (x-y, x-z, y-z) shows the force by direction.
+
+def force_plots(force: ToolForce) -> tuple[doc.LinePlot, doc.LinePlot]:
+    """Create the plots of the largest forces [N] on a tool that the motors withstand.
+
+    Closed curves in the planes of the world axes show the force by direction: a plot of the
+    horizontal plane, and a plot of the two vertical planes.
     """
-    sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
-    series = []
-    for name, radii in (*sections, ("section-y-z", force.frontal)):
-        closed = np.append(np.arange(len(radii)), 0)  # the curve ends at its first point
-        lengths = np.where(np.isfinite(radii), radii, np.nan)[closed]
-        angles = force.angles[closed]
-        first, second = lengths * np.cos(angles), lengths * np.sin(angles)
-        series.append(doc.Series(text(name), first, second))
-    first_axis = doc.Axis(text("force-along-first-axis"), "N", ".0f")
-    second_axis = doc.Axis(text("force-along-second-axis"), "N", ".0f")
-    return doc.LinePlot(text("forces-withstood"), first_axis, second_axis, series)
+    x, y, z, horizontal = (
+        doc.Axis(text(f"force-along-{name}"), "N", ".0f") for name in ("x", "y", "z", "x-or-y")
+    )
+    flat = _make_force_curve("section-x-y", force.horizontal, force)
+    upright = (
+        _make_force_curve("section-x-z", force.sagittal, force),
+        _make_force_curve("section-y-z", force.frontal, force),
+    )
+    titles = text("forces-in-horizontal-plane"), text("forces-in-vertical-planes")
+    return (
+        doc.LinePlot(titles[0], x, y, [flat], equal_scales=True),
+        doc.LinePlot(titles[1], horizontal, z, upright, equal_scales=True),
+    )
+
+
+def _make_force_curve(key: str, radii: NDArray[np.float64], force: ToolForce) -> doc.Series:
+    """Create a closed curve of forces [N] with lengths ``radii``, shape (n,), by direction."""
+    closed = np.append(np.arange(len(radii)), 0)  # the curve ends at its first point
+    lengths = np.where(np.isfinite(radii), radii, np.nan)[closed]
+    angles = force.angles[closed]
+    return doc.Series(text(key), lengths * np.cos(angles), lengths * np.sin(angles))
 
 
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:

@@ -11,7 +11,11 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text, get_english
 from pupper_analysis.present.html.plots import draw_svg
-from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
+from pupper_analysis.tools.hold.document import (
+    describe_hardest_motor,
+    force_plots,
+    hold_document,
+)
 from tests.support.arm import arm
 
 
@@ -33,9 +37,35 @@ def test_torques_positions_and_sags_are_each_in_their_column() -> None:
     (plot,) = (block for block in hold_document(held).blocks if isinstance(block, BarPlot))
     labels = {str(mark["words"].text) for mark in draw_svg(plot).marks if mark["tag"] == "text"
               if isinstance(mark["words"], Name)}  # fmt: skip
-    for name, torque in zip(held.posture.joint_names, held.statics.joint_torques, strict=True):
-        assert f"{torque:+.3f} {'N' if name.endswith('slide') else 'N m'}" in labels
-    assert plot.axis.unit == "N m, N"
+    for name, torque, limit in zip(
+        held.posture.joint_names, held.statics.joint_torques, held.limits, strict=True
+    ):
+        unit = "N" if name.endswith("slide") else "N m"
+        assert f"{100 * abs(torque) / limit:.1f} % of {limit:g} {unit}" in labels
+    points = [bar.point for bar in plot.bars]
+    assert points == pytest.approx((100 * held.worst.utilisation).tolist())
+    assert get_english(plot.title).startswith("Motor utilisation in the posture: ")
+    assert "shoulder at -22.92 deg, elbow at 51.57 deg" in get_english(plot.title)
+
+
+def test_sections_of_the_forces_have_named_axes_and_equal_scales() -> None:
+    """Reference: forces along the axes of the world. The axes were "first" and "second"."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    flat, upright = force_plots(held.force)
+    assert flat.equal_scales
+    assert upright.equal_scales
+    names = [get_english(axis.name) for axis in (flat.x, flat.y, upright.x, upright.y)]
+    along = [f"force along {axis} of the world" for axis in ("x", "y", "x or y", "z")]
+    assert names == along
+    forces = held.force.forces  # +x, -x, +y, -y, +z, -z
+    sections = (flat.series[0], *upright.series)
+    for section, (first, second) in zip(sections, ((0, 2), (0, 4), (2, 4)), strict=True):
+        x, y = np.asarray(section.x), np.asarray(section.y)
+        ahead = x[np.isclose(y, 0.0, atol=1e-9) & (x > 0)]
+        above = y[np.isclose(x, 0.0, atol=1e-9) & (y > 0)]
+        for found, index in ((ahead, first), (above, second)):
+            if np.isfinite(forces[index]):
+                assert found[0] == pytest.approx(forces[index])
 
 
 def test_payload_that_fails_in_mujoco_is_a_finding() -> None:
