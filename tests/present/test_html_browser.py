@@ -361,3 +361,29 @@ def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Pa
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert page.evaluate(parts) == [True, False]
     one.close()
+
+
+@pytest.mark.parametrize("width", [390, 1200])
+def test_triangle_of_a_section_is_inside_the_page(browser: Any, file: Path, width: int) -> None:
+    """Reference: pixels of the first line of the section's title. The page cut the triangle."""
+    one = Opened(browser, file, viewport={"width": width, "height": 900})
+    summary = one.page.locator(".part > summary").first
+    summary.scroll_into_view_if_needed()
+    heading = summary.locator("h2").bounding_box()
+    box = summary.bounding_box()
+    assert heading["x"] - box["x"] > 8.0  # room for the triangle
+    room = {"x": box["x"], "y": box["y"], "width": heading["x"] - box["x"], "height": box["height"]}
+    picture = Image.open(io.BytesIO(one.page.screenshot(clip=room))).convert("L")
+    dark = (np.asarray(picture) < 128).any(axis=0)
+    assert dark.any()
+    assert not dark[0]  # not cut at the left
+    one.close()
+
+
+def test_first_columns_wrap_on_a_phone(browser: Any, file: Path) -> None:
+    """The values of the simulation were outside of the screen, which is 390 pixels wide."""
+    one = Opened(browser, file, viewport={"width": 390, "height": 844})
+    tables = one.page.locator("figure.table", has_text="with feed-forward")
+    widths = tables.first.locator(".scroll").evaluate("box => [box.scrollWidth, box.clientWidth]")
+    assert widths[0] <= widths[1]
+    one.close()

@@ -280,7 +280,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
         for bar in bars
     ]
     names = 24.0 + LETTER_WIDTH * max(map(_count_characters, shown))
-    values, step = 24.0 + LETTER_WIDTH * max(map(_count_characters, numbers)), 22.0
+    values, step = 34.0 + LETTER_WIDTH * max(map(_count_characters, numbers)), 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     ends = [value for bar in bars for value in (bar.value, bar.marker, bar.point)
