@@ -3,10 +3,12 @@
     python docs/build.py build/docs
 
 Links within the site are checked during the build; ``--links`` also checks links to other sites.
+``check_names.py`` then checks the printed names of the package in a new process.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -17,7 +19,7 @@ DOCS = Path(__file__).resolve().parent
 
 
 def build(folder: Path, *, links: bool = False) -> int:
-    """Write the site, and return the exit status: 0 unless there was a warning.
+    """Write the site, and return the exit status: 0 without a warning and a private name.
 
     Args:
         folder: Output folder, for ``index.html`` and ``zh/index.html``.
@@ -31,6 +33,8 @@ def build(folder: Path, *, links: bool = False) -> int:
         status |= main([*strict, "-b", "html", *trees, str(site), str(target)])
         if links:
             status |= main([*strict, "-b", "linkcheck", *trees, str(site), str(cache / "links")])
+    check = [sys.executable, str(DOCS / "check_names.py"), str(folder)]
+    status |= subprocess.run(check, check=False).returncode
     return status
 
 

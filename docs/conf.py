@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
+
+from sphinx.domains.python import PyAttribute, PyProperty, PyVariable
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -45,7 +48,8 @@ napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"pupper_analysis {release}"
-html_static_path: list[str] = []
+html_static_path = [str(HERE / "_static")]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
 html_sidebars = {
@@ -62,12 +66,42 @@ html_context = {"other_language": ("中文", "zh/index.html")}
 copybutton_prompt_text = "$ "
 
 
-def setup(app: object) -> None:
+def shorten_member_types(app: Any) -> None:
+    """Shorten the types of attributes, properties and data, for which autodoc has no event."""
+    for name, directive in (
+        ("attribute", PyAttribute),
+        ("property", PyProperty),
+        ("data", PyVariable),
+    ):
+
+        class WithShortType(directive):  # type: ignore[misc, valid-type]
+            """The directive with a shortened type."""
+
+            def handle_signature(self, sig: str, signode: Any) -> tuple[str, str]:
+                """Shorten the type, and parse the signature."""
+                if "type" in self.options:
+                    self.options["type"] = pages.shorten_types(self.options["type"])
+                return super().handle_signature(sig, signode)  # type: ignore[no-any-return]
+
+        app.add_directive_to_domain("py", name, WithShortType, override=True)
+
+
+def note_sources(app: Any, name: str, source: list[str]) -> None:
+    """Make API pages depend on the code that shortens their signatures."""
+    del source
+    if "/api/" in name:
+        for file in (HERE / "pages.py", HERE / "conf.py"):
+            app.env.note_dependency(str(file))
+
+
+def setup(app: Any) -> None:
     """Write the generated pages, and register the conversion of docstrings and signatures."""
-    words = "zh" if app.config.language.startswith("zh") else "en"  # type: ignore[attr-defined]
-    pages.write_pages(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
-    app.connect("autodoc-process-docstring", pages.escape_docstring)  # type: ignore[attr-defined]
-    app.connect("autodoc-process-signature", pages.shorten_aliases)  # type: ignore[attr-defined]
+    words = "zh" if app.config.language.startswith("zh") else "en"
+    pages.write_pages(Path(str(app.srcdir)), words)
+    shorten_member_types(app)
+    app.connect("source-read", note_sources)
+    app.connect("autodoc-process-docstring", pages.escape_docstring)
+    app.connect("autodoc-process-signature", pages.shorten_signature)
 
 
 os.environ.setdefault("PYTHONHASHSEED", "0")

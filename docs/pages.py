@@ -9,18 +9,22 @@ the files of ``docs/data`` (``tables/``).
 from __future__ import annotations
 
 import csv
+import functools
 import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis import cli
+from pupper_analysis.base import array_types
 from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, word_files
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, RULES
@@ -49,8 +53,8 @@ def write_pages(site: Path, language: str) -> None:
     words = WORDS[language]
     pages = {
         "audit-rules.md": make_rules_page(words, language),
-        "diagnostics.md": make_codes_page(words, language),
-        "results.md": make_results_page(words, language),
+        **make_codes_pages(words, language),
+        **make_results_pages(words, language),
     }
     if language == "en":
         pages |= make_command_pages() | make_api_pages() | make_table_pages()
@@ -88,9 +92,18 @@ def _escape_markdown(text: str) -> str:
     return "`".join(parts)
 
 
-def _format_toctree(names: Iterable[str], depth: int = 1) -> str:
+def _format_toctree(names: Iterable[str], depth: int = 1, *, hidden: bool = False) -> str:
     """Return a table of contents for Sphinx."""
-    return f"```{{toctree}}\n:maxdepth: {depth}\n\n" + "\n".join(names) + "\n```\n"
+    option = ":hidden:" if hidden else f":maxdepth: {depth}"
+    return f"```{{toctree}}\n{option}\n\n" + "\n".join(names) + "\n```\n"
+
+
+def _format_entry(anchor: str, text: str, target: str, about: str = "") -> str:
+    """Return an entry of an index, with the anchor that the section had on the index's page.
+
+    Links to this anchor, for example from other sites, then lead to the entry.
+    """
+    return f'- <a id="{anchor}"></a>[{text}]({target}){about}'
 
 
 # ------------------------------------------------------------------- the catalogue of diagnostics
@@ -109,26 +122,47 @@ def make_rules_page(words: Mapping[str, Any], language: str) -> str:
     )
 
 
-def make_codes_page(words: Mapping[str, Any], language: str) -> str:
-    """Return the page of all codes, with the texts of their entries."""
-    parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
+def make_codes_pages(words: Mapping[str, Any], language: str) -> dict[str, str]:
+    """Return {path: text} of a page per folder with codes and their texts, and of the index."""
+    pages: dict[str, str] = {}
+    entries = []
     for whose, path in word_files().items():
-        if path.name not in LINE_ENTRY_FILES:
-            entries = tomllib.loads(path.read_text("utf-8"))
-            for lined in ("texts", "meanings", "terms"):
-                entries.pop(lined, None)
-            if not entries:
-                continue
-            rows = [
-                (
-                    f"`{code}`",
-                    entry.get("severity", "note"),
-                    _escape_markdown(_simplify_template(entry[language])),
-                )
-                for code, entry in entries.items()
-            ]
-            parts.append(f"## {whose}\n\n" + _format_table(words["code-columns"], rows))
-    return "\n".join(parts)
+        if path.name in LINE_ENTRY_FILES:
+            continue
+        codes = tomllib.loads(path.read_text("utf-8"))
+        for lined in ("texts", "meanings", "terms"):
+            codes.pop(lined, None)
+        if not codes:
+            continue
+        rows = [
+            (
+                f"`{code}`",
+                entry.get("severity", "note"),
+                _escape_markdown(_simplify_template(entry[language])),
+            )
+            for code, entry in codes.items()
+        ]
+        anchor = whose.replace("/", "-")
+        page = f"diagnostics/{anchor}.md"
+        pages[page] = f"# {whose}\n\n" + _format_table(words["code-columns"], rows)
+        entries.append(_format_entry(anchor, whose, page, f" ({len(rows)})"))
+    return pages | {"diagnostics.md": _make_index(words, "codes", entries, pages)}
+
+
+def _make_index(
+    words: Mapping[str, Any], title: str, entries: Sequence[str], pages: Iterable[str]
+) -> str:
+    """Return the page that lists entries, each of one of the pages.
+
+    Args:
+        words: Texts of the language; contains the title and, as ``TITLE-about``, the description.
+        title: Key of the title.
+        entries: Lines of the list.
+        pages: Paths of the pages.
+    """
+    first = f"# {words[title]}\n\n{words[f'{title}-about']}\n\n"
+    tree = _format_toctree(remove_suffixes(pages), hidden=True)
+    return first + "\n".join(entries) + "\n\n" + tree
 
 
 def _simplify_template(template: str) -> str:
@@ -139,17 +173,21 @@ def _simplify_template(template: str) -> str:
     return text.replace("{{", "{").replace("}}", "}")
 
 
-def make_results_page(words: Mapping[str, Any], language: str) -> str:
-    """Return the page with the meanings of the fields of results."""
+def make_results_pages(words: Mapping[str, Any], language: str) -> dict[str, str]:
+    """Return {path: text} of a page of result fields per initial letter, and of the index."""
     meanings: dict[str, Any] = {}
     for whose, path in word_files().items():
         read = tomllib.loads(path.read_text("utf-8"))
         meanings |= read if whose == "meanings" else read.get("meanings", {})
-    parts = [f"# {words['results']}\n\n{words['results-about']}\n"]
+    pages: dict[str, str] = {}
+    entries = []
     for name, fields in sorted(meanings.items()):
+        page = f"results/{name[0].lower()}.md"
         rows = [(f"`{field}`", _escape_markdown(said[language])) for field, said in fields.items()]
-        parts.append(f"## {name}\n\n" + _format_table(words["result-columns"], rows))
-    return "\n".join(parts)
+        pages.setdefault(page, f"# {words['results']}: {name[0]}\n")
+        pages[page] += f"\n## {name}\n\n" + _format_table(words["result-columns"], rows)
+        entries.append(_format_entry(name.lower(), name, f"{page}#{name.lower()}"))
+    return pages | {"results.md": _make_index(words, "results", entries, pages)}
 
 
 # --------------------------------------------------------------------------------- command line
@@ -168,7 +206,7 @@ def make_command_pages() -> dict[str, str]:
     ]
     first = f"# {WORDS['en']['commands']}\n\n{WORDS['en']['commands-about']}\n\n"
     table = _format_table(("Command", "Purpose"), rows)
-    hidden = _format_toctree(remove_suffixes(pages)).replace(":maxdepth: 1", ":hidden:")
+    hidden = _format_toctree(remove_suffixes(pages), hidden=True)
     return pages | {"commands.md": f"{first}{table}\n{hidden}"}
 
 
@@ -203,9 +241,33 @@ def _make_command_page(name: str, command: click.Command) -> str:
 
 
 def make_api_pages() -> dict[str, str]:
-    """Return {path: text} of the pages of the public interface: the package, and each module."""
-    own = [name for name in pa.__all__ if not isinstance(getattr(pa, name), ModuleType)]
-    pages = {"api/pupper_analysis.md": _make_api_page("pa", pa.__name__, pa, own)}
+    """Return {path: text} of the pages of the public interface: the package, and each module.
+
+    Each class of the package has its own page; all its errors share a page.
+    """
+    own = {name: getattr(pa, name) for name in pa.__all__}
+    own = {name: value for name, value in own.items() if not isinstance(value, ModuleType)}
+    classes = {name: value for name, value in own.items() if isinstance(value, type)}
+    parts: dict[str, list[str]] = {}
+    entries = []
+    for name, value in classes.items():
+        page = "errors" if issubclass(value, BaseException) else name
+        parts.setdefault(page, []).append(name)
+        about = f": {_escape_markdown(_read_summary(value))}"
+        target = f"{pa.__name__}/{page}.md"
+        entries.append(_format_entry(f"{pa.__name__}.{name}", name, target, about))
+    rest = [name for name in own if name not in classes]
+    first = _make_api_page("pa", pa.__name__, pa, rest)
+    names = [f"{pa.__name__}/{page}" for page in parts]
+    listed = "\n".join(entries)
+    tree = _format_toctree(names, hidden=True)
+    pages = {f"api/{pa.__name__}.md": f"{first}\n## Classes\n\n{listed}\n\n{tree}"}
+    members = {
+        f"api/{pa.__name__}/{page}.md": _make_api_page(
+            f"pa.{page}" if page in classes else WORDS["en"]["errors"], pa.__name__, None, names
+        )
+        for page, names in parts.items()
+    }
     for name in pa.__all__:
         module = getattr(pa, name)
         if isinstance(module, ModuleType):
@@ -214,7 +276,13 @@ def make_api_pages() -> dict[str, str]:
                 f"pa.{name}", public, module, _list_public_names(module)
             )
     first = f"# {WORDS['en']['api']}\n\n{WORDS['en']['api-about']}\n\n"
-    return pages | {"api.md": first + _format_toctree(remove_suffixes(pages), 2)}
+    tree = _format_toctree(remove_suffixes(pages), 2)
+    return pages | members | {"api.md": first + tree}
+
+
+def _read_summary(value: object) -> str:
+    """Return the first paragraph of a docstring in one line."""
+    return " ".join((value.__doc__ or "").strip().split("\n\n")[0].split())
 
 
 def _list_public_names(module: ModuleType) -> list[str]:
@@ -229,20 +297,20 @@ def _list_public_names(module: ModuleType) -> list[str]:
     ]
 
 
-def _make_api_page(title: str, public: str, module: ModuleType, names: Sequence[str]) -> str:
-    """Return the page of a module with names, each under its public import path.
+def _make_api_page(title: str, public: str, module: ModuleType | None, names: Sequence[str]) -> str:
+    """Return a page with names of a module, each under its public import path.
 
     Args:
         title: Heading of the page.
         public: Public path of the module, such as ``pupper_analysis.identification``.
-        module: The module.
+        module: The module, whose docstring begins the page; None for a page of the package without
+            a description.
         names: Names in the module.
     """
-    about = (module.__doc__ or "").strip().split("\n\n")[0]
-    lines = [f"# {title}", "", _escape_markdown(" ".join(about.split())), "", "```{eval-rst}"]
-    lines += [f".. currentmodule:: {public}", ""]
+    about = "" if module is None else _escape_markdown(_read_summary(module))
+    lines = [f"# {title}", "", about, "", "```{eval-rst}", f".. currentmodule:: {public}", ""]
     for name in sorted(names, key=lambda name: (name[0].isupper(), name)):
-        lines += _format_directive(public, name, getattr(module, name))
+        lines += _format_directive(public, name, getattr(module or pa, name))
     return "\n".join([*lines, "```", ""])
 
 
@@ -259,8 +327,59 @@ def _format_directive(module: str, name: str, value: object) -> list[str]:
     return [f".. autodata:: {full}", "   :no-value:", *index, ""]
 
 
-def shorten_aliases(*event: Any) -> tuple[str, str] | None:
-    """Replace Sphinx's marker of an aliased type by the name of the alias, such as ``ArrayLike``.
+@functools.cache
+def map_private_paths() -> dict[str, str]:
+    """Return {path of the definition: public path} of all public classes and functions."""
+    modules = {pa.__name__: pa}
+    for name in pa.__all__:
+        if isinstance(value := getattr(pa, name), ModuleType):
+            modules[f"{pa.__name__}.{name}"] = value
+    paths: dict[str, str] = {}
+    for public, module in modules.items():
+        for name in _list_public_names(module):
+            value = getattr(module, name)
+            if isinstance(value, type) or callable(value):
+                paths.setdefault(f"{value.__module__}.{value.__qualname__}", f"{public}.{name}")
+    return paths
+
+
+ARRAY_TYPES = {
+    get_args(get_args(alias)[1])[0].__name__.rstrip("_"): name
+    for name, alias in vars(array_types).items()
+    if get_origin(alias) is np.ndarray and alias is not NDArray
+}
+"""{dtype: name of the array type}, such as {"float64": "Array"}; the API page explains them."""
+
+
+def shorten_types(text: str) -> str:
+    """Return a signature or type as a reader writes it.
+
+    Array types have their short names, and names of this package their public paths. A name of
+    this package without a public path is printed without its module. ``~`` makes Sphinx print only
+    the last part of a path; a text with ``<factory>`` would be printed as it is, including ``~``.
+    """
+    text = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text).replace("<factory>", "...")
+
+    def shorten_array(found: re.Match[str]) -> str:
+        return ARRAY_TYPES.get(found[1], found[0])
+
+    path = r"~?(?:\w+\.)*"
+    shape = rf"{path}tuple\[{path}Any, \.\.\.\]"
+    array = rf"{path}ndarray\[{shape}, {path}dtype\[{path}(\w+?)_?\]\]"
+    text = re.sub(array, shorten_array, text)
+    text = re.sub(rf"{path}NDArray\[{path}(\w+?)_?\]", shorten_array, text)
+
+    def shorten_path(found: re.Match[str]) -> str:
+        name = found[1]
+        public = map_private_paths().get(name, name)
+        hidden = public == name and name not in map_private_paths().values()
+        return name.rpartition(".")[2] if hidden else f"~{public}"
+
+    return re.sub(rf"~?\b({pa.__name__}(?:\.\w+)+)", shorten_path, text)
+
+
+def shorten_signature(*event: Any) -> tuple[str, str] | None:
+    """Shorten the types of a signature.
 
     Args:
         event: Arguments of ``autodoc-process-signature``; the last two are signature and return
@@ -269,12 +388,13 @@ def shorten_aliases(*event: Any) -> tuple[str, str] | None:
     signature, returned = event[-2:]
     if signature is None:
         return None
-    marker = r"TypeAliasForwardRef\('(\w+)'\)"
-    return re.sub(marker, r"\1", signature), re.sub(marker, r"\1", returned or "")
+    return shorten_types(signature), shorten_types(returned or "")
 
 
 def escape_docstring(*event: Any) -> None:
     """Escape ``*``, ``|`` and ``_`` in docstrings, which Sphinx would take as markup.
+
+    Types of fields, which napoleon has inserted, are shortened.
 
     Args:
         event: Arguments of ``autodoc-process-docstring``; the last is the list of lines, which
@@ -286,6 +406,8 @@ def escape_docstring(*event: Any) -> None:
         indent = len(line) - len(line.lstrip())
         if literal is not None and line.strip() and indent <= literal:
             literal = None
+        if literal is None and re.match(r"\s*:(?:var)?type \S+:|\s*:rtype:", line):
+            line = shorten_types(line)
         if literal is None:
             lines[index] = _escape_line(line)
             if line.rstrip().endswith("::"):
@@ -331,13 +453,33 @@ def summarise_removed_tests(rows: Sequence[Mapping[str, str]]) -> str:
     return f"{len(rows)} rows: {counts}. Of the merged rows: {evidence}."
 
 
+MAX_TABLE_LENGTH = 20_000
+"""Largest number of characters of the cells of a table on one page; chosen. On a phone, such a page
+is at most about 25 000 px high."""
+
+
+def split_rows(rows: Sequence[tuple[str, ...]]) -> list[list[tuple[str, ...]]]:
+    """Split a table into successive parts, each with at most ``MAX_TABLE_LENGTH`` characters."""
+    parts: list[list[tuple[str, ...]]] = [[]]
+    length = 0
+    for row in rows:
+        added = sum(map(len, row))
+        if parts[-1] and length + added > MAX_TABLE_LENGTH:
+            parts.append([])
+            length = 0
+        parts[-1].append(row)
+        length += added
+    return parts
+
+
 def make_table_pages() -> dict[str, str]:
     """Return {path: text} of a page per group of tables in ``docs/data``, and of their list.
 
     ``tables.toml`` contains the groups, and the title, description and command of each table.
     """
     groups = tomllib.loads((DATA / "tables.toml").read_text("utf-8"))
-    pages = {}
+    pages: dict[str, str] = {}
+    long: dict[str, str] = {}
     for group, tables in groups.items():
         parts = [f"# {tables.pop('title')}"]
         for name, table in tables.items():
@@ -354,7 +496,24 @@ def make_table_pages() -> dict[str, str]:
                 )
             if "command" in table:
                 parts.append(f"```sh\n{table['command']}\n```")
-            parts.append(_format_table(header, [map(_escape_markdown, row) for row in rows]))
+            written = [tuple(map(_escape_markdown, row)) for row in rows]
+            pieces = split_rows(written)
+            if len(pieces) == 1:
+                parts.append(_format_table(header, written))
+                continue
+            entries = []
+            for number, piece in enumerate(pieces, 1):
+                page = f"tables/{group}/{name}-{number}.md"
+                start = sum(map(len, pieces[: number - 1])) + 1
+                rows_of = f"rows {start} to {start + len(piece) - 1}"
+                long[page] = f"# {table['title']}, {rows_of}\n\n" + _format_table(header, piece)
+                entries.append(f"- [{rows_of}]({page.removeprefix('tables/')})")
+            parts.append("\n".join(entries))
+        own = [page for page in remove_suffixes(long) if page.startswith(f"tables/{group}/")]
+        if own:
+            names = [page.removeprefix("tables/") for page in own]
+            parts.append(_format_toctree(names, hidden=True))
         pages[f"tables/{group}.md"] = "\n\n".join(parts)
     first = f"# {WORDS['en']['tables']}\n\n{WORDS['en']['tables-about']}\n\n"
-    return pages | {"tables.md": first + _format_toctree([f"tables/{name}" for name in groups])}
+    tree = _format_toctree([f"tables/{name}" for name in groups])
+    return pages | long | {"tables.md": first + tree}

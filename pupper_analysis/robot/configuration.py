@@ -46,8 +46,8 @@ UP = np.array([0.0, 0.0, 1.0])
 class Configuration(Pictured):
     """Robot at a state (qpos, qvel): kinematics and dynamics. Construction runs the kinematics.
 
-    The coordinates are MuJoCo's, with the joints in actuator order
-    (``pupper_analysis.robot.coordinates``). The base quaternion (w, x, y, z) is normalised.
+    The coordinates are MuJoCo's, with the joints in actuator order. The base quaternion
+    (w, x, y, z) is normalised.
 
     Attributes:
         robot: The robot.

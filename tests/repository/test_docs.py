@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ast
 import csv
+import html
 import importlib
 import re
+import subprocess
+import sys
 import tarfile
 import tomllib
 import zipfile
@@ -142,10 +145,13 @@ def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> 
     rules = (english / "audit-rules.md").read_text()
     assert all(f"| `{rule}` |" in rules for rule in CHECKS)
     assert all(f"| `{rule}` |" in (chinese / "audit-rules.md").read_text() for rule in CHECKS)
-    codes = (english / "diagnostics.md").read_text()
+    codes, chinese_codes = (
+        "".join(page.read_text() for page in (site / "diagnostics").glob("*.md"))
+        for site in (english, chinese)
+    )
     assert "| `servos-added` |" in codes
-    assert codes.count("\n| `") == (chinese / "diagnostics.md").read_text().count("\n| `") > 200
-    api = "".join(page.read_text() for page in (english / "api").glob("*.md"))
+    assert codes.count("\n| `") == chinese_codes.count("\n| `") > 200
+    api = "".join(page.read_text() for page in (english / "api").rglob("*.md"))
     documented = set(re.findall(r"^\.\. auto\w+:: (\S+)$", api, re.M))
     for module in (pa, *public_modules()):
         objects = {id(getattr(module, name)) for name in public(module)}
@@ -161,6 +167,92 @@ def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> 
                 assert f"`{option.opts[0]}" in part, f"{name} {option.opts[0]}"
     tables = "".join(page.read_text() for page in (english / "tables").glob("*.md"))
     assert tables.count("\n## ") == len(list(DATA.glob("*.csv")))
+
+
+def test_generated_pages_are_short_and_listed_in_the_index_of_their_folder(generated: Path) -> None:
+    """45 000 characters are at most about 30 000 px on a phone (390 px, measured)."""
+    for language in ("en", "zh"):
+        folder = generated / language / "reference/generated"
+        for page in folder.rglob("*.md"):
+            assert len(page.read_text()) < 45_000, page
+        for index in ("diagnostics", "results"):
+            text = (folder / f"{index}.md").read_text()
+            for page in (folder / index).glob("*.md"):
+                assert f"]({index}/{page.name}" in text
+                assert f"\n{index}/{page.stem}\n" in text
+    results = (generated / "en/reference/generated/results.md").read_text()
+    assert '- <a id="stand"></a>[Stand](results/s.md#stand)' in results
+    api = (generated / "en/reference/generated/api/pupper_analysis.md").read_text()
+    assert '- <a id="pupper_analysis.Robot"></a>[Robot](pupper_analysis/Robot.md)' in api
+
+
+def test_a_long_table_is_split_without_a_lost_row() -> None:
+    pages = script("docs/pages.py")
+    rows = [(str(number), "x" * 6000) for number in range(7)]
+    parts = pages.split_rows(rows)
+    assert [len(part) for part in parts] == [3, 3, 1]
+    assert [row for part in parts for row in part] == rows
+
+
+def test_types_are_printed_with_short_and_public_names() -> None:
+    shorten = script("docs/pages.py").shorten_types
+    array = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.float64]]"
+    assert shorten(f"(x: dict[str, {array}] = <factory>)") == "(x: dict[str, Array] = ...)"
+    assert shorten("ndarray[tuple[Any, ...], dtype[bool]] | None") == "BoolArray | None"
+    assert shorten("~numpy.typing.NDArray[np.bool_]") == "BoolArray"
+    assert shorten("TypeAliasForwardRef('ArrayLike')") == "ArrayLike"
+    assert shorten("pupper_analysis.robot.plane.Contact") == "~pupper_analysis.Contact"
+    assert shorten("~pupper_analysis.robot.stability.Stability") == (
+        "~pupper_analysis.robot.Stability"
+    )
+    private = "tuple[~pupper_analysis.models.description.Description, ...]"
+    assert shorten(private) == "tuple[Description, ...]"
+
+
+def check_names(site: Path) -> tuple[int, list[str]]:
+    """Run ``docs/check_names.py`` in a new process; return its exit status and what it reports."""
+    command = [sys.executable, str(ROOT / "docs/check_names.py"), str(site)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    return done.returncode, done.stderr.splitlines()
+
+
+def test_documented_names_resolve_in_a_new_process(generated: Path) -> None:
+    """Paths of the API pages, and ``pa.NAME`` on all pages, after ``import pupper_analysis``."""
+    site = generated / "names"
+    for page in [*PAGES, *(generated / "en").rglob("*.md")]:
+        root = generated / "en" if generated in page.parents else ROOT
+        copy = (site / page.relative_to(root)).with_suffix(".html")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_text(html.escape(page.read_text().replace("\\_", "_")))
+    (site / "CHANGELOG.html").unlink()  # contains former names
+    assert check_names(site) == (0, [])
+
+
+def test_private_names_of_a_page_are_reported(tmp_path: Path) -> None:
+    """``pa.models`` exists only after another name has imported it."""
+    (tmp_path / "api").mkdir()
+    page = tmp_path / "api/page.html"
+    page.write_text(
+        "<title>~numpy.x</title><p>pa.Robot pa.stance.Interval pupper_analysis.toml "
+        "pa.Robot.name</p>"
+    )
+    assert check_names(tmp_path) == (0, [])
+    faults = (
+        "pa.models",
+        "pa.robot.plane",
+        "pa.stance.task",
+        "pupper_analysis.robot.contact.ContactParameters",
+        "pa.Robot.nothing",
+        "~numpy.",
+        "typing.",
+        "ndarray[",
+        "&lt;factory&gt;",
+    )
+    for fault in faults:
+        page.write_text(f"<p>a <span>{fault}</span></p>")
+        status, reported = check_names(tmp_path)
+        assert status == 1, fault
+        assert reported == [f"api/page.html: {html.unescape(fault)}"]
 
 
 def test_architecture_page_has_the_current_import_graph() -> None:

@@ -32,8 +32,8 @@ def fit(
 ) -> Fit:
     """Estimate a robot's parameters from measurements: stands at rest, or logs of motions.
 
-    Stands are passed to ``fit_stands``, logs to ``fit_motion``, both of
-    ``pupper_analysis.tools.fit``.
+    Stands are passed to ``pupper_analysis.identification.fit_stands``, logs to
+    ``pupper_analysis.identification.fit_motion``.
 
     Args:
         robot: The robot.
