@@ -13,5 +13,6 @@ globals().update(runpy.run_path(str(Path(__file__).resolve().parents[1] / "conf.
 language = "zh_CN"
 exclude_patterns: list[str] = []
 jieba.setLogLevel(logging.WARNING)  # it tells that it loads its dictionary
-templates_path = ["../_templates"]
+templates_path = ["_templates", "../_templates"]
+locale_dirs = ["locale"]
 html_context = {"other_language": ("English", "../index.html")}
