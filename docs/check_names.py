@@ -17,7 +17,7 @@ from types import ModuleType
 import pupper_analysis as pa
 
 INTERNAL = re.compile(
-    r"~[a-z_]+\.|\btyping\.|\bndarray\[|\bNDArray\[|TypeAliasForwardRef|<factory>|<object object"
+    r"~[a-z_]+\.|\btyping\.|\bndarray\[|TypeAliasForwardRef|<factory>|<object object"
 )
 """Spellings of types that no page prints: they are written for Sphinx, not for readers."""
 

@@ -243,28 +243,30 @@ def _make_command_page(name: str, command: click.Command) -> str:
 def make_api_pages() -> dict[str, str]:
     """Return {path: text} of the pages of the public interface: the package, and each module.
 
-    Each class of the package has its own page; all its errors share a page.
+    Each function and class of the package has its own page; all its errors share a page.
     """
     own = {name: getattr(pa, name) for name in pa.__all__}
     own = {name: value for name, value in own.items() if not isinstance(value, ModuleType)}
-    classes = {name: value for name, value in own.items() if isinstance(value, type)}
+    described = {name: value for name, value in own.items() if callable(value)}
     parts: dict[str, list[str]] = {}
-    entries = []
-    for name, value in classes.items():
-        page = "errors" if issubclass(value, BaseException) else name
+    lists: dict[str, list[str]] = {"functions": [], "classes": [], "errors": []}
+    for name, value in described.items():
+        kind = "functions" if not isinstance(value, type) else "classes"
+        kind = "errors" if kind == "classes" and issubclass(value, BaseException) else kind
+        page = "errors" if kind == "errors" else name
         parts.setdefault(page, []).append(name)
         about = f": {_escape_markdown(_read_summary(value))}"
         target = f"{pa.__name__}/{page}.md"
-        entries.append(_format_entry(f"{pa.__name__}.{name}", name, target, about))
-    rest = [name for name in own if name not in classes]
-    first = _make_api_page("pa", pa.__name__, pa, rest)
-    names = [f"{pa.__name__}/{page}" for page in parts]
-    listed = "\n".join(entries)
-    tree = _format_toctree(names, hidden=True)
-    pages = {f"api/{pa.__name__}.md": f"{first}\n## Classes\n\n{listed}\n\n{tree}"}
+        lists[kind].append(_format_entry(f"{pa.__name__}.{name}", name, target, about))
+    first = _make_api_page("pa", pa.__name__, pa, [name for name in own if name not in described])
+    listed = "\n\n".join(
+        f"## {WORDS['en'][kind]}\n\n" + "\n".join(entries) for kind, entries in lists.items()
+    )
+    tree = _format_toctree([f"{pa.__name__}/{page}" for page in parts], hidden=True)
+    pages = {f"api/{pa.__name__}.md": f"{first}\n{listed}\n\n{tree}"}
     members = {
         f"api/{pa.__name__}/{page}.md": _make_api_page(
-            f"pa.{page}" if page in classes else WORDS["en"]["errors"], pa.__name__, None, names
+            f"pa.{page}" if page in own else WORDS["en"]["errors"], pa.__name__, None, names
         )
         for page, names in parts.items()
     }
@@ -453,9 +455,9 @@ def summarise_removed_tests(rows: Sequence[Mapping[str, str]]) -> str:
     return f"{len(rows)} rows: {counts}. Of the merged rows: {evidence}."
 
 
-MAX_TABLE_LENGTH = 20_000
+MAX_TABLE_LENGTH = 12_000
 """Largest number of characters of the cells of a table on one page; chosen. On a phone, such a page
-is at most about 25 000 px high."""
+is at most about 20 000 px high."""
 
 
 def split_rows(rows: Sequence[tuple[str, ...]]) -> list[list[tuple[str, ...]]]:
