@@ -170,7 +170,10 @@ def test_rotated_frames_are_no_difference(tmp_path: Path, seed: int) -> None:
         comparison = compare_files(files, tolerances=Tolerances.fine())
         assert list_differences(comparison) == []
         assert comparison.agree
-        assert max(comparison.deviations.values()) < 1e-14
+        deviations = dict(comparison.deviations)
+        # Solving with the mass matrix magnifies rounding errors by its condition number.
+        assert deviations.pop("forward dynamics") < 1e-13
+        assert max(deviations.values()) < 1e-14
 
 
 CHANGES: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
