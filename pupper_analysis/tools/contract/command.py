@@ -67,17 +67,25 @@ def command(
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
     Exit status: 0 no disagreement as severe as --fail-on, 1 there is one, 2 bad input. Also 1 if a
-    source or quantity was not compared, except with --fail-on error.
+    source, a quantity or a joint name was not compared, or if there was nothing to compare, except
+    with --fail-on error.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
+    from pupper_analysis.present.document import NextStep
     from pupper_analysis.tools.contract.contract import read_contract
-    from pupper_analysis.tools.contract.document import make_contract_annotations
+    from pupper_analysis.tools.contract.document import (
+        list_proposed_matches,
+        make_contract_annotations,
+    )
 
     names = dict(shared.parse_assignment("map", pair) for pair in pairs)
     with shared.show_progress("reading the sources, and standing the robot in them"):
         result = read_contract(*sources, names=names, stand=not unstood, fail_on=fail_on)
     if style in ("text", "markdown"):
-        shared.show_results([("", result)], style, everything=everything)
+        matches = list_proposed_matches(result)
+        words = [word for name, joint in matches.items() for word in ("--map", f"{name}={joint}")]
+        step = NextStep("contract", (*sources, *words)) if matches else None
+        shared.show_results([("", result)], style, everything=everything, next_step=step)
     else:
         click.echo(
             formats.write_annotations(

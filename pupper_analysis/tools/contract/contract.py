@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,13 +20,14 @@ from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.published import find_file, is_published_name, is_uri
 from pupper_analysis.pupper.named_robots import find_files, is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.tools.contract.facts import Fact, JointSource, Role
+from pupper_analysis.tools.contract.facts import Fact, JointSource, Role, find_quantity_kind
 from pupper_analysis.tools.contract.findings import (
     DefaultPoseStand,
     Disagreement,
     add_height_effects,
     find_disagreements,
     find_lost_quantities,
+    find_unmatched_joints,
     note_servo_damping,
 )
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
@@ -86,8 +87,9 @@ class Contract(Result):
         notes: Assumptions, and content that could not be read.
         evidence: ``parsed`` if the numbers were only read; ``simulated`` if the robot was also
             simulated in a default pose.
-        passed: True if every disagreement is less severe than ``fail_on``, and everything was
-            compared or ``fail_on`` is ``error``.
+        passed: True if every disagreement is less severe than ``fail_on``, and ``fail_on`` is
+            ``error``, or ``unread`` is empty and some content of two sources was compared
+            (not required of a single source).
         floating: True if the base counts as free, for example if a URDF or MJCF contains a free
             joint, or if two or more limbs are attached to the base.
     """
@@ -180,7 +182,8 @@ def _compare_sources(
     if errors and all(source.source.role is Role.MODEL for source in placed):
         raise errors[0]
     unread = [diagnose("contract-unread", file=error.source, why=error.cause) for error in errors]
-    unread += find_lost_quantities(placed, joints)
+    lost = find_lost_quantities(placed, joints)
+    unread += [*find_unmatched_joints(placed, first.order, lost), *lost]
     notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses: tuple[DefaultPoseStand, ...] = ()
@@ -195,11 +198,13 @@ def _compare_sources(
     worst = Severity(fail_on).rank
     facts = tuple(fact for placed_source in placed for fact in placed_source.facts.values())
     passed = all(finding.severity.rank > worst for finding in findings)
-    passed = passed and not (unread and worst >= Severity.WARNING.rank)
+    summaries = tuple(map(_summarise_source, placed))
+    is_incomplete = bool(unread) or is_uncompared(facts, summaries)
+    passed = passed and not (is_incomplete and worst >= Severity.WARNING.rank)
     return Contract(
         str(first.path),
         first.order,
-        tuple(map(_summarise_source, placed)),
+        summaries,
         facts,
         findings,
         poses,
@@ -209,6 +214,29 @@ def _compare_sources(
         passed,
         model.has_free_base,
     )
+
+
+def find_compared_numbers(facts: Iterable[Fact]) -> list[tuple[str, str]]:
+    """Return the (quantity, joint) pairs that at least two sources state; "" for a setting.
+
+    Quantities that are only listed, and expressions that are not constant, are omitted.
+    """
+    sources: dict[tuple[str, str], set[str]] = {}
+    for fact in facts:
+        if fact.value is not None and find_quantity_kind(fact.quantity).severity is not None:
+            sources.setdefault((fact.quantity, fact.joint), set()).add(fact.source)
+    return [key for key, names in sources.items() if len(names) > 1]
+
+
+def is_uncompared(facts: Iterable[Fact], sources: Sequence[SourceRead]) -> bool:
+    """Return True if there are two or more sources, and no content of two sources was compared.
+
+    Compared contents are numbers, joint orders of sources that are no models, and observations.
+    """
+    orders = [source for source in sources if source.order and source.role != Role.MODEL]
+    observations = [source for source in sources if source.observations]
+    has_pair = len(orders) > 1 or len(observations) > 1 or bool(find_compared_numbers(facts))
+    return len(sources) > 1 and not has_pair
 
 
 def _find_model_files(

@@ -21,7 +21,11 @@ from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import ANNOTATION_LEVELS, Annotation
 from pupper_analysis.pupper.named_robots import is_variant
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.contract.contract import Contract
+from pupper_analysis.tools.contract.contract import (
+    Contract,
+    find_compared_numbers,
+    is_uncompared,
+)
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Role, find_quantity_kind
 from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
 
@@ -35,46 +39,55 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 
     `build_document` calls this function for a `Contract`.
     """
-    is_uncompared = _is_uncompared(contract)
     is_asymmetric = _has_asymmetries_only(contract)
-    is_alone = len(contract.sources) == 1 and not contract.findings and not contract.unread
-    counts_sides = is_asymmetric or is_alone
-    message = _count_asymmetries(contract) if counts_sides else _count_differences(contract)
+    is_alone = len(contract.sources) == 1
+    uncompared = is_uncompared(contract.facts, contract.sources)
     poseless = not any(fact.quantity == "default angle" for fact in contract.facts)
     evidence = text(f"contract-evidence-{contract.evidence}", poseless=poseless)
+    unread = tuple(map(doc.diagnostic_text, contract.unread))
+    falls = tuple(_describe_falls(contract))
+    worst = tuple(_describe_worst_disagreement(contract))
     has_findings = bool(contract.findings)
-    agree = text("contract-agree-but" if has_findings or contract.unread else "contract-agree")
-    is_incomplete = all(finding.severity is Severity.NOTE for finding in contract.findings)
-    differ = text("contract-incomplete" if contract.unread and is_incomplete else "contract-differ")
-    if is_asymmetric:
-        agree = differ = text("contract-asymmetric")
-    if is_uncompared:
-        agree = differ = text("contract-not-compared")
-        message = text(
+    messages: tuple[doc.Words, ...]
+    if uncompared and not unread:
+        verdict = text("contract-not-compared")
+        counted = text(
             "contract-not-compared-count",
             two=len(contract.sources) == 2,
             findings=len(contract.findings) or None,
         )
+        messages = (counted, *_list_uncompared(contract))
+    elif is_asymmetric:
+        verdict = text("contract-asymmetric")
+        messages = (_count_asymmetries(contract), *worst)
+    elif has_findings and any(f.severity is not Severity.NOTE for f in contract.findings):
+        verdict = text("contract-agree-but" if contract.passed else "contract-differ")
+        messages = (_count_differences(contract), *worst, *unread)
+    elif unread:
+        verdict = text("contract-agree-but" if contract.passed else "contract-incomplete")
+        messages = (*unread, _count_differences(contract), *worst)
+    else:
+        is_noted = has_findings or bool(falls)
+        verdict = text("contract-agree-but" if is_noted else "contract-agree")
+        count = _count_asymmetries if is_alone and not has_findings else _count_differences
+        messages = (count(contract), *worst)
+    is_brief = has_findings or bool(unread) or uncompared
     return doc.Document(
         text("contract"),
         _name_sources(contract),
         tuple(_list_blocks(contract)),
         passed=contract.passed,
-        verdict=agree if contract.passed else differ,
-        warned=contract.passed and (has_findings or bool(contract.unread) or is_uncompared),
+        verdict=verdict,
+        warned=contract.passed and (is_brief or bool(falls)),
         findings=(
-            message,
-            *map(doc.diagnostic_text, contract.unread),
-            *(_list_uncompared(contract) if is_uncompared else ()),
-            *(map(doc.diagnostic_text, filter(_is_list_note, contract.notes))),
-            *(() if is_uncompared else _describe_worst_disagreement(contract)),
-            *(
-                ()
-                if has_findings or contract.unread or is_uncompared
-                else (_list_compared(contract), evidence)
-            ),
+            messages[0],
+            *falls,
+            *messages[1:],
+            *map(doc.diagnostic_text, filter(_is_list_note, contract.notes)),
+            *(() if is_brief else (_list_compared(contract),)),
+            *(() if is_brief or falls else (evidence,)),
         ),
-        details=(evidence,) if has_findings or contract.unread or is_uncompared else (),
+        details=(evidence,) if is_brief or falls else (),
         next_step=_select_next_step(contract),
         notes=tuple(map(doc.diagnostic_text, filterfalse(_is_list_note, contract.notes))),
     )
@@ -105,25 +118,31 @@ def _name_sources(contract: Contract) -> doc.Words:
     return text("contract-names-of-two", first=doc.Name(first), second=doc.Name(second))
 
 
+def _describe_falls(contract: Contract) -> Iterable[doc.Words]:
+    """Yield a text for each source in whose default pose the robot does not stay up."""
+    for pose in contract.poses:
+        if pose.stays is False:
+            yield text("contract-pose-falls", source=doc.Name(pose.source.partition(":")[0]))
+
+
 def _has_asymmetries_only(contract: Contract) -> bool:
     """Return True if all findings are left-right asymmetries, and everything was compared."""
     mirrored = [finding.probable_mistake == "mirror" for finding in contract.findings]
     return bool(mirrored) and all(mirrored) and not contract.unread
 
 
-def _is_uncompared(contract: Contract) -> bool:
-    """Return True if there are several sources, but no number is stated by two of them."""
-    is_between = any(finding.probable_mistake != "mirror" for finding in contract.findings)
-    is_compared = is_between or bool(_find_compared_quantities(contract))
-    return len(contract.sources) > 1 and not is_compared and not contract.unread
-
-
 def _count_differences(contract: Contract) -> doc.Words:
-    """Return the text of the number of differences, of numbers and of sources."""
+    """Return the text of the number of differences, of compared numbers and of sources.
+
+    A single source is compared with its mirror image: all of its numbers count.
+    """
+    is_single = len(contract.sources) == 1
+    compared = contract.facts if is_single else find_compared_numbers(contract.facts)
     return text(
         "contract-count",
         findings=len(contract.findings),
-        facts=len(contract.facts),
+        facts=len(compared),
+        several=not is_single or None,
         sources=len(contract.sources),
         mirrored=sum(finding.probable_mistake == "mirror" for finding in contract.findings) or None,
     )
@@ -171,7 +190,8 @@ def _shorten_source(contract: Contract, name: str) -> doc.Words:
 def _select_next_step(contract: Contract) -> doc.NextStep:
     """Return the command to suggest next.
 
-    It is `crosscheck` of the models, `walk`, `gains` with the gains of a source, `stand` or `hold`.
+    It is `crosscheck` of the models, `walk`, `gains` with the gains of a source (for example if
+    these gains do not hold the default pose), `stand` or `hold`.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
@@ -186,10 +206,24 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
         words = (contract.model, "--policy", policies[0])
         return doc.NextStep("walk", words, robot_typed=False)
     gains = _format_shared_gains(contract)
-    if gains and contract.floating and contract.findings and _is_uncompared(contract):
-        return doc.NextStep("gains", (contract.model, *gains), robot_typed=False)
+    falls = any(pose.stays is False for pose in contract.poses)
+    omitted = ("--map",)  # names that only other sources contain
+    is_one_sided = contract.findings and is_uncompared(contract.facts, contract.sources)
+    if gains and contract.floating and (falls or is_one_sided):
+        model_and_gains = (contract.model, *gains)
+        return doc.NextStep("gains", model_and_gains, robot_typed=False, omitted=omitted)
     command = "stand" if contract.floating else "hold"
-    return doc.NextStep(command, (contract.model,), robot_typed=False)
+    return doc.NextStep(command, (contract.model,), robot_typed=False, omitted=omitted)
+
+
+def list_proposed_matches(contract: Contract) -> dict[str, str]:
+    """Return {name in a source without a match: the only joint of the robot that it can name}."""
+    matches: dict[str, str] = {}
+    for message in contract.unread:
+        joint, names = message.values.get("joint"), message.values.get("names")
+        if message.code == "contract-names-unknown" and joint and isinstance(names, tuple):
+            matches[str(names[0])] = str(joint)
+    return matches
 
 
 def _format_shared_gains(contract: Contract) -> tuple[str, ...]:
@@ -226,17 +260,15 @@ def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
 
 def _find_compared_quantities(contract: Contract) -> list[str]:
     """Return the quantities that at least two sources state for the same joint or setting."""
-    sources: dict[tuple[str, str], set[str]] = {}
-    for fact in contract.facts:
-        sources.setdefault((fact.quantity, fact.joint), set()).add(fact.source)
-    return list(dict.fromkeys(key[0] for key, names in sources.items() if len(names) > 1))
+    return list(dict.fromkeys(quantity for quantity, _ in find_compared_numbers(contract.facts)))
 
 
 def _list_compared(contract: Contract) -> doc.Words:
-    """Return the text of the compared quantities."""
+    """Return the text of the compared quantities; without any, of orders and observations."""
     quantities = _find_compared_quantities(contract)
     if not quantities:
-        return text("contract-compared-none", alone=len(contract.sources) == 1)
+        is_alone = len(contract.sources) == 1
+        return text("contract-compared-none" if is_alone else "contract-compared-orders")
     return text("contract-compared", quantities=_join_quantities(quantities))
 
 

@@ -258,6 +258,55 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
     return lost
 
 
+def find_unmatched_joints(
+    placed: Sequence[PlacedSource], joints: Sequence[str], lost: Sequence[Diagnostic]
+) -> list[Diagnostic]:
+    """List the joint names of each source that match no joint of the robot.
+
+    If one name of a source is left, and its quantities lack the number of one joint of the robot
+    only, the message contains this joint: the name probably belongs to this joint.
+
+    Args:
+        placed: Sources.
+        joints: Names of the robot's joints.
+        lost: Messages of `find_lost_quantities`, whose names are not repeated.
+
+    Returns:
+        A message for each source with such names.
+    """
+    messages = list[Diagnostic]()
+    repeated = set[tuple[str, str]]()
+    for message in lost:
+        if message.code == "contract-quantity-lost" and isinstance(message.values["names"], tuple):
+            repeated |= {
+                (str(message.values["file"]), str(name)) for name in message.values["names"]
+            }
+    for source in placed:
+        file = source.source.name
+        names = tuple(name for name in source.unknown if (file, name) not in repeated)
+        if not names:
+            continue
+        quantities = [quantity for quantity, keys in source.unplaced.items() if names[0] in keys]
+        lacking = {
+            joint
+            for joint in joints
+            if joint not in source.order
+            and all((quantity, joint) not in source.facts for quantity in quantities)
+        }
+        is_clear = len(names) == 1 and len(lacking) == 1
+        messages.append(
+            diagnose(
+                "contract-names-unknown",
+                file=file,
+                names=names,
+                count=len(names),
+                joint=lacking.pop() if is_clear else None,
+                sources=source.source.path,
+            )
+        )
+    return messages
+
+
 def _find_missing_sides(
     source: PlacedSource, stated: Set[tuple[str, str]], model: RobotJoints
 ) -> Iterator[Diagnostic]:
@@ -454,6 +503,10 @@ def _group_by_values(
             abs(a), abs(b)
         )
         what = Term(quantity) if quantity in QUANTITIES else quantity
+        names = (first_fact.source, second_fact.source)
+        short_names = [name.partition(":")[0] for name in names]
+        if short_names[0] == short_names[1]:  # two configurations in a file
+            short_names = list(names)
         message = diagnose(
             "contract-differs",
             subject=("joint", head) if head else None,
@@ -465,6 +518,9 @@ def _group_by_values(
             shown=_format_first_number(first_fact.number, kind.unit),
             first=first_fact.source,
             second=second_fact.source,
+            joint=head or None,
+            short_first=short_names[0],
+            short_second=short_names[1],
             sign=mistake == "sign" or None,
             unit=unit or None,
         )

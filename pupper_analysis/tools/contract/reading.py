@@ -230,15 +230,4 @@ def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagno
             "contract-no-joint", model=model.name, names=names, joints=model.order[:4]
         )
         raise ModelError(placed_source.source.path, next(iter(placed_source.notes), message))
-    unknown = (
-        [
-            diagnose(
-                "contract-names-unknown",
-                file=placed_source.source.name,
-                names=placed_source.unknown,
-            )
-        ]
-        if placed_source.unknown
-        else []
-    )
-    return [*placed_source.source.notes, *placed_source.notes, *unknown]
+    return [*placed_source.source.notes, *placed_source.notes]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import Answer, answer
-from tests.tools.contract.sources import MJCF, URDF, format_list, write_all
+from tests.tools.contract.sources import ANGLES, JOINTS, MJCF, URDF, format_list, write_all
 
 BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
@@ -30,6 +30,19 @@ BAD = {
                  "actuators={'a': B(joint_names_expr=['knee'], stiffness=2.0)})\n",
                  "no joint name of the file matches a joint of pupper_v3.urdf"),
 }  # fmt: skip
+
+GYM = f"""
+class Cfg(LeggedRobotCfg):
+    class init_state(LeggedRobotCfg.init_state):
+        default_joint_angles = {dict(zip(JOINTS, ANGLES, strict=True))}
+
+    class control(LeggedRobotCfg.control):
+        stiffness = {{"leg": 5.0}}
+        damping = {{"leg": 0.25}}
+        action_scale = 0.5
+        decimation = 4
+"""
+"""Configuration of legged_gym with the default angles and gains of Pupper v3."""
 
 
 def run(folder: Path, *arguments: object) -> Answer:
@@ -94,13 +107,64 @@ def test_next_command_is_crosscheck_if_urdf_and_mjcf_differ_else_walk(tmp_path: 
     sources = write_all(tmp_path)
     lines = run(tmp_path, URDF, MJCF, sources["policy.json"]).stdout.splitlines()
     assert lines[1] == (
-        "  kd of joint leg_front_r_1 and 11 more: "
-        "0.25 in policy.json, 0.1 N m s/rad in pupper_v3.xml"
+        "  kd of leg_front_r_1 (+11): 0.25 in policy.json, 0.1 N m s/rad in pupper_v3.xml"
     )
     assert lines[2].startswith("  next: pupper-analysis walk ")
     assert lines[2].endswith(f" --policy {sources['policy.json']}")
     other = tmp_path / "robot.urdf"
     other.write_text(URDF.read_text().replace('effort="3"', 'effort="4"', 1))
     lines = run(tmp_path, other, MJCF).stdout.splitlines()
-    assert "effort of joint leg_front_r_1" in lines[1]
+    assert "effort of leg_front_r_1" in lines[1]
     assert lines[2] == f"  next: pupper-analysis crosscheck {other} {MJCF}"
+
+
+def test_name_that_matches_no_joint_is_incomplete_and_the_next_command_assigns_it(
+    tmp_path: Path,
+) -> None:
+    """A renamed joint of the model leaves one name of the trainer and one joint without number."""
+    trainer = tmp_path / "gym_cfg.py"
+    trainer.write_text(GYM)
+    model = tmp_path / "robot.urdf"
+    model.write_text(URDF.read_text().replace('"leg_back_l_3"', '"rear_knee"'))
+    result = run(tmp_path, model, trainer)
+    lines = result.stdout.splitlines()
+    assert result.returncode == 1
+    assert lines[0] == (
+        "INCOMPLETE robot.urdf and gym_cfg.py: leg_back_l_3 of gym_cfg.py:Cfg matches no joint, probably rear_knee"
+    )
+    options = "--no-stand --map leg_back_l_3=rear_knee"
+    assert lines[2] == f"  next: pupper-analysis contract {model} {trainer} {options}"
+    result = run(tmp_path, model, trainer, "--map", "leg_back_l_3=rear_knee")
+    assert "INCOMPLETE" not in result.stdout
+
+
+def test_sources_without_a_common_quantity_are_not_compared(tmp_path: Path) -> None:
+    """The trainer states default angles and gains only, and the URDF states limits."""
+    trainer = tmp_path / "gym_cfg.py"
+    trainer.write_text(GYM)
+    result = run(tmp_path, URDF, trainer)
+    assert result.returncode == 1
+    assert result.stdout.startswith("NOT COMPARED pupper_v3.urdf and gym_cfg.py: no number in both")
+    assert run(tmp_path, URDF, trainer, "--fail-on", "error").returncode == 0
+
+
+def test_number_of_compared_numbers_excludes_numbers_of_one_source(tmp_path: Path) -> None:
+    """Twelve efforts are stated twice; the URDF alone states limits and velocities."""
+    limits = tmp_path / "limits.yaml"
+    limits.write_text(
+        f"joint_names: {format_list(JOINTS)}\ntorque_limits: {format_list([3] * 12)}\n"
+    )
+    line = run(tmp_path, URDF, limits).stdout.splitlines()[0]
+    count = "0 differences in 12 compared numbers from 2 sources"
+    assert line == f"AGREE pupper_v3.urdf and limits.yaml: {count}"
+
+
+@pytest.mark.slow
+def test_default_pose_that_falls_is_stated_beside_the_verdict(tmp_path: Path) -> None:
+    """With kp 0.5 N m/rad the knee torques of Pupper v3 need more than 0.5 rad of deflection."""
+    trainer = tmp_path / "gym_cfg.py"
+    trainer.write_text(GYM.replace("5.0}", "0.5}"))
+    completed = answer("contract", str(URDF), str(trainer), folder=tmp_path)
+    lines = completed.stdout.splitlines()
+    assert lines[1].startswith("  default pose of gym_cfg.py does not stay up with its gains")
+    assert lines[2].startswith(f"  next: pupper-analysis gains {URDF} --kp 0.5 --kd 0.25")
