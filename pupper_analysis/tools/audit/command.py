@@ -96,6 +96,7 @@ def command(
     )
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
+    from pupper_analysis.tools.audit.fix import list_unique_repairs
 
     if list_rules:
         refuse_unused("--list-rules", {"--list-rules": {"list_rules"}})
@@ -122,6 +123,10 @@ def command(
     if style in ("text", "markdown"):
         shown = [("", result) for result in results]
         step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant
+        if fix and list_unique_repairs(results):
+            may_write = confirmed or sys.stdin.isatty()
+            words = () if may_write else ("--fix", "--yes")
+            step = NextStep("audit", words, omitted=("--fix", "--yes"))
         shared.show_results(shown, style, everything=everything, next_step=step)
     else:
         found = [

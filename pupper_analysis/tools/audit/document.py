@@ -66,12 +66,34 @@ def describe_counts(audit: Audit) -> doc.Words:
 def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
     """Yield the text of the most severe finding, if there is a finding."""
     if audit.findings:
-        diagnostic = audit.findings[0].diagnostic
-        finding: doc.Words = doc.diagnostic_text(diagnostic)
-        if "start" not in diagnostic.values:  # otherwise the message names the configuration
-            element = format_element(diagnostic)
-            finding = text("element-message", element=element, message=finding)
+        first, *others = audit.findings
+        alike = [one for one in others if (one.rule, one.message) == (first.rule, first.message)]
+        finding = summarise_finding(first.rule, first.diagnostic, len(alike))
         yield text("audit-first", finding=finding)
+
+
+MAX_SUMMARY_WIDTH = 92
+"""Largest width [characters] of a finding in a short answer, after "first: ". A longer message is
+replaced by the title of the rule."""
+
+
+def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> doc.Text:
+    """Return element and message of a finding, with a short form of one clause.
+
+    Args:
+        rule: Id of the rule.
+        diagnostic: Message of the finding.
+        num_alike: Number of further elements with the same message.
+    """
+    message = doc.diagnostic_text(diagnostic)
+    if "start" in diagnostic.values:  # the message names the configuration
+        return message
+    element = text("audit-elements", element=format_element(diagnostic), more=num_alike or None)
+    finding = text("element-message", element=element, message=message)
+    if len(finding.short or finding.en) <= MAX_SUMMARY_WIDTH:
+        return finding
+    title = get_rule_text(rule, "title")
+    return replace(finding, short=f"{element.en}: {title.en[:1].lower()}{title.en[1:]}")
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:

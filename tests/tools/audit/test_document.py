@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -140,3 +141,70 @@ def test_answer_about_a_start_names_the_configuration_instead_of_a_link(tmp_path
     audit = replace(audit_model(bent), findings=(found,))
     second = printed(audit_document(audit), everything=False).splitlines()[1]
     assert second.startswith("  first: the zero configuration: leg_front_r_3 at 0 deg, limits 28.6")
+
+
+LEGS = """<robot name="legs"><link name="base"><inertial><mass value="5"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>{legs}</robot>"""
+LEG = """<link name="{side}_shank">{shank}</link>
+<joint name="{side}_knee" type="revolute"><parent link="base"/><child link="{side}_shank"/>
+<origin xyz="0 {y} 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/>
+</joint><link name="{side}_cover">{cover}</link>
+<joint name="{side}_fixed" type="fixed"><parent link="{side}_shank"/><child link="{side}_cover"/>
+</joint>"""
+INERTIAL = """<inertial><mass value="{mass}"/><inertia ixx="{moment}" iyy="{moment}" izz="{moment}"
+ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+
+def write_legs(path: Path, masses: Mapping[str, tuple[float, float]], moment: float = 1e-3) -> Path:
+    """Write a URDF with two legs: {side: masses of the shank and of a cover fixed to it}."""
+    legs = "".join(
+        LEG.format(
+            side=side,
+            y=0.1 if side == "left" else -0.1,
+            shank=INERTIAL.format(mass=shank, moment=1e-3) if shank else "",
+            cover=INERTIAL.format(mass=cover, moment=moment) if cover else "",
+        )
+        for side, (shank, cover) in masses.items()
+    )
+    path.write_text(LEGS.format(legs=legs))
+    return path
+
+
+def test_mass_of_a_fixed_link_may_belong_to_the_parent_on_one_side(tmp_path: Path) -> None:
+    """Both legs have 0.3384 kg at equal places, so the bodies that move are mirror images.
+
+    With another total mass, the difference of the pair is an error (ratio above 10).
+    """
+    merged = write_legs(tmp_path / "a.urdf", {"left": (0.001, 0.3374), "right": (0.3384, 0.0)})
+    rules = {finding.rule for finding in audit_model(merged).findings}
+    assert not rules & {"mirror-mass", "mirror-com", "mirror-inertia"}
+    wrong = write_legs(tmp_path / "b.urdf", {"left": (0.001, 0.3374), "right": (0.5, 0.0)})
+    found = [one for one in audit_model(wrong).findings if one.rule == "mirror-mass"]
+    assert found[0].severity == "error"
+
+
+def test_zero_inertia_of_the_heaviest_fixed_link_is_a_warning(tmp_path: Path) -> None:
+    """The moments of a moving group are those of this link, which has 0.3374 of 0.3384 kg."""
+    masses = {"left": (0.001, 0.3374), "right": (0.001, 0.3374)}
+    audit = audit_model(write_legs(tmp_path / "a.urdf", masses, moment=0.0))
+    rule = "inertia-not-positive-definite"
+    found = [(one.element, one.severity) for one in audit.findings if one.rule == rule]
+    assert found == [("link 'left_cover'", "warning"), ("link 'right_cover'", "warning")]
+
+
+def test_answer_names_the_exchanged_limits_first_and_counts_equal_findings(tmp_path: Path) -> None:
+    """Four links violate the triangle inequality by (0.02 - 0.002) / 0.02 = 90 %."""
+    path = write_legs(tmp_path / "a.urdf", {"left": (0.5, 0.1), "right": (0.5, 0.1)})
+    text = path.read_text().replace('izz="0.001"', 'izz="0.02"')
+    path.write_text(text)
+    lines = answer("audit", "a.urdf", folder=tmp_path).stdout.splitlines()
+    assert lines[1] == "  first: link 'left_shank' (+3): triangle inequality violated by 90 %"
+    path.write_text(text.replace('lower="-1" upper="1"', 'lower="1" upper="-0.5"', 1))
+    lines = answer("audit", "a.urdf", folder=tmp_path).stdout.splitlines()
+    assert lines[1].startswith("  first: joint 'left_knee': lower limit is 57.2958")
+    assert lines[2] == "  next: pupper-analysis audit a.urdf --fix"
+    lines = answer("audit", "a.urdf", "--fix", folder=tmp_path).stdout.splitlines()
+    assert lines[2] == "  next: pupper-analysis audit a.urdf --fix --yes"
+    lines = answer("audit", "a.urdf", "--fix", "--yes", folder=tmp_path).stdout.splitlines()
+    assert lines[2] == "  next: pupper-analysis audit a.urdf"
+    assert 'lower="-0.5" upper="1"' in path.read_text()

@@ -344,17 +344,18 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
     The tolerance of a negative moment depends on the greatest moment and on the rounding of the
-    stated numbers. Zero moments are findings for moving links without fixed links, or with lighter
-    fixed links.
+    stated numbers. Zero moments are findings for moving links without fixed links, and for the link
+    with most of the mass of a moving group of fixed links.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)
         zero = max(1e-9 * scale, MIN_GYRATION_SQUARED * inertial.mass)
-        group = robot.fixed_group(body.name)
+        carrier = robot.find_moving_body(body.name)
+        group = robot.fixed_group(carrier)
         alone = body.moving and len(group) == 1
         heaviest = (
-            body.moving
+            robot.links[carrier].moving
             and not robot.is_negligible(body)
             and 2 * inertial.mass > sum(part.mass for part in group)
         )

@@ -412,8 +412,40 @@ def _list_inertial_pairs(
     for mirror, first, second in _omit_copied_limbs(robot, _list_pairs_in_place(robot)):
         if first.inertial is None or second.inertial is None:
             continue
+        if _is_distributed_otherwise(robot, mirror, first, second):
+            continue
         if not _is_turned_copy(robot, first, second):
             yield mirror, (first, first.inertial), (second, second.inertial)
+
+
+def _is_distributed_otherwise(
+    robot: RobotModel, mirror: MirrorPlane, first: Link, second: Link
+) -> bool:
+    """Return True if two links differ only in how mass is assigned to links that are fixed to them.
+
+    The masses of the links differ, but mass and CoM of both groups of fixed links agree: a
+    converter may add the inertial of a fixed link to its parent on one side only.
+    """
+    if _masses_agree(first, second):
+        return False
+    masses, coms = list[float](), list[Array]()
+    for link in (first, second):
+        group = [
+            part
+            for part in robot.fixed_group(robot.find_moving_body(link.name))
+            if part.inertial is not None and part.mass > 0
+        ]
+        masses.append(sum(part.mass for part in group))
+        moments = [
+            part.mass * part.pose.point(part.inertial.com)
+            for part in group
+            if part.inertial is not None
+        ]
+        coms.append(np.sum(moments, axis=0) / max(masses[-1], np.finfo(float).tiny))
+    if not min(masses) > 0 or abs(masses[0] - masses[1]) > MASS_RTOL * max(masses):
+        return False
+    gap = float(np.linalg.norm(mirror.reflect_point(coms[0]) - coms[1]))
+    return gap <= get_com_tolerance(coms[1])
 
 
 def _is_turned_copy(robot: RobotModel, first: Link, second: Link) -> bool:
@@ -474,9 +506,13 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is ERROR if positive masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`.
+    The severity is ERROR if positive masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`. Pairs
+    whose mass only belongs to another link of the same rigid group are left out.
     """
+    mirror = find_mirror_plane(robot)
     for first, second in _list_body_pairs(robot):
+        if mirror is not None and _is_distributed_otherwise(robot, mirror, first, second):
+            continue
         if not _masses_agree(first, second):
             message = diagnose(
                 "mirror-mass",
