@@ -175,9 +175,14 @@ _UNWELDABLE_CODES = ("base-without-mass", "no-base-to-weld")
 _AUDITED_CODES = (
     *("mjcf-not-compiled", "inertia-refused"),
     *("link-without-mass", "moving-link-without-mass", "robot-without-mass"),
+    "joint-limits-crossed",
 )
-"""Codes of errors about models that MuJoCo refuses. `Command.invoke` adds the command line of
-`audit`, which proposes repairs.
+"""Codes of errors about model files with which no command can simulate. `Command.invoke` adds the
+command line of `audit`, which proposes repairs.
+"""
+
+_REPAIRED_CODES = ("joint-limits-crossed",)
+"""Codes of `_AUDITED_CODES` whose cause has one repair: the command line has the option ``--fix``.
 """
 
 
@@ -392,11 +397,13 @@ class Command(click.Command):
                 raise named from error
             raise
         except ModelError as error:
-            if error.cause.code in _AUDITED_CODES and self.name != "audit":
+            code = error.cause.code
+            if code in _AUDITED_CODES and self.name != "audit":
                 from pupper_analysis.cli.next_step import complete_command
                 from pupper_analysis.present.document import NextStep
 
-                error.add_note(complete_command(NextStep("audit")))
+                words = ("--fix",) if code in _REPAIRED_CODES else ()
+                error.add_note(complete_command(NextStep("audit", words)))
             raise
         except StanceUnreachableError as error:
             from pupper_analysis.cli.next_step import complete_relaxed_command

@@ -68,6 +68,7 @@ from pupper_analysis.prepare.joints import (
 )
 from pupper_analysis.prepare.limits import report_unstated_efforts
 from pupper_analysis.prepare.simulable import (
+    check_joint_limits,
     check_masses,
     check_simulable,
     choose_exact_solver,
@@ -926,6 +927,7 @@ def prepare_robot(
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
     """Run the preparation passes of loading: all except servos, rest pose and visual meshes."""
     check_simulable(mjcf)
+    check_joint_limits(urdf)
     return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
 
 

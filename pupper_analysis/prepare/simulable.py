@@ -23,7 +23,7 @@ from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
 from pupper_analysis.robot.build import with_additions
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -150,6 +150,30 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     where = f"{place.file.name}:{place.line}" if place.line else place.file.name
     problem = diagnose("moving-link-without-mass", subject=(kind, name), place=where)
     return make_file_error(place, problem)
+
+
+def check_joint_limits(urdf: UrdfFile) -> None:
+    """Raise an error if the lower limit of a joint in a URDF is above its upper limit.
+
+    No position is permitted, so statements about postures and ranges of the robot have no meaning.
+
+    Raises:
+        ModelError: If limits are crossed; the error contains the line of the first such joint.
+    """
+    for joint in urdf.tree.moving:
+        limit = joint.element.find("limit")
+        if limit is None or joint.kind == "continuous" or states_no_limits(joint):
+            continue
+        least, most = (float(limit.get(end) or 0) for end in ("lower", "upper"))
+        if least > most:
+            crossed = diagnose(
+                "joint-limits-crossed",
+                subject=("joint", joint.name),
+                least=least,
+                most=most,
+                unit="m" if joint.kind == "prismatic" else "rad",
+            )
+            raise make_file_error(urdf.place("joint", joint.name, "limit"), crossed)
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:

@@ -157,6 +157,7 @@ def find_branches(
                 subject=("joint", name),
                 least=float(least),
                 most=float(most),
+                unit="",
             )
             raise ModelError(robot.description.urdf_source, crossed)
     low = np.where(np.isfinite(lower), lower, -math.pi)

@@ -21,6 +21,7 @@ from pupper_analysis.cli.stance_fields import OPTION_FIELDS, format_as_options, 
 from pupper_analysis.present.document import NextStep
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.audit.document import audit_document
+from tests.prepare.test_imported import four_legs
 from tests.support import arm
 from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT
@@ -203,6 +204,27 @@ def test_refusal_of_a_base_without_mass_prints_audit(
     audit = audit_model(path)
     assert not audit.passed
     assert audit.findings[0].element == "link 'base'"
+
+
+@pytest.mark.parametrize("command", ["stand", "hold", "gains", "payload", "workspace", "push"])
+def test_refusal_of_crossed_joint_limits_prints_line_limits_and_repair(
+    command: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """No position is above the lower and below the upper limit: no posture can be computed."""
+    path = tmp_path / "robot.urdf"
+    crossed = 'lower="0.8" upper="-0.8"'
+    text = four_legs(tmp_path).read_text().replace('lower="-0.8" upper="0.8"', crossed, 1)
+    path.write_text(text)
+    line = 1 + text[: text.index(crossed)].count("\n")
+    status, out, err = run_command(capfd, command, str(path))
+    assert status == 2
+    assert not out
+    assert err.splitlines() == [
+        f"error: {path}:{line}: joint FL_roll: lower limit 0.8 is above upper limit -0.8 rad",
+        f"  next: pupper-analysis audit {path} --fix",
+    ]
+    repair = audit_document(audit_model(path)).next_step
+    assert repair == NextStep("audit", ("--fix",))
 
 
 @pytest.mark.parametrize("command", ["stand", "hold"])
