@@ -19,7 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.models.additions import Ball
+from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.models.additions import Ball, ContactExclusion
 from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import (
@@ -163,6 +164,7 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
         *_list_actuator_causes(published),
         *_list_passive_causes(published, robot),
         *_list_shape_causes(published, robot),
+        *_list_overlap_causes(published, robot),
     ]
 
 
@@ -639,6 +641,36 @@ def _list_disabled_geoms(published: PublishedModel, robot: Robot) -> list[int]:
             ):
                 geoms.append(geom)
     return geoms
+
+
+def _list_overlap_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
+    """Yield contacts of bodies that overlap in the start pose, which the preparation excluded.
+
+    Each element is a pair of bodies with its depth, the deepest first. Switching the cause off
+    disables all contacts of a body of each pair: not of a body with a foot, which touches the
+    ground.
+    """
+    excluded = [one for one in robot.description.added if isinstance(one, ContactExclusion)]
+    model, weld = published.model, robot.mj_model.body_weldid
+    foot_bodies = {int(weld[body]) for body, _ in robot.contact_places.values()}
+    feet = {robot.mj_model.body(body).name for body in foot_bodies}
+    depths: dict[tuple[str, str], float] = {}
+    for pair in (pair for one in excluded for pair in one.reason.values.get("pairs", ())):
+        depths[pair.values["one"], pair.values["two"]] = pair.values["depth"].value
+    switched = {two if one in feet else one for one, two in depths} - feet
+    bodies = [model.body(name).id for name in sorted(switched & _list_body_names(model))]
+    elements = tuple(
+        f"{one}/{two} {format_number(1e3 * depth, '.3g')} mm"
+        for (one, two), depth in sorted(depths.items(), key=lambda item: -item[1])
+    )
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+    if geoms.size:
+        yield from _yield_if_any("overlaps", elements, "geom_contype geom_conaffinity", geoms)
+
+
+def _list_body_names(model: mujoco.MjModel) -> set[str]:
+    """Return the names of the bodies of a model."""
+    return {model.body(body).name for body in range(model.nbody)}
 
 
 def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:

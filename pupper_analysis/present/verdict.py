@@ -553,6 +553,7 @@ _CAUSE_MESSAGES = {
     "ball-joints": "ball-joints-move",
     "shapes-beside-feet": "shapes-kept-from-ground",
     "obstacles": "obstacles-touch",
+    "overlaps": "overlapping-bodies-touch",
     "balls": "balls-for-meshes",
     "other-drive": "servos-for-actuators",
     "timestep": "timestep-too-long",
