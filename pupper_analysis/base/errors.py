@@ -116,6 +116,14 @@ class ModelError(PupperAnalysisError):
         )
 
 
+MODEL_FAULT_CODES = (
+    *("mjcf-not-compiled", "inertia-refused", "joint-limits-crossed"),
+    *("link-without-mass", "moving-link-without-mass", "robot-without-mass"),
+)
+"""Codes of faults in a model file due to which no robot with a free base can be made. `audit`
+reports each of these faults."""
+
+
 class InputError(PupperAnalysisError):
     """File that cannot be read, for example missing, no regular file, too large, or no valid text.
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import click
 
-from pupper_analysis.base.errors import StanceUnreachableError
+from pupper_analysis.base.errors import ModelError, StanceUnreachableError
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.tools import find_format
-from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath, sort_model_paths
+from pupper_analysis.cli.shared import ROBOT_WORDS, TYPED_WORDS, OutputPath, sort_model_paths
 from pupper_analysis.present.document import NextStep
 
 _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
@@ -44,12 +44,8 @@ _WORDS_FOR_FIXED_BASE = {
     "fit": ("--log", "motion.csv"),
     "gains": ("--contact", "base=weld"),
     "heat": ("--contact", "base=weld"),
-    "live": ("--mujoco",),
 }
 """{command about stands: words with which the command accepts a fixed base}."""
-
-_PAGE_OPTIONS = ("--no-browser", "--host", "--port", "--stance", "--language")
-"""Options of the page of ``live``, which have no effect with ``--mujoco``."""
 
 _COMMANDS_OF_FORMATS = ("audit", "contract", "crosscheck")
 """Commands to which a next step passes a typed file of another format than URDF and MJCF."""
@@ -77,6 +73,8 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
+    if typed_robot and step.command != context.command.name:
+        typed_robot = list(context.meta.get(ROBOT_WORDS, typed_robot))
     if typed_robot and step.command not in _COMMANDS_OF_FORMATS:
         typed_robot = [word for word in typed_robot if find_format(Path(word)) is None]
         if not typed_robot:  # the command would load its default robot
@@ -118,6 +116,17 @@ def _replace_step_of_weld(
     if fixed_parts and step.command in _COMMANDS_WITHOUT_WELDS:
         return NextStep("gains" if running_command == "payload" else "payload")
     return step
+
+
+def list_typed_robot(context: click.Context) -> list[str]:
+    """Return the typed words that specify the robot of a running command."""
+    if (words := context.meta.get(ROBOT_WORDS)) is not None:
+        return list(words)
+    values, _, _ = context.command.make_parser(context).parse_args(
+        list(context.meta.get(TYPED_WORDS, ()))
+    )
+    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    return _list_typed_robot(arguments, values)
 
 
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
@@ -187,11 +196,24 @@ def complete_fixed_base_command(running_command: str) -> str:
     Args:
         running_command: Name of the refused command.
     """
+    context = click.get_current_context(silent=True)
+    if running_command == "live" and context is not None and context.params.get("headless"):
+        return complete_command(NextStep("live", ("--mujoco",), omitted=("--drop",)))
     words = _WORDS_FOR_FIXED_BASE.get(running_command)
     if words is None:
         return complete_command(NextStep("hold"))
-    omitted = _PAGE_OPTIONS if running_command == "live" else ()
-    return complete_command(NextStep(running_command, words, omitted=omitted))
+    return complete_command(NextStep(running_command, words))
+
+
+def complete_audit_command(error: ModelError) -> str:
+    """Create the command line of `audit` for the file of a model error.
+
+    The command line contains ``--fix`` for a fault with a single repair.
+    """
+    sources = error.cause.sources
+    words = (sources[0].file,) if sources else ()
+    repair = ("--fix",) if error.cause.code == "joint-limits-crossed" else ()
+    return complete_command(NextStep("audit", (*words, *repair), robot_typed=not words))
 
 
 def complete_forced_command() -> str:

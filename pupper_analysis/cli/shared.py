@@ -26,9 +26,11 @@ from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import (
+    MODEL_FAULT_CODES,
     ConfigurationError,
     ModelError,
     OutputError,
+    PupperAnalysisError,
     StanceUnreachableError,
 )
 from pupper_analysis.base.kinds import Folder, OutputKind
@@ -151,6 +153,11 @@ TYPED_WORDS: Final = "pupper_analysis.typed_words"
 name of the command."""
 
 
+ROBOT_WORDS: Final = "pupper_analysis.robot_words"
+"""Key of ``click.Context.meta`` whose value is a tuple of the typed words that specify the robot,
+for a command whose argument also accepts other files. Next commands receive only these words."""
+
+
 HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
 """Key of ``click.Context.meta`` whose value is the number of notes on robots that are not printed.
 A short report with a single document prints this number below the results."""
@@ -158,7 +165,7 @@ A short report with a single document prints this number below the results."""
 
 _FIXED_BASE_CODES = (
     *("base-is-fixed", "base-is-welded", "page-of-fixed-base", "stands-of-fixed-base"),
-    *("heat-of-fixed-base", "range-of-fixed-base", "walk-of-fixed-base"),
+    *("heat-of-fixed-base", "no-feet", "range-of-fixed-base", "walk-of-fixed-base"),
 )
 """Codes of errors about a robot with a fixed base, in a command about stands. `Command.invoke` adds
 the command line of a suitable command, for example `hold`, to such an error, unless the tool has
@@ -169,20 +176,6 @@ added a command line.
 _UNWELDABLE_CODES = ("base-without-mass", "no-base-to-weld")
 """Codes of errors about a base that cannot be welded. `Command.invoke` adds the command line of
 `hold`, which needs no weld.
-"""
-
-
-_AUDITED_CODES = (
-    *("mjcf-not-compiled", "inertia-refused"),
-    *("link-without-mass", "moving-link-without-mass", "robot-without-mass"),
-    "joint-limits-crossed",
-)
-"""Codes of errors about model files with which no command can simulate. `Command.invoke` adds the
-command line of `audit`, which proposes repairs.
-"""
-
-_REPAIRED_CODES = ("joint-limits-crossed",)
-"""Codes of `_AUDITED_CODES` whose cause has one repair: the command line has the option ``--fix``.
 """
 
 
@@ -372,44 +365,55 @@ class Command(click.Command):
                 and problem.code in _FIXED_BASE_CODES
                 and not getattr(error, "__notes__", ())
             ):
-                from pupper_analysis.cli.next_step import (
-                    complete_command,
-                    complete_fixed_base_command,
-                )
-                from pupper_analysis.present.document import NextStep
+                from pupper_analysis.cli.next_step import complete_fixed_base_command
 
-                why = problem.values.get("why")
-                refused = isinstance(why, Diagnostic) and why.code in _AUDITED_CODES
-                error.add_note(
-                    complete_command(NextStep("audit"))
-                    if refused
-                    else complete_fixed_base_command(str(self.name))
-                )
+                error.add_note(complete_fixed_base_command(str(self.name)))
             if isinstance(problem, Diagnostic) and problem.code in _UNWELDABLE_CODES:
                 from pupper_analysis.cli.next_step import complete_command
                 from pupper_analysis.present.document import NextStep
 
                 error.add_note(complete_command(NextStep("hold", omitted=("--contact",))))
-            if option := self._find_typed_option(context, error.field):
-                named = ConfigurationError(option, error.problem)
+            if named := self._rename_field(context, error):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)
                 raise named from error
             raise
         except ModelError as error:
-            code = error.cause.code
-            if code in _AUDITED_CODES and self.name != "audit":
-                from pupper_analysis.cli.next_step import complete_command
-                from pupper_analysis.present.document import NextStep
+            if error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
+                from pupper_analysis.cli.next_step import complete_audit_command
 
-                words = ("--fix",) if code in _REPAIRED_CODES else ()
-                error.add_note(complete_command(NextStep("audit", words)))
+                error.add_note(complete_audit_command(error))
             raise
         except StanceUnreachableError as error:
             from pupper_analysis.cli.next_step import complete_relaxed_command
 
             error.add_note(complete_relaxed_command(error))
             raise
+
+    def _rename_field(
+        self, context: click.Context, error: ConfigurationError
+    ) -> PupperAnalysisError | None:
+        """Create an error with the typed option, or with the typed robot, in place of the argument.
+
+        The text of a problem with the value ``robot`` contains the name of the robot: the error
+        then has no prefix.
+
+        Returns:
+            New error; None if the argument was not typed.
+        """
+        problem = error.problem
+        if error.field != "robot":
+            option = self._find_typed_option(context, error.field)
+            return ConfigurationError(option, problem) if option else None
+        if isinstance(problem, Diagnostic) and "robot" in problem.values:
+            where = error.where
+            return PupperAnalysisError(
+                diagnose("error-at", where=where, what=problem) if where else problem
+            )
+        from pupper_analysis.cli.next_step import list_typed_robot
+
+        words = list_typed_robot(context)
+        return ConfigurationError(" ".join(words), problem) if words else None
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:
         """Return the typed option, such as ``--payload``, that set a function's argument; else "".

@@ -72,7 +72,7 @@ from pupper_analysis.prepare.simulable import (
     check_masses,
     check_simulable,
     choose_exact_solver,
-    explain_refused_body,
+    explain_model_fault,
 )
 from pupper_analysis.prepare.start import (
     find_start_pose,
@@ -820,7 +820,7 @@ def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
             try:
                 draft, done = step.apply(draft)
             except ModelError as error:
-                error = explain_refused_body(error, draft.urdf, draft.mjcf)
+                error = explain_model_fault(error, draft.urdf, draft.mjcf)
                 if step.deferred or draft.refused or not draft.may_fix_base:
                     raise error from error.__cause__
                 draft = replace(draft, refused=error)

@@ -128,17 +128,21 @@ def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
     )
 
 
-def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
-    """Replace MuJoCo's error about a moving body without mass by an error with file and line.
+def explain_model_fault(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:
+    """Add file and line to an error about crossed joint limits, or about a body without mass.
+
+    MuJoCo reports a moving body without mass by its name.
 
     Args:
-        error: Error of a compilation.
+        error: Error of a compilation, or of the search for a stand.
         urdf: URDF.
         mjcf: MJCF, which may have been converted from the URDF.
 
     Returns:
         The new error; ``error`` itself if the cause is another problem.
     """
+    if error.cause.code == "joint-limits-crossed" and error.cause.subject is not None:
+        return make_file_error(urdf.place("joint", error.cause.subject.name, "limit"), error.cause)
     message = str(error.cause.values.get("message", ""))
     found = re.search(r"larger than mjMINVAL.*Element name '([^']+)'", message)
     if found is None:
@@ -166,12 +170,12 @@ def check_joint_limits(urdf: UrdfFile) -> None:
             continue
         least, most = (float(limit.get(end) or 0) for end in ("lower", "upper"))
         if least > most:
+            unit = "m" if joint.kind == "prismatic" else "rad"
             crossed = diagnose(
                 "joint-limits-crossed",
                 subject=("joint", joint.name),
-                least=least,
-                most=most,
-                unit="m" if joint.kind == "prismatic" else "rad",
+                least=Quantity(least, unit),
+                most=Quantity(most, unit),
             )
             raise make_file_error(urdf.place("joint", joint.name, "limit"), crossed)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,7 +25,12 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.arguments import check_names, check_vector
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.errors import (
+    MODEL_FAULT_CODES,
+    ConfigurationError,
+    ModelError,
+    UnknownNameError,
+)
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.runs import is_command_line
 from pupper_analysis.base.units import EARTH_GRAVITY
@@ -37,6 +43,7 @@ from pupper_analysis.models.efforts import (
     resolve_effort_limit,
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import source_name
 from pupper_analysis.models.transmission import group_actuators_by_joint
 from pupper_analysis.robot.closure import Closure, find_closure
 from pupper_analysis.robot.contact import ContactParameters, ground_geom
@@ -49,6 +56,10 @@ from pupper_analysis.robot.structure import Structure
 _EFFORT_RTOL = 1e-6
 """Relative difference up to which two effort limits count as equal, because files contain rounded
 values. Chosen, not tuned."""
+
+
+_NO_STAND_CODES = ("base-kept-in-the-world", "base-free-without-feet")
+"""Codes of the notes that contain the reason why the robot cannot stand, as value ``why``."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
@@ -728,10 +739,16 @@ class Robot(EngineModels):
 
         Raises:
             ConfigurationError: If the base is fixed.
+            ModelError: If the base is fixed, or the robot has no feet, due to a fault in a model
+                file (`MODEL_FAULT_CODES`).
         """
+        reasons = (note.values["why"] for note in self.notes if note.code in _NO_STAND_CODES)
+        why = next(reasons, None)
+        bears = self.floating and (self.contact_points or self.fixed_parts)
+        if not bears and isinstance(why, Diagnostic) and why.code in MODEL_FAULT_CODES:
+            places = (source_name(Path(place.file), place.line) for place in why.sources)
+            raise ModelError(next(places, self.description.urdf_source), why)
         if not self.floating:
-            reasons = (note for note in self.notes if note.code == "base-kept-in-the-world")
-            why = next((note.values["why"] for note in reasons), None)
             problem = diagnose(code, robot=self.name, why=why, option=is_command_line())
             raise ConfigurationError("robot", problem)
 

@@ -17,8 +17,10 @@ import pinocchio as pin
 
 from pupper_analysis.base.array_types import Array, BoolArray, IntArray
 from pupper_analysis.base.arrays import cross_matrices
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.units import select_joint_units
+from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 
 _NUM_STARTS = 32
@@ -152,12 +154,12 @@ def find_branches(
         return {}
     for name, least, most in zip(robot.joint_names, lower, upper, strict=True):
         if least > most:
+            unit = select_joint_units(slides=is_slide(robot, name)).position
             crossed = diagnose(
                 "joint-limits-crossed",
                 subject=("joint", name),
-                least=float(least),
-                most=float(most),
-                unit="",
+                least=Quantity(float(least), unit),
+                most=Quantity(float(most), unit),
             )
             raise ModelError(robot.description.urdf_source, crossed)
     low = np.where(np.isfinite(lower), lower, -math.pi)

@@ -170,7 +170,9 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
          "heat {path} --motor mit-mini-cheetah --contact base=weld"),
         ("gains --payload 1kg --delay 1ms",
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
-        ("live --no-browser", "live {path} --mujoco"),
+        ("live --no-browser", "hold {path}"),
+        ("live --drop --headless", "live {path} --headless --mujoco"),
+        ("walk policy.pt", "hold {path}"),
         ("fit --stands none.csv --weight 1kg", "fit {path} --log motion.csv"),
     ],
 )  # fmt: skip
@@ -188,6 +190,43 @@ def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(
     status, _, err = run_command(capfd, name, str(path), *options)
     assert status == 2
     assert err.splitlines()[-1] == f"  next: pupper-analysis {expected.format(path=path)}"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    ["stand", "push", "heat --motor mit-mini-cheetah", "live --no-browser",
+     "live --drop --headless", "walk policy.pt", "fit --plan 3", "fit --record no.csv", "study"],
+)  # fmt: skip
+@pytest.mark.parametrize("joint", ["", "floating"])
+def test_crossed_limits_are_the_cause_in_every_refusal(
+    typed: str, joint: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The refusals stated a fixed base or missing feet, and next commands that repair neither."""
+    path = tmp_path / "robot.urdf"
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
+    if joint:
+        free = '<link name="map"/><joint name="free" type="floating"><parent link="map"/><child '
+        text = text.replace("<link", f'{free}link="base_link"/></joint><link', 1)
+    found = re.search(r'lower="([^"]+)" upper="([^"]+)"', text)
+    assert found is not None
+    start, end = found.span()
+    path.write_text(f'{text[:start]}lower="{found[2]}" upper="{found[1]}"{text[end:]}')
+    line = text[:start].count("\n") + 1
+    name, *words = typed.split()
+    words = [str(path), *words]
+    if name == "study":
+        study = tmp_path / "study.toml"
+        study.write_text(
+            'robot = "robot.urdf"\nmeasure = ["stands"]\n[vary]\npayload_mass = [0.0, 0.1]\n'
+        )
+        words = [str(study), "-o", str(tmp_path / "out")]
+    status, _, err = run_command(capfd, name, *words)
+    fault, step = err.splitlines()[-2:]
+    assert status == 2
+    assert fault.startswith(f"error: {path}:{line}: joint "), err
+    assert f"lower limit {float(found[2]):.4g} rad above upper {float(found[1]):.4g} rad" in fault
+    assert step == f"  next: pupper-analysis audit {path} --fix"
 
 
 def test_refusal_of_a_base_without_mass_prints_audit(
@@ -220,7 +259,8 @@ def test_refusal_of_crossed_joint_limits_prints_line_limits_and_repair(
     assert status == 2
     assert not out
     assert err.splitlines() == [
-        f"error: {path}:{line}: joint FL_roll: lower limit 0.8 is above upper limit -0.8 rad",
+        f"error: {path}:{line}: joint FL_roll: lower limit 0.8 rad above upper -0.8 rad; "
+        "exchange them",
         f"  next: pupper-analysis audit {path} --fix",
     ]
     repair = audit_document(audit_model(path)).next_step

@@ -30,8 +30,7 @@ def check_page_robot(robot: Robot) -> None:
     Raises:
         ConfigurationError: If the base is fixed or the robot has no feet.
     """
-    if not robot.floating:
-        raise ConfigurationError("robot", diagnose("page-of-fixed-base", robot=robot.name))
+    robot.check_floating("page-of-fixed-base")
     if not robot.contact_points:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
 

@@ -177,6 +177,7 @@ def command(
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
+    click.get_current_context().meta[shared.ROBOT_WORDS] = words
     source = which.select_robot(words) or "v3"
     policy_path, sources = select_policy(policy, sources)
     robot = load_walking_robot(source, style, everything=everything)
