@@ -27,7 +27,7 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import judged_document, select_step_after_failure
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.push.bench import PushTrial
+from pupper_analysis.tools.push.bench import PULSE_DURATION, PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
 
 
@@ -186,9 +186,9 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
             _make_closed_series(name, tipping.directions, tipping.tipping_estimate, reference=True)
         )
     return doc.LinePlot(
-        text("largest-push-that-the-stand-survives"),
+        text("largest-push-that-the-stand-survives", duration=f"{1e3 * PULSE_DURATION:g}"),
         doc.Axis(text("direction"), "°", ".0f"),
-        doc.Axis(text("impulse"), "N s", ".2f"),
+        doc.Axis(text("impulse"), "N s", ".2f", low=0.0),
         series,
         text("impulse-in-weakest-direction"),
     )

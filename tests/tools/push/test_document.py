@@ -13,6 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import NextStep, Table, get_english, text
 from pupper_analysis.present.figures import drawing
+from pupper_analysis.present.html.plots import BOTTOM_MARGIN, draw_svg
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.robot.as_published import Cause, Published
@@ -91,6 +92,19 @@ def test_limits_are_drawn_over_the_direction_once_around() -> None:
     np.testing.assert_allclose(limits.y, [0.51, 0.62, 0.43, 0.51])
     assert (limits.marked_index, rigid.reference) == (2, True)
     np.testing.assert_allclose(rigid.y, [0.84, 0.75, 0.96, 0.84])
+
+
+def test_impulse_axis_begins_at_zero_and_the_title_states_the_duration() -> None:
+    """The axis began at the smallest impulse, which exaggerated the differences."""
+    plot = push_plot({"one": pushes(0.0)}, "one")
+    assert get_english(plot.title).startswith("Largest push of 20 ms that the stand survives")
+    drawn = draw_svg(plot)
+    (zero,) = (
+        mark
+        for mark in drawn.marks
+        if mark["tag"] == "text" and mark["anchor"] == "end" and get_english(mark["words"]) == "0"
+    )
+    assert zero["y"] - 4 == pytest.approx(drawn.height - BOTTOM_MARGIN)
 
 
 def test_push_figure_is_written_with_white_edges(tmp_path: Path) -> None:
