@@ -219,13 +219,13 @@ def payload_table(limit: PayloadLimit) -> doc.Table:
 def _make_bound_plots(limit: PayloadLimit) -> Iterator[doc.BarPlot]:
     """Yield the bar plot of the finite bounds of the payload [kg], if there is such a bound."""
     bars = [
-        doc.PlotBar(text(_BOUND_KEYS[name]), bound.mass)
+        doc.PlotBar(text(_BOUND_KEYS[name]), bound.mass, label=mass_text(bound.mass))
         for name, bound in limit.bounds.items()
         if math.isfinite(bound.mass)
     ]
     if bars:
         axis = doc.Axis(text("payload"), "kg", ".2f")
-        yield doc.BarPlot(text("what-bounds-the-payload"), axis, bars, (axis.name, None, None))
+        yield doc.BarPlot(text("payload-by-bound"), axis, bars, (axis.name, None, None))
 
 
 _BOUND_KEYS = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pupper_analysis.present.document import Text, text
+from pupper_analysis.present.document import BarPlot, Table, Text, get_english, text
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Question
@@ -28,6 +28,18 @@ def test_motors_without_a_limit_are_named() -> None:
     assert "Motors without a torque limit" not in " ".join(
         print_words(payload_document(make_payload_result()))
     )
+
+
+def test_bars_and_table_round_the_payload_down_alike() -> None:
+    """The bars were rounded to the nearest 0.01 kg: 1.239 kg was 1.24, above the limit."""
+    blocks = payload_document(make_payload_result()).blocks
+    (table,) = (block for block in blocks if isinstance(block, Table))
+    (plot,) = (block for block in blocks if isinstance(block, BarPlot))
+    masses = [get_english(row[1]) for row in table.rows]  # type: ignore[arg-type]
+    labels = [get_english(bar.label) for bar in plot.bars if bar.label]
+    assert labels == ["1.23 kg", "4.56 kg"]
+    assert masses[: len(labels)] == labels
+    assert get_english(table.title) != get_english(plot.title)
 
 
 def test_payload_limit_states_that_its_servos_were_added() -> None:
