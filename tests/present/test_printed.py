@@ -21,6 +21,7 @@ from pupper_analysis.present.document import (
     Series,
     Table,
     Text,
+    get_english,
     number_cell,
 )
 from pupper_analysis.present.documents import loads
@@ -85,9 +86,17 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         "largest motor load 0.22 N m = 95 % of the limit (knee) "
         "without feed-forward, no sag is predicted: why"
     )
-    assert "base height 104.4 mm on rigid" in text
+    assert "base on rigid" in text
     assert "with compensated contact penetration is out of reach: simulated with the joint" in text
     assert "HOLDS" not in text
+
+
+def test_report_of_a_stance_states_sag_and_height_once() -> None:
+    """Two lines stated the sag, as 7.4 and 7.39 mm, and two the height of the base."""
+    document = stance_document(stance())
+    lines = [get_english(one) for one in (*document.findings, *document.details)]
+    assert sum("settles" in line for line in lines) == 1
+    assert sum("104.4 mm" in line for line in lines) == 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,7 +158,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         if qualified
         else (*(soft if stance.passed else ()), *(() if gains and gains[0] in causes else gains)),
         causes=causes,
-        details=(task_text(stance.stand.task), *_list_details(stance)),
+        details=tuple(_list_details(stance)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
     )
@@ -286,13 +286,14 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _describe_height(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the base height [mm] of the stance, or that the base is bolted; nothing if unknown."""
+    """Yield the stance with the base height, or that the base is bolted; nothing if unknown."""
     height = stance.stand.task.height
     if _is_base_bolted(stance):
         yield text("base-is-bolted")
     elif height is not None:
         yield text(
             "base-height-of-stance",
+            task=task_text(stance.stand.task),
             height=f"{1e3 * height:.1f}",
             ground=ground_word(stance.stand.depths.values(), stance.verification),
         )
@@ -446,16 +447,17 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     elif settled is not None and not _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
-    elif settled is not None and not settled.failures and not _is_base_bolted(stance):
-        yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
     for press in stance.presses:
         yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
 
 
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the report lists the equilibrium without feed-forward only as a detail."""
-    lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
-    return lasting or _is_failure_without_feedforward_stated(stance)
+    if settled.failures:
+        return _is_failure_without_feedforward_stated(stance)
+    lasting = settled.release_margin >= RELEASE_MARGIN
+    stated = lasting or _is_failure_without_feedforward_stated(stance)
+    return stated and _is_base_bolted(stance)
 
 
 def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
@@ -470,6 +472,7 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
         # Height above the ground as in the task; on a slope, not the world's z.
         height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
         loss=f"{1e3 * settled.height_loss:z.2f}",
+        short_loss=f"{1e3 * settled.height_loss:z.1f}",
         servo=f"{1e3 * settled.servo_sag:z.2f}",
         contact=f"{1e3 * settled.contact_sag:z.2f}",
     )
@@ -485,8 +488,10 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 
 
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the details of the report: the equilibrium without feed-forward, and the ground."""
-    settled = stance.settled
+    """Yield details that are no findings: stance, equilibrium without feed-forward, ground."""
+    settled, task = stance.settled, stance.stand.task
+    if _is_base_bolted(stance) or task.height is None:  # not in the findings
+        yield task_text(task)
     if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)
     if stance.unsettled is not None and _is_failure_without_feedforward_stated(stance):
