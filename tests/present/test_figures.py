@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from pupper_analysis.present.figures.pose import (
 from pupper_analysis.present.html.plots import (
     DOT_RADIUS,
     LEFT_MARGIN,
+    NUM_SERIES_STYLES,
     PLOT_WIDTH,
     RIGHT_MARGIN,
     draw_svg,
@@ -367,6 +369,19 @@ def test_points_differ_in_shape_and_lie_inside_the_axes() -> None:
     assert len({line.get_marker() for line in points}) == len(series)
     xs = [float(np.min(np.asarray(line.get_xdata()))) for line in points]
     assert min(xs) > LEFT_MARGIN + 2 * DOT_RADIUS
+
+
+def test_colours_of_a_plot_are_equal_in_figures_and_pages() -> None:
+    """Reference: the variables of the style sheet. A motor was green in one, and black in one."""
+    sheet = files("pupper_analysis.present.html").joinpath("templates/style.css").read_text("utf-8")
+    light = sheet[: sheet.index("prefers-color-scheme")]
+    colours = [re.search(rf"--c{index}: (#\w+)", light) for index in range(NUM_SERIES_STYLES)]
+    assert [found and found[1].upper() for found in colours] == list(drawing.PLOT_COLOURS)
+    dashes = [re.search(rf"svg \.s{index} .*dasharray: ([\d ]+)", sheet) for index in range(1, 6)]
+    for index, found in enumerate(dashes, start=1):
+        assert found
+        pattern = drawing._CLASS_DASHES[f"s{index}"][1]
+        assert tuple(map(int, found[1].split())) == pattern
 
 
 def test_a_curve_over_time_fills_the_axis() -> None:

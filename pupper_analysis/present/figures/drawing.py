@@ -78,8 +78,11 @@ _TITLE_PLACE = 0.006
 PAGE_WIDTH = 178 / 25.4
 """Width of a figure [inch]: the text width of a printed page, 178 mm."""
 
+PLOT_COLOURS = (BLUE_COLOUR, RED_COLOUR, "#1B1F24", GREEN_COLOUR, "#B0568C", "#8A6D00")
+"""Colours of the series ``s0`` to ``s5`` of plots: those of the light theme of the HTML report."""
+
 _CLASS_COLOURS = {
-    **{f"s{index}": colour for index, colour in enumerate(SERIES_COLOURS)},
+    **{f"s{index}": colour for index, colour in enumerate(PLOT_COLOURS)},
     "bar": SKY_BLUE_COLOUR,
     "other": BLACK_COLOUR,
     "limit": RED_COLOUR,
