@@ -359,7 +359,7 @@ def gain_plot(study: GainStudy) -> doc.LinePlot:
     lower = np.maximum(kd * study.curve_least_dampings[known], bottom)
     region = _make_stable_region(stiffnesses, lower, dampings, least)
     if len(region):
-        series.append(doc.Series(text("gains-region"), *region.T, shaded=True))
+        series.append(doc.Series(text("gains-region"), region[:, 0], region[:, 1], shaded=True))
     return doc.LinePlot(
         text(
             "gains-plot",
