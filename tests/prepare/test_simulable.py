@@ -108,5 +108,5 @@ def test_a_free_base_without_mass_is_refused_with_link_and_line(
     massless = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0"'
     rewrite_file(urdf, (trunk, massless))
     robot = pa.load_robot(urdf)
-    with pytest.raises(pa.ConfigurationError, match=r"link 'trunk' \(robot.urdf:\d+\).*no mass"):
+    with pytest.raises(pa.ModelError, match=r"link 'trunk' \(robot.urdf:\d+\).*no mass"):
         pa.solve_stand(robot)
