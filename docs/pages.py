@@ -377,6 +377,7 @@ def shorten_types(text: str) -> str:
         hidden = public == name and name not in map_private_paths().values()
         return name.rpartition(".")[2] if hidden else f"~{public}"
 
+    text = re.sub(r"\b(pinocchio|mujoco)(?:\.\w+)+\.(\w+)", r"\1.\2", text)
     return re.sub(rf"~?\b({pa.__name__}(?:\.\w+)+)", shorten_path, text)
 
 

@@ -1,6 +1,9 @@
-"""Take the pictures of the live page and of a report, with chromium.
+"""Take the pictures of the live page and of a report, with chromium, and draw stances.
 
     python docs/take_pictures.py
+
+Other figures: ``benchmarks/size.py`` draws ``size.png``, ``docs/draw_architecture.py`` draws
+``architecture.svg``.
 
 Requires the groups ``browser`` and ``test`` of pyproject.toml, chromium, and a font with Chinese.
 Inspect the written pictures.
@@ -16,6 +19,8 @@ from pathlib import Path
 from playwright.sync_api import Browser, sync_playwright
 
 import pupper_analysis as pa
+from pupper_analysis.present.figures.pose import write_pose_figure
+from pupper_analysis.tools.analyze.figures import render_variants
 from pupper_analysis.tools.live.server import Page
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.stand.stance import study_stance
@@ -70,8 +75,21 @@ def take_report_picture(browser: Browser, path: Path) -> None:
         page.close()
 
 
+def draw_stances() -> None:
+    """Draw the stand of v3, and the stands of all variants, as ``analyze`` does."""
+    robots = [pa.load_variant(name) for name in pa.VARIANTS]
+    stands = [pa.solve_stand_as_simulated(robot) for robot in robots]
+    names = list(pa.VARIANTS)
+    robot, stand = robots[names.index("v3")], stands[names.index("v3")]
+    statics = pa.stance.stand_statics(robot, stand)
+    write_pose_figure(robot, stand, statics, IMAGES / "pose_v3.png")
+    picture = render_variants(list(zip(robots, stands, strict=True)), IMAGES / "variants.png")
+    assert picture.note is None, picture.note
+
+
 def main() -> None:
-    """Take both pictures."""
+    """Take and draw all pictures."""
+    draw_stances()
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=OPTIONS)
         take_report_picture(browser, IMAGES / "report_v3.png")
