@@ -105,6 +105,22 @@ def test_every_command_has_a_guide() -> None:
         assert any(f"\npupper-analysis {name}" in text for text in texts), name
 
 
+@pytest.mark.parametrize("name", cli.COMMAND_NAMES)
+def test_the_guide_of_a_command_has_the_sections_of_each_guide(name: str) -> None:
+    """Purpose, a command with its output, options, equations and limits, in this order."""
+    text = (ROOT / f"docs/how-to/{name}.md").read_text()
+    purpose = text.split("\n\n")[1]
+    assert re.match(r"`\w+` ", purpose), purpose
+    assert text.index("\n```sh\n") < text.index("\n```text\n") < text.index("\n## Options\n")
+    assert re.search(rf"^pupper-analysis {name}\b", text[: text.index("\n```text\n")], re.M)
+    parts = dict(re.findall(r"^## (.+)\n((?:(?!^## ).*\n?)*)", text, re.M))
+    assert "| option | meaning |" in parts["Options"]
+    assert re.search(r"^ {4}\S.*(<=|>=|=)", parts["How it works"], re.M), "no equation"
+    assert parts["Limits"].strip()
+    headings = list(parts)
+    assert headings.index("Options") < headings.index("How it works") < headings.index("Limits")
+
+
 def test_data_tables_are_rectangular_and_described() -> None:
     groups = tomllib.loads((DATA / "tables.toml").read_text())
     described = [name for group in groups.values() for name in group if name != "title"]
