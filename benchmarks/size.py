@@ -134,7 +134,7 @@ def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
 
     from pupper_analysis.present.figures.drawing import GREY_COLOUR, SERIES_COLOURS
 
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     styles = list(zip(SERIES_COLOURS, "os^D", ("-", "--", ":", "-"), strict=False))
     for axis, what, label, goal in zip(
         axes,
@@ -168,6 +168,7 @@ def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
     axes[0].set_ylim(0.3, 30)
     axes[1].set_ylim(0.08, 3)
     axes[0].legend(loc="upper left", bbox_to_anchor=(0.0, 0.86), fontsize=8)
+    figure.suptitle("crosscheck and audit: time and memory by the number of moving links")
     figure.savefig(path, dpi=130)
 
 

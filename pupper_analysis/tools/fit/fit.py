@@ -32,8 +32,7 @@ def fit(
 ) -> Fit:
     """Estimate a robot's parameters from measurements: stands at rest, or logs of motions.
 
-    Stands are passed to ``pupper_analysis.identification.fit_stands``, logs to
-    ``pupper_analysis.identification.fit_motion``.
+    Stands are passed to ``pa.identification.fit_stands``, logs to ``pa.identification.fit_motion``.
 
     Args:
         robot: The robot.
