@@ -413,6 +413,21 @@ class RelativeError:
         return effects
 
 
+def has_inverted_urdf_range(differences: Iterable[Difference]) -> bool:
+    """Return True if the limits of a joint differ, and its lower limit in the URDF is the larger.
+
+    An MJCF cannot state such a range, so that only a change of the URDF removes the differences.
+    """
+    limits: dict[str, dict[str, float]] = {}
+    for difference in differences:
+        if difference.kind in ("lower limit", "upper limit") and isinstance(difference.urdf, float):
+            limits.setdefault(difference.element, {})[difference.kind] = difference.urdf
+    return any(
+        limit.get("lower limit", -math.inf) > limit.get("upper limit", math.inf)
+        for limit in limits.values()
+    )
+
+
 def describe_kind(kind: str) -> str:
     """Return a short English description of a kind of check result, for example ``joint``."""
     key = _ABOUT_KEYS.get(kind, "about-difference")

@@ -15,6 +15,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.robot.compare.differences import has_inverted_urdf_range
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.convert.model import Conversion
 
@@ -59,6 +60,8 @@ def _has_servo_note(conversion: Conversion) -> bool:
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
     """Return the command to suggest next."""
+    if has_inverted_urdf_range(conversion.comparison.differences):
+        return doc.NextStep("audit", (conversion.source, "--fix"), robot_typed=False)
     if not conversion.agree:
         return doc.NextStep("crosscheck", (conversion.source, conversion.output), robot_typed=False)
     if not conversion.passed:

@@ -28,7 +28,13 @@ from pupper_analysis.present.documents.registry import build_document, make_docu
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.present.plots import draw_result, make_axes, make_figure_title
-from pupper_analysis.robot.compare.differences import MIN_FACTOR, Difference, Effect, describe_kind
+from pupper_analysis.robot.compare.differences import (
+    MIN_FACTOR,
+    Difference,
+    Effect,
+    describe_kind,
+    has_inverted_urdf_range,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
     BODIES,
@@ -229,6 +235,8 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 def _select_next_step(comparison: Comparison) -> doc.NextStep:
     """Return the command to suggest next: `audit` of an MJCF that MuJoCo refuses, for example."""
+    if has_inverted_urdf_range(comparison.differences):
+        return doc.NextStep("audit", (comparison.urdf, "--fix"), robot_typed=False)
     if not comparison.agree:
         return doc.NextStep("sync")
     if comparison.refusal is not None:

@@ -14,7 +14,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.robot.compare.differences import Difference, has_inverted_urdf_range
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.sync.models import Sync, format_difference_label
 from pupper_analysis.tools.sync.plan import UnwrittenCause
@@ -74,7 +74,7 @@ def sync_document(
             text("difference-note", difference=doc.Name(name), note=doc.diagnostic_text(note))
             for name, note in sync.notes.items()
         ),
-        next_step=_select_next_step(sync, chosen=chosen, dry_run=dry_run),
+        next_step=_select_next_step(sync, files, chosen=chosen, dry_run=dry_run),
     )
 
 
@@ -85,17 +85,54 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
         yield text("nothing-to-write")
         return
     yield text("differences-listed-count", count=len(sync.differences))
+    if sync.left_by_side:
+        side = _find_better_side(sync)
+        other = "urdf" if side == "mjcf" else "mjcf"
+        yield text(
+            "differences-left-by-side",
+            side=side,
+            left=sync.left_by_side[side],
+            other=other,
+            more=sync.left_by_side[other],
+        )
     first = doc.diagnostic_text(sync.differences[0].diagnostic)
     yield text("difference-first", difference=first)
 
 
-def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
-    """Return the command that the report proposes to run next."""
+def _select_next_step(
+    sync: Sync, files: Sequence[str | Path], *, chosen: bool, dry_run: bool
+) -> doc.NextStep:
+    """Return the command that the report proposes to run next.
+
+    If values were not chosen, it is `sync` with the values that leave fewer differences, or `audit`
+    of the URDF if no difference can be removed.
+    """
+    if sync.agree and not sync.edits:
+        return doc.NextStep("stand" if sync.floating else "hold")
+    is_stuck = (
+        not sync.edits
+        if chosen
+        else min(sync.left_by_side.values(), default=0) >= len(sync.differences)
+    )
+    if files and not sync.agree and is_stuck:
+        fix = ("--fix",) if has_inverted_urdf_range(sync.differences) else ()
+        return doc.NextStep("audit", (str(files[0]), *fix), robot_typed=False)
     if not chosen and not sync.agree:
-        return doc.NextStep("sync", ("--take", _select_side(sync.differences[0]), "--dry-run"))
+        return doc.NextStep("sync", ("--take", _find_better_side(sync), "--dry-run"))
     if dry_run and sync.edits and not sync.withheld:
         return doc.NextStep("sync", omitted=("--dry-run",))
     return doc.NextStep("crosscheck")
+
+
+def _find_better_side(sync: Sync) -> str:
+    """Return the file whose values leave fewer differences, ``"urdf"`` or ``"mjcf"``.
+
+    If both leave as many, the first difference decides (`_select_side`).
+    """
+    left = sync.left_by_side
+    if len(set(left.values())) > 1:
+        return min(left, key=left.__getitem__)
+    return _select_side(sync.differences[0])
 
 
 def _select_side(difference: Difference) -> str:

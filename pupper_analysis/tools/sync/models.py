@@ -75,6 +75,9 @@ class Sync(Result):
         withheld: True if nothing is written because a chosen difference cannot be removed. With
             other changes alone, the files would describe a mixture of two robots.
         agree: True if the files agree after the edits.
+        floating: Whether the MJCF has a free base, or a base with at least two limbs.
+        left_by_side: {``"urdf"`` or ``"mjcf"``: number of differences that remain if all values are
+            taken from this file}; empty if values were chosen, or without differences.
     """
 
     differences: tuple[Difference, ...]
@@ -87,6 +90,8 @@ class Sync(Result):
     backups: tuple[str, ...]
     withheld: bool
     agree: bool
+    floating: bool
+    left_by_side: dict[str, int]
 
 
 @check_arguments
@@ -232,7 +237,25 @@ def _sync_files(
         backups=backups,
         withheld=withheld,
         agree=after.agree,
+        floating=comparison.floating,
+        left_by_side={} if take else _count_left_differences(files, tolerances, comparison),
     )
+
+
+def _count_left_differences(
+    files: Files, tolerances: Tolerances, comparison: FilesCompared
+) -> dict[str, int]:
+    """Return {side: number of differences that remain if all values of this file are taken}.
+
+    A plan that cannot be written as a whole leaves all differences. Empty without differences.
+    """
+    left = dict[str, int]()
+    keys = [(difference.kind, difference.element) for difference in comparison.differences]
+    for side in FILE_SIDES if keys else ():
+        plan, after = _make_verified_plan(files, tolerances, comparison, dict.fromkeys(keys, side))
+        is_withheld = any(plan.find_cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left)
+        left[side] = len(keys) if is_withheld else len(after.differences)
+    return left
 
 
 def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -150,3 +151,45 @@ def test_proposed_side_states_the_value(
     if efforts[0] is None:
         file.write_text(file.read_text().replace('effort="0.0"', 'effort="1e9"'))
     assert f"next: pupper-analysis sync robot.urdf robot.xml --take {side} " in run(tmp_path).stdout
+
+
+def test_next_command_takes_the_file_that_leaves_fewer_differences(tmp_path: Path) -> None:
+    """The URDF states no effort of hip1, so that its values cannot replace those of the MJCF."""
+    files = write_parts(tmp_path, ROBOT, change_part(ROBOT, "base", mass=7.5))
+    text = files.urdf.read_text()
+    start = text.index("<limit", text.index('<joint name="hip1"'))
+    end = text.index("/>", start)
+    limit = re.sub(r' effort="[^"]*"', "", text[start:end])
+    files.urdf.write_text(text[:start] + limit + text[end:])
+    lines = run(tmp_path).stdout.splitlines()
+    assert lines[1].startswith("  --take mjcf leaves 0, --take urdf leaves 1; ")
+    trial = "sync robot.urdf robot.xml --take mjcf --dry-run"
+    assert lines[2] == f"  next: pupper-analysis {trial}"
+    assert answer(*trial.split(), folder=tmp_path).returncode == 0
+
+
+def test_next_command_repairs_the_urdf_if_its_limits_are_exchanged(tmp_path: Path) -> None:
+    """The MJCF has no range, and cannot state a lower limit above the upper limit.
+
+    After the printed command, the range of the URDF can be written to the MJCF.
+    """
+    files = write_parts(tmp_path, ROBOT, ROBOT)
+    old = files.urdf.read_text()
+    start = old.index("<limit", old.index('<joint name="hip1"'))
+    limit = old[start : old.index("/>", start)]
+    exchanged = limit.replace("lower", "low").replace("upper", "lower").replace("low=", "upper=")
+    files.urdf.write_text(old.replace(limit, exchanged, 1))
+    hip = re.search(r'<joint[^>]* name="hip1"[^>]*>', files.mjcf.read_text())
+    assert hip is not None
+    unlimited = re.sub(r' range="[^"]*"', "", hip[0])
+    files.mjcf.write_text(files.mjcf.read_text().replace(hip[0], unlimited))
+    following = "  next: pupper-analysis audit robot.urdf --fix"
+    for words in ((), ("--take", "urdf", "--dry-run")):
+        assert run(tmp_path, *words).stdout.splitlines()[2] == following
+    result = answer("crosscheck", "robot.urdf", "robot.xml", folder=tmp_path)
+    assert result.stdout.splitlines()[2] == following
+    answer("audit", "robot.urdf", "--fix", "--yes", folder=tmp_path)
+    assert run(tmp_path, "--take", "urdf").returncode == 0
+    agreed = run(tmp_path)
+    assert agreed.returncode == 0
+    assert agreed.stdout.splitlines()[2] == "  next: pupper-analysis stand robot.urdf robot.xml"
