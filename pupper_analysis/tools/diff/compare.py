@@ -126,6 +126,9 @@ class ModelDiff(Result):
         combined: For two MJCFs: effects of all changes together in a simulation of the files
             (`SimulatedPair`). Empty if the effect is reported for the only change, for example.
         notes: Assumptions, and ignored content.
+        edited_masses: {link of a URDF: (old, new) stated mass}, if stated masses are the only
+            differences of all stated inertials; empty otherwise. ``changes`` concern moving links
+            with the links fixed to these.
     """
 
     old: str
@@ -141,6 +144,7 @@ class ModelDiff(Result):
     floating: bool
     combined: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
+    edited_masses: dict[str, tuple[float, float]] = field(metadata={"unit": "kg"})
 
 
 @check_arguments
@@ -363,6 +367,7 @@ class _Comparison:
             floating=first.floating,
             combined=combined,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
+            edited_masses=_find_edited_masses(self.one, self.two),
         )
 
     def _compare_extra_values(self) -> Iterator[Difference]:
@@ -411,6 +416,23 @@ class _Comparison:
             consequences,
             *places,
         )
+
+
+def _find_edited_masses(one: Version, two: Version) -> dict[str, tuple[float, float]]:
+    """Return {link: (old, new) stated mass [kg]} of the masses that differ.
+
+    Empty if a stated CoM, a stated moment of inertia or the set of links differs.
+    """
+    old, new = one.inertials, two.inertials
+    is_same_otherwise = old.keys() == new.keys() and all(
+        np.array_equal(old[link].com, new[link].com)
+        and np.array_equal(old[link].inertia, new[link].inertia)
+        for link in old
+    )
+    if not is_same_otherwise:
+        return {}
+    masses = {link: (old[link].mass, new[link].mass) for link in old}
+    return {link: pair for link, pair in masses.items() if pair[0] != pair[1]}
 
 
 def _sum_mass(values: MultibodyTree) -> float:

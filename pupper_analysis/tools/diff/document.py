@@ -21,7 +21,7 @@ from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.robot.compare.attribution import MAX_RESIDUAL
-from pupper_analysis.robot.compare.differences import MIN_FACTOR
+from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, MIN_FACTOR
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
@@ -37,8 +37,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 
     `build_document` calls this function for a `ModelDiff`.
     """
-    count = len(diff.changes)
-    changes = text("1-change") if count == 1 else text("count-changes", count=count)
+    changes = _describe_count(diff)
     return doc.Document(
         text("changes"),
         _format_title(diff),
@@ -51,6 +50,22 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         if ":" in diff.new
         else doc.NextStep(_select_next_command(diff), (diff.new,), robot_typed=False),
     )
+
+
+def _describe_count(diff: ModelDiff) -> doc.Text:
+    """Return the number of changes; or the stated mass, if all changes follow from one mass."""
+    count = len(diff.changes)
+    bodies = {change.element for change in diff.changes if change.kind in INERTIAL_KINDS}
+    is_inertial = all(change.kind in INERTIAL_KINDS for change in diff.changes)
+    if count > 1 and is_inertial and len(bodies) == 1 and len(diff.edited_masses) == 1:
+        ((link, (old, new)),) = diff.edited_masses.items()
+        old_text, new_text = format_pair(old, new, ".6g")
+        mass = text(
+            "mass-of-link-edited", link=doc.Name(link), old=old_text, new=new_text, count=count
+        )
+        change = _format_percent(old, new)
+        return text("mass-change", mass=mass, change=change) if change else mass
+    return text("1-change") if count == 1 else text("count-changes", count=count)
 
 
 def _select_next_command(diff: ModelDiff) -> str:
@@ -93,8 +108,13 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
                 _make_file_place(diff.old, change.old_place, (change.old, change.new), change.unit),
                 _make_file_place(diff.new, change.new_place, (change.new, change.old), change.unit),
             ),
-            tuple(map(doc.diagnostic_text, change.consequences))
-            or (_describe_dynamics_change(change),),
+            (
+                *_describe_stated_masses(diff, change),
+                *(
+                    tuple(map(doc.diagnostic_text, change.consequences))
+                    or (_describe_dynamics_change(change),)
+                ),
+            ),
         )
     if diff.combined:
         title = text("all-changes-together") if diff.changes else text("no-change-explains")
@@ -113,6 +133,16 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
             quantity=word(name),
         )
         yield doc.Lines((left,), "bad")
+
+
+def _describe_stated_masses(diff: ModelDiff, change: ModelChange) -> Iterable[doc.Text]:
+    """Yield the stated mass that a changed mass contains, if no link states the changed mass."""
+    if change.kind != "mass" or len(diff.edited_masses) != 1:
+        return
+    ((link, (old, new)),) = diff.edited_masses.items()
+    if not math.isclose(old, float(change.old), rel_tol=_ROUNDING_RTOL):
+        old_text, new_text = format_pair(old, new, ".6g")
+        yield text("stated-mass-with-links", link=doc.Name(link), old=old_text, new=new_text)
 
 
 def _make_file_place(

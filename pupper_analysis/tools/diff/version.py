@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -40,6 +40,7 @@ from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.places import Place, one_line
 from pupper_analysis.models.published import is_published_name, is_uri
 from pupper_analysis.models.spec_tree import join_free_base
+from pupper_analysis.models.stated.model import Inertial
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear, list_actuator_targets
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -77,6 +78,8 @@ class Version:
         bodies: {base or joint: name of the base body or of the moved body}.
         sources: Lines of the numbers.
         notes: Assumptions, and ignored content.
+        inertials: {link of a URDF: stated inertial}, before fixed links are added to moving links.
+            Empty for an MJCF.
     """
 
     file: UrdfFile | MjcfFile
@@ -86,6 +89,7 @@ class Version:
     bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]
+    inertials: Mapping[str, Inertial] = field(default_factory=dict)
 
 
 def read_version(file: UrdfFile | MjcfFile) -> Version:
@@ -123,6 +127,9 @@ def _read_urdf_version(file: UrdfFile) -> Version:
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
         notes=(*file.notes, *held),
+        inertials={
+            name: link.inertial for name, link in stated.links.items() if link.inertial is not None
+        },
     )
 
 

@@ -121,3 +121,33 @@ def test_mass_that_moves_between_links_is_no_change_of_the_total(tmp_path: Path)
     diff = diff_urdfs(tmp_path, urdf_text(old, []), urdf_text(new, []))
     assert diff.mass[0] != diff.mass[1]
     assert get_english(diff_document(diff).findings[1]).startswith("link ")
+
+
+def test_one_edited_mass_is_the_answer_if_links_are_fixed_to_the_body(tmp_path: Path) -> None:
+    """The thigh has 1 kg, with the cover 1.5 kg: the stated number has changed to 1.2 kg.
+
+    CoM and inertia of both links together change, too: three changes from one number.
+    """
+    text = (
+        '<robot name="r"><link name="base"/><link name="thigh"><inertial><origin xyz="0 0 -0.1"/>'
+        '<mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><link name="cover"><inertial><mass value="0.5"/><inertia ixx="0.1" '
+        'iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="hip" type="revolute"><parent link="base"/><child link="thigh"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+        '<joint name="weld" type="fixed"><parent link="thigh"/><child link="cover"/></joint>'
+        "</robot>"
+    )
+    diff = diff_urdfs(tmp_path, text, text.replace('<mass value="1"/>', '<mass value="1.2"/>'))
+    assert diff.edited_masses == {"thigh": (1.0, 1.2)}
+    masses = next((change.old, change.new) for change in diff.changes if change.kind == "mass")
+    assert masses == pytest.approx((1.5, 1.7))
+    document = diff_document(diff)
+    assert document.findings[0].short == "thigh mass 1 -> 1.2 kg (+20 %)"
+    block = document.blocks[0]
+    assert isinstance(block, FileFinding)
+    stated = "sum of the link and its fixed links; stated: thigh 1 -> 1.2 kg"
+    assert get_english(block.notes[0]) == stated
+    # A second edited number of the inertials is not summarised.
+    moved = text.replace('<mass value="1"/>', '<mass value="1.2"/>').replace("-0.1", "-0.2")
+    assert diff_urdfs(tmp_path, text, moved).edited_masses == {}
