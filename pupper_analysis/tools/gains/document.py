@@ -21,6 +21,7 @@ from pupper_analysis.present.verdict import (
     make_replaced_clauses,
     make_servo_clause,
 )
+from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.gains.gains import GAIN_MARGIN, MAX_NOISE_RATIO, GainBound, GainStudy
 
@@ -75,10 +76,13 @@ def _order_conditions(study: GainStudy, *, failed: bool) -> tuple[doc.Words, ...
 def _order_failures(
     study: GainStudy, gains: doc.Words, failures: tuple[doc.Words, ...]
 ) -> tuple[doc.Words, ...]:
-    """Return the texts of the failures, with the range of stable gains; assumed masses first."""
+    """Return the texts of the failures, with the range of stable gains; assumed masses first.
+
+    The range precedes the reasons, unless it does not contain the present gains.
+    """
     if not failures:
         return ()
-    num_first = study.missing_masses is not None
+    num_first = (study.missing_masses is not None) + study.by_inertia
     return (*failures[:num_first], gains, *failures[num_first:])
 
 
@@ -94,7 +98,9 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             frequency = format_number(study.worst.frequency, ".3g")
             yield text(
                 "gains-oscillate",
+                present=_format_present_gains(study) if study.by_inertia else "",
                 joints=joints,
+                first=doc.Name(joints[0]),
                 frequency=frequency,
                 time=time,
                 rate=f"{1 / study.period:.4g}",
@@ -118,6 +124,16 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
                 joints=doc.Name(one.name),
                 kd=f"{format_number(one.largest_kd_of_encoder, '.3g')} {one.units.damping}",
             )
+
+
+def _format_present_gains(study: GainStudy) -> doc.Text:
+    """Return the ranges of the present kp and kd, without units, which the range of others has."""
+    return text(
+        "gains-present-values",
+        added=bool(study.servos.made),
+        kp=_format_range((one.kp for one in study.classes), "").rstrip(),
+        kd=_format_range((one.kd for one in study.classes), "").rstrip(),
+    )
 
 
 def _describe_added_servos(study: GainStudy) -> Iterable[doc.Words]:
@@ -151,9 +167,13 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
             least=least_text,
             most="" if largest is None else most_text,
         )
+    least_factor = study.least_kp.factor
     return text(
         "gains-factors" if largest is not None else "gains-factors-open",
-        least=format_number(study.least_kp.factor or 0.0, ".3g"),
+        added=bool(study.servos.made),
+        kp=_format_range((one.kp for one in study.classes), study.units.stiffness),
+        kd=_format_range((one.kd for one in study.classes), study.units.damping),
+        least="" if least_factor is None else format_number(least_factor, ".3g"),
         most="" if largest is None else format_number(largest, ".3g"),
     )
 
@@ -205,10 +225,17 @@ def _get_uniform_recommendation(study: GainStudy) -> tuple[str, str] | None:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the command `stand`, with recommended gains if these are equal at all joints."""
+    """Return the command to suggest next.
+
+    It is `stand`, with recommended gains if these are equal at all joints. If the present gains
+    fail, it writes or prints recommended gains that differ between joints.
+    """
     if recommended := _get_uniform_recommendation(study):
         kp, kd = recommended
         return NextStep("stand", ("--kp", kp, "--kd", kd))
+    if not study.stands_stably and study.recommended_kp_factor is not None:
+        in_file = study.servos.source is ServoSource.FILE  # the files state no gains of others
+        return NextStep("gains", ("--write", "tuned") if in_file else ("-v",))
     return NextStep("stand")
 
 

@@ -82,7 +82,8 @@ GAIN_MARGIN = 2.0
 recommended damping and the upper bound: the usual gain margin of 6 dB (Åström and Murray 2008)."""
 
 MIN_DAMPING_RATIO = 0.5
-"""Required damping ratio [1] of lasting oscillations with the recommended damping. If no tried
+"""Required damping ratio [1] of lasting oscillations with the recommended damping. Of the tried
+dampings that reach this ratio, the one next to the reference damping is recommended. If no tried
 damping within the stability margins reaches this ratio, the tried damping with the largest ratio is
 recommended. Chosen, not tuned.
 """
@@ -343,7 +344,7 @@ def study_gains(
     gains, stable_pair, by_inertia = _select_reference(loop, present, groups)
     stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
     failure, alone = _evaluate_present_sag(robot, settled, present[0])
-    if by_inertia and robot.floating:
+    if by_inertia and not robot.is_base_fixed:
         least_alone = gains.find_factor_without_sag(robot, settled)
     else:
         least_alone = gains.find_smallest_factor(alone or 0.0)
@@ -460,11 +461,13 @@ def _evaluate_present_sag(
 ) -> tuple[Diagnostic | None, float | None]:
     """Predict a free-base stand without feed-forward: failure at present kp, and smallest kp.
 
+    A fixed or welded base cannot fall.
+
     Returns:
         Reason why the robot does not stand with its present stiffness, or None; smallest stiffness,
         equal at all joints, with which it stands [N m/rad, N/m], or None.
     """
-    if not robot.floating:
+    if robot.is_base_fixed:
         return None, None
     failure = find_sag_failure(robot, settled, kp=kp)
     alone = None
@@ -708,7 +711,9 @@ class _Gains:
         if not ratios:
             return None, None
         enough = [damping for damping, ratio in ratios.items() if ratio >= MIN_DAMPING_RATIO]
-        return factor, enough[0] if enough else max(ratios, key=ratios.__getitem__)
+        if enough:  # the tried damping that changes the reference least
+            return factor, min(enough, key=lambda damping: abs(math.log(damping)))
+        return factor, max(ratios, key=ratios.__getitem__)
 
     def describe_class(
         self,

@@ -14,7 +14,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.units import HINGE_UNITS
-from pupper_analysis.present.document import Number, Table, get_english
+from pupper_analysis.present.document import NextStep, Number, Table, get_english
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.stance.stand import stand_statics
@@ -250,6 +250,20 @@ def test_columns_of_the_table_are_the_fields_of_the_classes() -> None:
         ]
 
 
+def test_welded_base_requires_no_gains_without_feedforward() -> None:
+    """Feet that slide without feed-forward were OUT OF BOUNDS, although `stand` printed HOLDS.
+
+    Reference: the verdict of `stand`. The present kd has a damping ratio above 0.5, and is
+    recommended: the smallest such kd was, 0.03 of the present kd.
+    """
+    robot, task = load("v3"), pa.StandTask(contacts={"base": pa.Weld()})
+    study = study_gains(robot, task)
+    assert study.sag_failure is None
+    assert study.least_kp_alone is None
+    assert study.passed
+    assert study.recommended_kd_factor == 1.0
+
+
 @pytest.mark.slow
 def test_gains_in_proportion_to_inertia_are_found_if_no_multiples_are_stable() -> None:
     """No common factor suits the gains of one joint and those of the others.
@@ -272,6 +286,12 @@ def test_gains_in_proportion_to_inertia_are_found_if_no_multiples_are_stable() -
     assert pa.verify_stand(robot, pa.solve_stand_as_simulated(robot), kp=kp, kd=kd).passed
     document = gains_document(study)
     assert "in proportion to joint inertia are stable: kp" in printed(document)
+    first = study.worst.joints[0]
+    present = "kp 5 to 5000000, kd 0.1 to 100000"
+    short = printed(document, width=200, everything=False).splitlines()[0]
+    assert short.startswith(f"UNSTABLE {study.name}: {present}: {first} oscillates (PD at ")
+    # The recommended gains differ between joints: `stand` would repeat the present gains.
+    assert document.next_step == NextStep("gains", ("-v",))
     table = document.blocks[0]
     assert isinstance(table, Table)
     column = [get_english(column.name) for column in table.columns].index("reference")
