@@ -89,9 +89,14 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
             hardest=doc.Name(names[hardest]),
         )
         return
+    degrees = round(math.degrees(recovery.weakest_direction)) % 360
     yield text(
         "weakest-at-directiondeg-impulse",
-        direction=f"{math.degrees(recovery.weakest_direction):.0f}",
+        direction=str(degrees),
+        **{side: degrees == angle for side, angle in _SIDES.items()},
+        rounded=_round_impulse_down(recovery.weakest_impulse, recovery.resolution),
+        count=len(recovery.directions),
+        one=len(recovery.directions) == 1,
         impulse=f"{recovery.weakest_impulse:.2f}",
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
@@ -101,6 +106,16 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         failure=doc.diagnostic_text(recovery.weakest_failure),
         tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
     )
+
+
+_SIDES = {"forward": 0, "left": 90, "backward": 180, "right": 270}
+"""{name of a push direction: angle from forward, about the vertical axis [deg]}."""
+
+
+def _round_impulse_down(impulse: float, resolution: float) -> str:
+    """Return an impulse [N s] with as many decimals as its resolution [N s] has, rounded down."""
+    decimals = max(0, -math.floor(math.log10(resolution)))
+    return f"{math.floor(impulse * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:

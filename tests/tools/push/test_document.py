@@ -133,9 +133,33 @@ def test_push_limit_states_that_its_servos_were_added() -> None:
     assert ADDED_SERVOS_TEXT in " ".join(print_words(push_document(result)))
 
 
+@pytest.mark.parametrize(
+    ("resolution", "angle", "expected"),
+    [
+        (1.0, 90.0, "at least 90 N s in all 3 directions; weakest: 90 deg (left)"),
+        (0.02, 180.0, "at least 90.37 N s in all 3 directions; weakest: 180 deg (backward)"),
+        (0.1, 240.0, "at least 90.3 N s in all 3 directions; weakest: 240 deg"),
+    ],
+)
+def test_first_line_states_the_least_impulse_with_the_digits_of_its_resolution(
+    resolution: float, angle: float, expected: str
+) -> None:
+    """'up to 90.31 N s' was read as the largest impulse, with hundredths at a resolution of 1 N s.
+
+    Reference: 90.376 N s, rounded down, since a push of the printed size must not fail.
+    """
+    result = make_push_result("one", 0.0, 0.00311)
+    result.recovery.weakest_impulse, result.recovery.weakest_direction = 90.376, np.radians(angle)
+    result.recovery.resolution = resolution
+    shown = printing.printed(push_document(result), width=200, everything=False)
+    assert shown.splitlines()[0].endswith(expected)
+
+
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
-    values = {"impulse": "15.11", "speed": "0.94", "direction": "240", "mass": "16.09"}
+    values = {"rounded": "15.11", "direction": "180", "count": 12, "one": False}
+    values |= {"impulse": "15.11", "speed": "0.94", "mass": "16.09"}
+    values |= {side: side == "backward" for side in ("forward", "left", "backward", "right")}
     line = text("weakest-at-directiondeg-impulse", **values).short
     assert line
     assert len(f"WITHSTANDS (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
