@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
@@ -27,12 +28,15 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     path, tracking = there.path, there.tracking
     used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
+    place = f" of the limit ({path.peak_joint}, {path.peak_time:.2f} s)"
     answer = (
         text(
             "path-in-short",
+            error=format(Quantity(tracking.joint_error, tracking.joint_error_unit), "read:.2g"),
+            place="" if path.has_motion else place,
+            height=f"{1e3 * tracking.height_error:.1f}",
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
-            moves=path.has_motion and math.isfinite(used),
             share=format_share(used, ".0f"),
             zero="0" if math.isinf(used) else "",
             unknown="unknown" if math.isnan(used) else "",
@@ -64,7 +68,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
-        limit=None if path.has_motion else text("path-without-goal"),
+        limit=_describe_limit(path),
         details=(
             task_text(there.stand.task),
             *_describe_motor_regions(path),
@@ -74,6 +78,23 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         next_step=doc.NextStep("payload" if path.has_motion else "workspace")
         if there.passed
         else select_step_after_failure(there.verdict, doc.NextStep("stand")),
+    )
+
+
+def _describe_limit(path: StancePath) -> doc.Words | None:
+    """Return the text of the motor with the largest load; without motion, of the missing goal.
+
+    None if no torque limit is stated.
+    """
+    if not path.has_motion:
+        return text("path-without-goal")
+    if not math.isfinite(path.peak_utilisation):
+        return None
+    return text(
+        "path-load-in-short",
+        share=format_share(path.peak_utilisation, ".0f"),
+        joint=doc.Name(path.peak_joint),
+        time=f"{path.peak_time:.2f}",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from pupper_analysis.present.document import Text, text
@@ -42,7 +43,20 @@ def test_path_without_motion_names_the_options_of_a_goal() -> None:
 
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
-    values = {"still": True, "share": "14", "joint": "FL_calf_joint", "time": "0.40"}
-    line = text("path-in-short", seconds="4", **values).short
-    assert line
-    assert len(f"TRACKED (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
+    common = {"seconds": "4", "share": "14", "joint": "FL_calf_joint", "time": "0.40"}
+    common |= {"error": "0.35 deg", "height": "10.2"}
+    for place in ("", " of the limit (knee, 0.40 s)"):
+        line = text("path-in-short", **common, still=bool(place), place=place).short
+        assert line
+        assert len(f"TRACKED (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
+
+
+def test_short_answer_states_tracking_errors_then_the_motor_with_the_largest_load() -> None:
+    """References: errors and peak load of the result, in degrees, mm and percent."""
+    result = make_path_result()
+    error = math.degrees(result.tracking.joint_error)
+    height = 1e3 * result.tracking.height_error
+    first, second = printed(path_document(result), width=200, everything=False).splitlines()[:2]
+    expected = f"joint error {error:.2g} deg, height {height:.1f} mm, motor load 32 %"
+    assert first.endswith(expected)
+    assert second.startswith("  motor load 32 % of the limit: knee at 1.23 s")
