@@ -157,15 +157,31 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         (table, view_block(robot, workspace.start, None)),
         findings=(
             text("range-in-short", ranges=join_words(map(join_words, groups), "semicolon")),
-            text("workspace-limits", limits=_join_limits(workspace)),
+            text(
+                "workspace-limits",
+                limits=_join_limits(workspace),
+                intersect=workspace.start.task.self_clearance is None,
+            ),
         ),
         passed=True,
         verdict=text("RANGE"),
         details=(task_text(workspace.start.task),),
         brief=True,
         notes=robot_notes(robot),
-        next_step=doc.NextStep("best", ("margin",)),
+        next_step=_select_next_step(workspace),
     )
+
+
+def _select_next_step(workspace: BaseWorkspace) -> doc.NextStep:
+    """Return the command to suggest next.
+
+    If the base turns to the end of the search, links of the robot intersect: the range is computed
+    again with a clearance between links.
+    """
+    codes = {limit.code for ends in workspace.limits.values() for limit in ends}
+    if "workspace-ends-at-full-turn" in codes and workspace.start.task.self_clearance is None:
+        return doc.NextStep("workspace", ("--self-clearance", "5mm"))
+    return doc.NextStep("best", ("margin",))
 
 
 @draw_result.register(BaseWorkspace)

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.present.document import get_english
+from pupper_analysis.present.document import NextStep, get_english
 from pupper_analysis.present.terminal import SafeConsole, print_head
 from pupper_analysis.tools.workspace.document import (
     _format_rounded_range,
@@ -53,7 +54,9 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
-    assert limits == "  limits: joints (all), reach (all but yaw); torques ignored"
+    assert limits == (
+        "  torques ignored, links may intersect; limits: joints (all), reach (all but yaw)"
+    )
     assert answer.startswith("RANGE stub: height 92..192, x ")
     assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1
@@ -90,3 +93,21 @@ def test_ends_of_short_ranges_are_within_reach() -> None:
         (95.1, 95.2, "95..95"),
     ):
         assert _format_rounded_range(low, high) == expected
+
+
+def test_base_that_turns_to_the_end_of_the_search_is_searched_with_link_clearance() -> None:
+    """A base that rolls by 180 degrees on planted feet has its legs in its trunk.
+
+    With a stated clearance, the links cannot intersect, and the text does not mention them.
+    """
+    result = workspace()
+    assert workspace_document(result).next_step == NextStep("best", ("margin",))
+    end = diagnose("workspace-ends-at-full-turn")
+    result.limits["roll"] = (end, end)
+    document = workspace_document(result)
+    assert document.next_step == NextStep("workspace", ("--self-clearance", "5mm"))
+    assert "links may intersect" in get_english(document.findings[1])
+    result.start.task = pa.StandTask(self_clearance=0.005)
+    document = workspace_document(result)
+    assert document.next_step == NextStep("best", ("margin",))
+    assert "links may intersect" not in get_english(document.findings[1])
