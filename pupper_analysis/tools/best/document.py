@@ -84,7 +84,7 @@ def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.Ne
     for angle in ("roll", "pitch", "yaw"):
         degrees = math.degrees(getattr(task, angle))
         if abs(degrees) > _MIN_PRINTED_ANGLE:
-            words += [f"--{angle}", f"{degrees:.2f}deg"]
+            words += [f"--{angle}", f"{degrees:.1f}deg"]
     for foot, displacement in task.foot_offsets.items():
         words += ["--move", f"{foot}={_format_lengths(*displacement)}"]
     return doc.NextStep("path", tuple(words))
@@ -95,7 +95,7 @@ def _format_lengths(*lengths: float) -> str:
     return ",".join(f"{1e3 * length:z.1f}mm" for length in lengths)
 
 
-_MIN_PRINTED_ANGLE = 0.005
+_MIN_PRINTED_ANGLE = 0.05
 """Magnitude [deg] of roll, pitch or yaw above which the suggested command for the best stance
 contains the angle: half of the last printed digit."""
 
