@@ -108,7 +108,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     )
 
 
-_SIDES = {"forward": 0, "left": 90, "backward": 180, "right": 270}
+_SIDES = {"front": 0, "left": 90, "back": 180, "right": 270}
 """{name of a push direction: angle from forward, about the vertical axis [deg]}."""
 
 

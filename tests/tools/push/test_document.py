@@ -136,9 +136,9 @@ def test_push_limit_states_that_its_servos_were_added() -> None:
 @pytest.mark.parametrize(
     ("resolution", "angle", "expected"),
     [
-        (1.0, 90.0, "at least 90 N s in all 3 directions; weakest: 90 deg (left)"),
-        (0.02, 180.0, "at least 90.37 N s in all 3 directions; weakest: 180 deg (backward)"),
-        (0.1, 240.0, "at least 90.3 N s in all 3 directions; weakest: 240 deg"),
+        (1.0, 90.0, "at least 90 N s in 3 directions, weakest 90 deg (left)"),
+        (0.02, 180.0, "at least 90.37 N s in 3 directions, weakest 180 deg (back)"),
+        (0.1, 240.0, "at least 90.3 N s in 3 directions, weakest 240 deg"),
     ],
 )
 def test_first_line_states_the_least_impulse_with_the_digits_of_its_resolution(
@@ -159,7 +159,7 @@ def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
     values = {"rounded": "15.11", "direction": "180", "count": 12, "one": False}
     values |= {"impulse": "15.11", "speed": "0.94", "mass": "16.09"}
-    values |= {side: side == "backward" for side in ("forward", "left", "backward", "right")}
+    values |= {side: side == "back" for side in ("front", "left", "back", "right")}
     line = text("weakest-at-directiondeg-impulse", **values).short
     assert line
     assert len(f"WITHSTANDS (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
