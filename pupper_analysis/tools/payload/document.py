@@ -134,17 +134,24 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
     """Return the text of the largest payload [kg], or its upper bound, and its position [mm]."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)
+    alone = _describe_mass_by_commands_alone(limit)
     return text(
         "payload-at-place",
-        place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
+        place=_format_point(limit),
         link=limit.link,
         mass=mass_text(limit.upper_bound),
-        alone=_describe_mass_by_commands_alone(limit),
+        alone=alone,
         ground=ground_word(limit.stand.depths.values()),
-        beside=bool(np.any(limit.point)),
+        # A line with two masses has no more room: line 2 states the place (`payload-limited`).
+        placed=bool(np.any(limit.point)) and not alone,
         none=limit.upper_bound == 0,
         only=limit.passed and _carries_only_with_feedforward(limit),
     )
+
+
+def _format_point(limit: PayloadLimit) -> str:
+    """Return the position of a payload in its link, in mm: ``0, 0, 150``."""
+    return ", ".join(f"{1e3 * value:.0f}" for value in limit.point)
 
 
 def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
@@ -162,10 +169,12 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
         ),
         None,
     )
+    alone = limit.passed and not math.isnan(limit.mass_by_commands_alone)
     return text(
         "payload-limited",
         mass=mass_text(limit.upper_bound),
-        alone=limit.passed and not math.isnan(limit.mass_by_commands_alone),
+        alone=alone,
+        place=_format_point(limit) if alone and np.any(limit.point) else "",
         failure=_describe_failure(limit.failure, limit.failing_parts),
         next="" if following is None else mass_text(following.mass),
         cause="" if following is None else word(following.failure.value),
@@ -179,7 +188,7 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
     torque = format_number(abs(float(torques[hardest])), ".3g")
     return text(
         "payload-unknown",
-        place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
+        place=_format_point(limit),
         link=limit.link,
         mass=mass_text(limit.upper_bound),
         bounded=math.isfinite(limit.upper_bound),

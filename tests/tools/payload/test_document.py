@@ -133,7 +133,9 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
         for words in answer.findings
         if isinstance(words, Text) and words.en.startswith("limiting failure")
     ]
-    assert limit.short.startswith("limit 1.23 kg: ")
+    assert limit.short.startswith("limit 1.23 kg at (11, -22, 83) mm: ")
+    # Line 1 has no room for the place: 112 characters for ANYmal C.
+    assert "mm" not in mass.short
 
 
 def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
@@ -145,6 +147,9 @@ def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
     result.bounds = {"simulation": result.bounds["servos"]}
     result.bounds["simulation"].mass = result.mass
     second = printed(payload_document(result), everything=False).splitlines()[1]
-    start = "  limit 66.89 kg: RL_calf touches the ground; on added servos (kp 320 N m/rad)"
+    start = (
+        "  limit 66.89 kg at (11, -22, 83) mm: RL_calf touches the ground; "
+        "on added servos (kp 320 N m/rad)"
+    )
     assert second.startswith(start)
     assert len(second) <= MAX_ANSWER_WIDTH
