@@ -294,7 +294,7 @@ def _list_common_options(
             or (option.name, *option.opts) not in known
             or option.name in _OUTPUT_PARAMETERS
             or isinstance(option.type, OutputPath)
-            or not set(option.opts).isdisjoint(excluded)
+            or not {*option.opts, "*"}.isdisjoint(excluded)
         ):
             continue
         if option.is_flag:

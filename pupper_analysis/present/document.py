@@ -494,7 +494,7 @@ class NextStep:
         robot_typed: True if the next command gets the robot argument that the user typed. False if
             ``words`` contain the files of the robot.
         omitted: Options that the user typed and the next command does not get, such as
-            ``"--command"``.
+            ``"--command"``; ``"*"`` for all options.
     """
 
     command: str

@@ -481,6 +481,7 @@ def select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     Raises:
         ConfigurationError: If the base is fixed, or fewer than three contact points carry load and
             the robot has no weld or grip, for example.
+        ModelError: If the base is fixed due to a fault in a model file.
         UnknownNameError: If the task contains an unknown foot.
     """
     robot.check_floating()

@@ -150,8 +150,14 @@ def _read_file_motors(robot: Robot) -> dict[str, Motor]:
 
 
 def _print_motors() -> None:
-    """Print the names and sources of the known motors."""
+    """Print the known motors: name, whether the thermal data are complete, and source.
+
+    The limit temperature is not included, because ``--limit`` states it.
+    """
     from pupper_analysis.models.motors.reading import find_motor, list_motors
+    from pupper_analysis.models.motors.thermal import list_unknown_thermal_numbers
 
     for name in list_motors():
-        click.echo(f"{name:<26} {find_motor(name).source}")
+        motor = find_motor(name)
+        mark = "" if list_unknown_thermal_numbers(motor) else "thermal data"
+        click.echo(f"{name:<26} {mark:<12} {motor.source}")

@@ -81,6 +81,8 @@ def _select_next_step(study: HeatStudy) -> NextStep:
         return NextStep("best", ("utilisation",))
     if _lacks_limit_only(study):
         return NextStep("heat", ("--limit", f"{_EXAMPLE_LIMIT:g}"))
+    if any(motor.unknown and motor.torque for motor in study.motors):
+        return NextStep("heat", ("--list-motors",), robot_typed=False, omitted=("*",))
     return NextStep("payload" if study.passed else "stand")
 
 
@@ -166,6 +168,8 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
             motor=doc.Name(name),
             numbers=join_words([doc.Name(number) for number in numbers]),
             limit=_LIMIT_TEMPERATURE in numbers,
+            first=doc.Name(numbers[0]),
+            more=str(len(numbers) - 1) if len(numbers) > 1 else "",
         )
     if study.omitted:
         yield text(

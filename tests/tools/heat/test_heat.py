@@ -105,8 +105,11 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
     done = answer("heat", "v3", "--motor", "dynamixel-xm540-w270")
     assert done.returncode == 1
     first, second, *_ = done.stdout.splitlines()
-    assert first.startswith("UNKNOWN v3: the data of Dynamixel XM540-W270 lack")
-    assert "winding_resistance, winding_capacity" in first
+    assert (
+        first
+        == "UNKNOWN v3: Dynamixel XM540-W270 lacks thermal data: winding_resistance and 4 more"
+    )
+    assert "  next: pupper-analysis heat --list-motors" in done.stdout.splitlines()
     assert "A at 12 V" in second
     lacking = answer("heat", "v3", "--motor", "mit-mini-cheetah").stdout
     first, second, *_ = lacking.splitlines()
@@ -289,6 +292,8 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     listed = answer("heat", "--list-motors")
     assert listed.returncode == 0
     assert "https://emanual.robotis.com" in listed.stdout
+    complete = {line.split()[0] for line in listed.stdout.splitlines() if "thermal data" in line}
+    assert complete == {"dephy-actpack", "mit-mini-cheetah"}  # state all numbers of the network
     missing = answer("heat", "v3")
     assert missing.returncode == 2
     assert "--motor: no motor is given or stated as dcmotor" in missing.stderr
