@@ -44,8 +44,8 @@ MAX_LINE_POINTS = 160
 pixels of the plot's width. Chosen, not tuned.
 """
 
-LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
-"""Approximate width of a character [CSS pixels], and the largest number of characters of the
+LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 8.0, 28
+"""Approximate width of a character on a phone [CSS pixels], and the largest number of characters of the
 untranslated name (``Name``) of a bar. Chosen, not tuned."""
 
 DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
@@ -280,7 +280,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
         for bar in bars
     ]
     names = 24.0 + LETTER_WIDTH * max(map(_count_characters, shown))
-    values, step = 34.0 + LETTER_WIDTH * max(map(_count_characters, numbers)), 22.0
+    values, step = 24.0 + LETTER_WIDTH * max(map(_count_characters, numbers)), 22.0
     wide, tall = PLOT_WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     ends = [value for bar in bars for value in (bar.value, bar.marker, bar.point)
