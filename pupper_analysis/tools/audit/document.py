@@ -88,12 +88,19 @@ def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> 
     message = doc.diagnostic_text(diagnostic)
     if "start" in diagnostic.values:  # the message names the configuration
         return message
-    element = text("audit-elements", element=format_element(diagnostic), more=num_alike or None)
+    subject = diagnostic.subject
+    is_part = subject is not None and subject.kind in ("link", "joint", "body")
+    element = text(
+        "audit-elements",
+        element=format_element(diagnostic),
+        name=doc.Name(subject.name) if subject is not None and subject.name and is_part else None,
+        more=num_alike or None,
+    )
     finding = text("element-message", element=element, message=message)
     if len(finding.short or finding.en) <= MAX_SUMMARY_WIDTH:
         return finding
     title = get_rule_text(rule, "title")
-    return replace(finding, short=f"{element.en}: {title.en[:1].lower()}{title.en[1:]}")
+    return replace(finding, short=f"{element.short}: {title.en[:1].lower()}{title.en[1:]}")
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:

@@ -20,7 +20,7 @@ from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.models.objects import require_path
 from pupper_analysis.robot.compare.compare import compare_files
-from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.audit.audit import RULES, audit_model
 from pupper_analysis.tools.check.config import (
     GuardConfig,
     GuardedPair,
@@ -126,8 +126,8 @@ class PairCheck(Result):
             cause or the same values count once.
         known: Number of findings in the baseline.
         notes: Assumptions, and ignored content.
-        floating: Whether the MJCF has a free base, or a base with at least two limbs; None if the
-            files were not compared.
+        floating: Whether the MJCF, or else the URDF, has a free base, or a base with at least two
+            limbs; None if the file cannot be read.
     """
 
     name: str
@@ -219,7 +219,7 @@ def check_repository(
         write_baseline(settings.baseline, before, entries)
     ordered = sorted(
         (replace(remark, fails=_is_failure(remark, settings)) for remark in known),
-        key=lambda remark: (not remark.fails, remark.severity.rank),
+        key=lambda remark: (not remark.fails, remark.severity.rank, not _is_cause(remark)),
     )
     failures = count_findings(remark for remark in ordered if remark.fails)
     return RepositoryCheck(
@@ -232,6 +232,15 @@ def check_repository(
         updated=update_baseline and is_complete,
         passed=not failures,
     )
+
+
+def _is_cause(remark: Remark) -> bool:
+    """Return True for the finding of an audit rule that causes other findings or differences.
+
+    For example, the limits of a joint are exchanged.
+    """
+    is_rule = remark.check == "audit" and remark.kind in RULES
+    return is_rule and RULES[remark.kind].precedence == 0
 
 
 def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
@@ -299,6 +308,7 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
             remarks.append(make_error_remark(error, "audit", pair, file, folder))
         else:
             remarks += list_audit_remarks(audit, folder)
+            floating = audit.floating
     # A file that cannot be read is reported once.
     if pair.urdf is not None and pair.mjcf is not None and not _has_refusal(remarks):
         try:

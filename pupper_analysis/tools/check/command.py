@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -156,8 +157,21 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     if not is_folder(folder):
         missing = not path_exists(folder) or None
         raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
-    path, names = write_config(folder)
-    click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
+    path, pairs, singles = write_config(folder)
+    count = len(pairs) + len(singles)
+    click.echo(f"written: {path}, with {count} {'model' if count == 1 else 'models'}")
     place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
-    click.echo("  edit the file so that each URDF is listed with its MJCF")
+    groups = {"paired": pairs, "without partner": singles}
+    listed = [f"{label}: {_shorten_list(names)}" for label, names in groups.items() if names]
+    click.echo(f"  {'; '.join(listed)}")
     click.echo(f"  next: {GENERATOR_NAME} check {place}".rstrip())
+
+
+_MAX_LISTED_NAMES = 2
+"""Largest number of names in each list of the short answer of ``--init``. Chosen, not tuned."""
+
+
+def _shorten_list(names: Sequence[str]) -> str:
+    """Join names with commas; of many, only the first and the number of further names."""
+    shown, left = names[:_MAX_LISTED_NAMES], names[_MAX_LISTED_NAMES:]
+    return ", ".join(shown) + (f" (+{len(left)})" if left else "")

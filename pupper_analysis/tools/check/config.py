@@ -452,11 +452,11 @@ _CONFIG_HEADER: Final = """\
 """Comment at the top of a new configuration."""
 
 
-def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
+def write_config(folder: Path) -> tuple[Path, tuple[str, ...], tuple[str, ...]]:
     """Write a configuration that lists the models found in a folder and below.
 
     Returns:
-        Path of the file, and names of the pairs.
+        Path of the file, names of the pairs of a URDF and an MJCF, and names of single files.
 
     Raises:
         ConfigurationError: If there is a configuration already, or no model.
@@ -472,7 +472,8 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
         file.write(
             "\n".join([_CONFIG_HEADER, *map(_format_pair, entries)]).encode(errors="replace")
         )
-    return path, tuple(entry["name"] for entry in entries)
+    pairs = tuple(entry["name"] for entry in entries if {"urdf", "mjcf"} <= entry.keys())
+    return path, pairs, tuple(entry["name"] for entry in entries if entry["name"] not in pairs)
 
 
 def _format_pair(entry: dict[str, str]) -> str:

@@ -23,6 +23,7 @@ from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import (
     format_element,
     get_rule_text,
+    summarise_finding,
 )
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
 from pupper_analysis.tools.check.remarks import REFUSED_KIND, Remark, count_findings
@@ -68,9 +69,21 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
     if check.failures:
         first = check.remarks[0]
         place = doc.Name(relative_to_root(first.place or first.file))
-        return text("first-to-fix", place=place, finding=_describe_remark(first))
+        finding = _describe_remark(first)
+        if _is_audit_rule(first):
+            alike = [remark for remark in check.remarks if remark.finding == first.finding]
+            finding = summarise_finding(first.kind, first.diagnostic, len(alike) - 1)
+        return text("first-to-fix", place=place, finding=finding)
     files = {file for pair in check.pairs for file in pair.files}
-    return text("checked-pairs-and-files", pairs=len(check.pairs), files=len(files))
+    single = [Path(pair.files[0]) for pair in check.pairs if len(pair.files) == 1]
+    mjcfs = [file.name for file in single if file.suffix.lower() != ".urdf"]
+    is_unpaired = 0 < len(mjcfs) < len(single)
+    return text(
+        "checked-pairs-and-files",
+        pairs=len(check.pairs),
+        files=len(files),
+        unpaired=tuple(mjcfs) if is_unpaired else None,
+    )
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
@@ -81,12 +94,17 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     if not check.failures:
         pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
         if pair is None:
+            pair = next((pair for pair in check.pairs if pair.floating is not None), None)
+        if pair is None:
             return None
+        if len(pair.files) == 1:
+            return _run_on_files("stand" if pair.floating else "hold", folder, pair.files)
         command = "crosscheck" if not pair.agree else "stand" if pair.floating else "hold"
         return _run_on_files(command, folder, pair.files)
     first = check.remarks[0]
     if first.kind == REFUSED_KIND or _is_audit_rule(first):
-        return _run_on_files("audit", folder, (first.file,))
+        step = _run_on_files("audit", folder, (first.file,))
+        return replace(step, words=(*step.words, "--fix")) if first.repairable else step
     if first.check == "crosscheck":
         files = next(pair.files for pair in check.pairs if pair.name == first.pair)
         return _run_on_files("crosscheck", folder, files)

@@ -64,6 +64,7 @@ class Remark(Result):
         cause: Mistake that explains this difference together with others.
         consequences: Effects of a change since a revision, in a simulation, or effects that another
             tool states.
+        repairable: Whether ``audit --fix`` can repair the finding of an audit rule.
     """
 
     check: str
@@ -80,6 +81,7 @@ class Remark(Result):
     fails: bool = False
     cause: Diagnostic | None = None
     consequences: tuple[Diagnostic, ...] = ()
+    repairable: bool = False
 
     _reported = ("message",)
 
@@ -151,7 +153,7 @@ def list_comparison_remarks(
 def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
     """Yield a remark for each finding of an audit, with the file relative to ``folder``."""
     for finding in audit.findings:
-        yield make_remark(
+        remark = make_remark(
             "audit",
             "",
             finding.rule,
@@ -161,6 +163,8 @@ def list_audit_remarks(audit: Audit, folder: Path) -> Iterator[Remark]:
             finding.severity,
             finding.place.path,
         )
+        is_repairable = len(finding.repairs) == 1 and not finding.repairs[0].is_estimate
+        yield replace(remark, repairable=is_repairable)
 
 
 def list_guard_remarks(
@@ -206,7 +210,7 @@ def make_error_remark(
         REFUSED_KIND,
         pair.name,
         relative_path(path, folder),
-        error.diagnostic,
+        error.cause if known and isinstance(error, ModelError) else error.diagnostic,
         Severity.ERROR,
         place if known else str(path),
     )

@@ -38,6 +38,7 @@ from pupper_analysis.tools.check.remarks import (
 )
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
+from tests.support.robots import quadruped, write_parts
 
 SAMPLE = ROOT / "examples" / "guarded"
 BASELINE = "pupper-analysis-baseline.txt"
@@ -392,7 +393,8 @@ def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> Non
     (folder / ".hidden" / "old.urdf").write_text("<robot/>")
     shown = run(folder, "--init")
     assert shown.returncode == 0, shown.stderr
-    assert "with 1 models: hopper" in shown.stdout
+    assert shown.stdout.splitlines()[0].endswith("with 1 model")
+    assert shown.stdout.splitlines()[1] == "  paired: hopper"
     (pair,) = read_config(config).pairs
     assert (pair.name, pair.urdf, pair.mjcf) == (
         "hopper", folder / "hopper.urdf", folder / "hopper.xml"
@@ -613,3 +615,39 @@ def test_robot_in_memory_is_refused_in_place_of_a_configuration() -> None:
     text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
     with pytest.raises(pa.ConfigurationError, match="config: this robot in memory"):
         pa.guard.check_repository(text)
+
+
+def test_answer_names_the_cause_once_and_the_repair(tmp_path: Path) -> None:
+    """A refused file has its place once; exchanged limits precede the resulting differences."""
+    (tmp_path / "none.urdf").write_text(
+        '<?xml version="1.0"?>\n<robot>\n<link name="a"/>\n</robot>'
+    )
+    assert run(tmp_path, "--init").stdout.splitlines()[1] == "  without partner: none"
+    lines = run(tmp_path).stdout.splitlines()
+    assert lines[1].startswith("  first: none.urdf:2: the robot has no name")
+    (tmp_path / "none.urdf").unlink()
+    (tmp_path / "pupper-analysis.toml").unlink()
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    text = files.urdf.read_text()
+    start = text.index("<limit", text.index('<joint name="hip1"'))
+    line = text[: text.index("lower=", start)].count("\n") + 1
+    limit = text[start : text.index("/>", start)]
+    exchanged = limit.replace("lower", "low").replace("upper", "lower").replace("low=", "upper=")
+    files.urdf.write_text(text.replace(limit, exchanged, 1))
+    assert run(tmp_path, "--init").stdout.splitlines()[1] == "  paired: robot"
+    lines = run(tmp_path).stdout.splitlines()
+    assert lines[1].startswith(f"  first: robot.urdf:{line}: hip1: lower limit is ")
+    assert lines[2] == "  next: pupper-analysis audit robot.urdf --fix"
+    answer("audit", "robot.urdf", "--fix", "--yes", folder=tmp_path)
+    assert run(tmp_path).returncode == 0
+
+
+def test_passed_check_names_the_model_that_is_paired_with_no_urdf(tmp_path: Path) -> None:
+    """A URDF and an MJCF with other names are not compared."""
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    files.mjcf.rename(tmp_path / "scene.xml")
+    run(tmp_path, "--init")
+    lines = run(tmp_path).stdout.splitlines()
+    assert lines[0].startswith("PASSED")
+    assert lines[1].endswith("2 files; paired with no URDF, so not compared: scene.xml")
+    assert lines[2] == "  next: pupper-analysis stand robot.urdf"
