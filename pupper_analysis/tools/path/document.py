@@ -33,7 +33,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         text(
             "path-in-short",
             error=format(Quantity(tracking.joint_error, tracking.joint_error_unit), "read:.2g"),
-            place="" if path.has_motion else place,
+            place="" if path.has_motion or not math.isfinite(used) else place,
             height=f"{1e3 * tracking.height_error:.1f}",
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
