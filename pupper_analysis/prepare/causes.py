@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, format_number
 from pupper_analysis.models.additions import Ball, ContactExclusion
 from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -654,9 +654,9 @@ def _list_overlap_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
     model, weld = published.model, robot.mj_model.body_weldid
     foot_bodies = {int(weld[body]) for body, _ in robot.contact_places.values()}
     feet = {robot.mj_model.body(body).name for body in foot_bodies}
-    depths: dict[tuple[str, str], float] = {}
-    for pair in (pair for one in excluded for pair in one.reason.values.get("pairs", ())):
-        depths[pair.values["one"], pair.values["two"]] = pair.values["depth"].value
+    depths = {
+        bodies: depth for one in excluded for bodies, depth in _list_overlap_depths(one.reason)
+    }
     switched = {two if one in feet else one for one, two in depths} - feet
     bodies = [model.body(name).id for name in sorted(switched & _list_body_names(model))]
     elements = tuple(
@@ -666,6 +666,15 @@ def _list_overlap_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
     if geoms.size:
         yield from _yield_if_any("overlaps", elements, "geom_contype geom_conaffinity", geoms)
+
+
+def _list_overlap_depths(reason: Diagnostic) -> Iterator[tuple[tuple[str, str], float]]:
+    """Yield the pairs of bodies, and their depths [m], in the message about overlapping bodies."""
+    pairs = reason.values["pairs"]
+    for pair in pairs if isinstance(pairs, tuple) else ():
+        depth = pair.values["depth"] if isinstance(pair, Diagnostic) else None
+        if isinstance(pair, Diagnostic) and isinstance(depth, Quantity):
+            yield (str(pair.values["one"]), str(pair.values["two"])), depth.value
 
 
 def _list_body_names(model: mujoco.MjModel) -> set[str]:
