@@ -14,7 +14,12 @@ import click
 from pupper_analysis.base import kinds
 from pupper_analysis.base.arguments import find_name_patterns
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError, MeasurementError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    InputError,
+    MeasurementError,
+    PupperAnalysisError,
+)
 from pupper_analysis.base.inputs import find_similar_files, path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
@@ -310,8 +315,9 @@ def _check_planned_file(
 ) -> None:
     """Raise an error if a file of stands is missing.
 
-    The error contains the command that plans stands. If kp is neither typed nor stated by a file,
-    this command contains the kp of the added servos.
+    The error contains the command that records a plan, if stands are missing and a similar file or
+    ``plan.csv`` is a plan of this robot; otherwise the command that plans stands. If kp is neither
+    typed nor stated by a file, this command contains the kp of the added servos.
 
     Args:
         path: Plan, or file of recorded stands.
@@ -327,13 +333,17 @@ def _check_planned_file(
     needs_kp = not has_kp and bool(list_joints_without_kp(robot))
     alike = [str(file) for file in find_similar_files(path) if _has_column_of(file, robot)]
     default_kp = _describe_default_kp(robot) if needs_kp else None
+    files = (*alike, str(plan)) if recorded else ()
+    plans = [file for file in files if _is_plan(Path(file), robot)]
+    found = bool(alike or plans)
     finding = diagnose(
         "planned-file-missing",
-        alike=alike,
-        plan=(not alike and not recorded) or None,
-        stands=(not alike and recorded) or None,
-        kp=(not alike and needs_kp and default_kp is None) or None,
-        default_kp=None if alike else default_kp,
+        record=plans[0] if plans else None,
+        alike=() if plans else alike,
+        plan=(not found and not recorded) or None,
+        stands=(not found and recorded) or None,
+        kp=(not found and needs_kp and default_kp is None) or None,
+        default_kp=None if found else default_kp,
     )
     words: tuple[str, ...] = ("--plan", str(_PROPOSED_STANDS), "-o", str(plan))
     if default_kp is not None:
@@ -341,6 +351,8 @@ def _check_planned_file(
     step = NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--stands", "--weight"))
     if needs_kp and default_kp is None:
         step = NextStep("gains")
+    if plans:
+        step = _make_recording_step(plans[0], str(path))
     error = InputError(path, finding)
     error.add_note(complete_command(step))
     raise error
@@ -420,14 +432,37 @@ def _propose_gains(robot: Robot, output: Path | None, *, is_log: bool = False) -
 
 def _has_column_of(path: Path, robot: Robot) -> bool:
     """Return True if the first line of a CSV file (commas) names a column of a robot joint."""
+    names = _read_column_names(path)
+    return any(
+        f"{kind}.{joint}" in names
+        for kind in ("command", "position")
+        for joint in robot.joint_names
+    )
+
+
+def _read_column_names(path: Path) -> set[str]:
+    """Return the names in the first line of a CSV file (commas), without units; else nothing."""
     with suppress(OSError, UnicodeError), path.open(encoding="utf-8") as file:
-        names = {name.partition("[")[0].strip() for name in file.readline().split(",")}
-        return any(
-            f"{kind}.{joint}" in names
-            for kind in ("command", "position")
-            for joint in robot.joint_names
-        )
+        return {name.partition("[")[0].strip() for name in file.readline().split(",")}
+    return set()
+
+
+def _is_plan(path: Path, robot: Robot) -> bool:
+    """Return True if a file contains stands of a robot with commands, but without positions."""
+    from pupper_analysis.tools.fit.measurements.stands import read_stands
+
+    if not (path_exists(path) and _has_column_of(path, robot)):
+        return False
+    with suppress(PupperAnalysisError):
+        return _has_only_commands(read_stands(path))
     return False
+
+
+def _has_only_commands(stands: MeasuredStands) -> bool:
+    """Return True if stands contain commands, but no measured positions."""
+    import numpy as np
+
+    return bool(np.isfinite(stands.command).any() and not np.isfinite(stands.position).any())
 
 
 _PROPOSED_STANDS = 6
@@ -445,6 +480,13 @@ def _read_measurements(
         if not path_exists(path):
             alike = [str(file) for file in find_similar_files(path)]
             raise InputError(path, diagnose("log-file-missing", alike=alike))
+        if "stand" in _read_column_names(path):
+            error = MeasurementError(path, diagnose("log-has-stands"))
+            omitted = (*_MEASURING_OPTIONS, "--log", "--kd", "--hold-out")
+            error.add_note(
+                complete_command(NextStep("fit", ("--stands", str(path)), omitted=omitted))
+            )
+            raise error
     measured = list(map(read_log, logs)) if stands is None else read_stands(stands)
     if stands is not None and isinstance(measured, MeasuredStands):
         _check_measured(stands, measured)
@@ -463,17 +505,18 @@ def _check_measured(path: Path, measured: MeasuredStands) -> None:
 
     The error contains the command that records the plan.
     """
-    import numpy as np
-
-    if not len(measured) or np.isfinite(measured.position).any():
+    if not _has_only_commands(measured):
         return
-    if not np.isfinite(measured.command).any():
-        return
-    words = ("--record", str(path), "--bridge", "typed", "-o", "stands.csv")
-    omitted = (*_MEASURING_OPTIONS, "--stands", "--weight", "--anyway", "--kp")
     error = MeasurementError(path, diagnose("stands-are-planned", count=len(measured)))
-    error.add_note(complete_command(NextStep("fit", words, omitted=omitted)))
+    error.add_note(complete_command(_make_recording_step(str(path), "stands.csv")))
     raise error
+
+
+def _make_recording_step(plan: str, output: str) -> NextStep:
+    """Create the next step that records a plan into a file of stands."""
+    words = ("--record", plan, "--bridge", "typed", "-o", output)
+    omitted = (*_MEASURING_OPTIONS, "--stands", "--weight", "--anyway", "--kp")
+    return NextStep("fit", words, omitted=omitted)
 
 
 _MEASURING_OPTIONS = (

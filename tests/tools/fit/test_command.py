@@ -385,6 +385,25 @@ def test_plan_in_place_of_stands_names_the_command_that_records_it(
     assert step == f"  next: pupper-analysis fit v3 --record {plan} --bridge typed -o stands.csv"
 
 
+def test_missing_stands_name_the_command_that_records_a_similar_plan(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The refusal proposed the plan itself as stands, and to overwrite plan.csv."""
+    plan, stands = tmp_path / "plan360.csv", tmp_path / "stands360.csv"
+    joints = pa.load_variant("v3").joint_names
+    columns = [f"{kind}.{joint}" for kind in ("command", "position") for joint in joints]
+    cells = ["0.1"] * len(joints) + [""] * len(joints)
+    plan.write_text("\n".join([",".join(["stand", *columns]), ",".join(["s1", *cells])]))
+    status, _, err = run_command(capfd, "fit", "v3", "--stands", str(stands), "--kp", "6")
+    fault, step = err.splitlines()
+    assert status == 2
+    assert fault == f"error: {stands}: there is no such file; first record the plan {plan}"
+    assert step == f"  next: pupper-analysis fit v3 --record {plan} --bridge typed -o {stands}"
+    status, _, err = run_command(capfd, "fit", "v3", "--log", str(plan), "--kp", "6")
+    assert status == 2
+    assert err.splitlines()[-1] == f"  next: pupper-analysis fit v3 --kp 6 --stands {plan}"
+
+
 def test_missing_log_states_the_columns_of_a_log(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

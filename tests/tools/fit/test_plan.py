@@ -5,6 +5,7 @@ be planned.
 from __future__ import annotations
 
 import math
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pupper_analysis import load_robot
 from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
@@ -25,6 +27,7 @@ from pupper_analysis.tools.fit.stands.plan import (
     write_plan,
 )
 from pupper_analysis.tools.study.parameters import scale_robot
+from tests.support.repository import ROOT
 
 
 def test_the_chosen_make_the_determinant_largest() -> None:
@@ -153,6 +156,22 @@ def test_plan_keeps_margins_from_limits_and_other_links(
         assert (stand.qpos[7:] < robot.upper_limits - off + 1e-9).all()
         assert stand.self_clearance.distance > 0.001
         assert set(sagged.stance_feet) == set(stand.stance_feet)
+
+
+def test_random_stands_stay_in_the_branch_of_the_start_pose(tmp_path: Path) -> None:
+    """With wide limits, the solver finds stands with a leg turned over: 2.76 rad from the start.
+
+    A servo cannot move there from another stand. No stand of such a plan was recorded.
+    """
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text().replace("../mjcf/", f"{ROOT}/mjcf/")
+    path = tmp_path / "wide.urdf"
+    path.write_text(re.sub(r'lower="[^"]+" upper="[^"]+"', 'lower="-9.4" upper="9.4"', text))
+    robot = load_robot(path)
+    generator = RandomStands(robot, np.random.default_rng(1), None)
+    found = generator.draw_stands(3)
+    assert len(found) == 3
+    travels = [np.abs(stand.qpos[7:] - robot.home[7:]).max() for stand, _ in found]
+    assert max(travels) < math.pi / 2
 
 
 def test_cause_is_named_if_no_stand_can_be_planned() -> None:

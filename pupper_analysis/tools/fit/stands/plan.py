@@ -458,6 +458,13 @@ tuned."""
 _MAX_TILT = 0.25
 """Largest absolute roll and pitch [rad] of the base in a proposed stand. Chosen, not tuned."""
 
+_MAX_HINGE_TRAVEL = math.pi / 2
+"""Largest accepted difference [rad] of a hinge from the start pose (`Robot.home`) in a stand.
+A stand in another IK branch cannot be commanded after a stand in the first branch while the feet
+are on the ground. Measured on 46 random stands of ANYmal C: at most 0.63 rad in the branch of the
+start pose, at least 2.4 rad in other branches; on 36 stands of Pupper v3: at most 1.1 rad.
+"""
+
 _MAX_STEP_RATIO = 0.15
 """Upper bound of the absolute random displacement of a foot from its default position, along x and
 along y, as a fraction of the base height in the default stand. Chosen, not tuned."""
@@ -491,6 +498,7 @@ class RandomStands:
     The stands have these properties:
 
     - reachable, balanced, and within 60 % of the known torque limits
+    - each hinge within `_MAX_HINGE_TRAVEL` of the start pose: no change of the IK branch
     - free of self-collision, if the nominal stand is free of self-collision
     - distance of each joint from the limits at least three standard deviations of an encoder
       offset, because a joint at a stop cannot be detected
@@ -516,6 +524,7 @@ class RandomStands:
         priors: Sequence[Prior] = (),
     ) -> None:
         self._robot, self._rng, self._kp = robot, rng, kp
+        self._is_hinge = np.array([not is_slide(robot, joint) for joint in robot.joint_names])
         self._joint_margin = LIMIT_MARGIN_STDS * _get_offset_std(robot, priors)
         self._com_margin = compute_com_std(robot, priors)
         self._clearance = _compute_clearance(robot)
@@ -554,9 +563,7 @@ class RandomStands:
             return diagnose(
                 "too-few-in-reach", found=self._num_found, wanted=requested, off=offset_margin
             )
-        if code == "too-few-within-limits":
-            return diagnose("too-few-within-limits", found=self._num_found, wanted=requested)
-        return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
+        return diagnose(code, found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
         """Draw a stand task with random height, tilt and foot positions, and maybe a swing foot."""
@@ -597,6 +604,9 @@ class RandomStands:
                 stand = solve_stand(robot, replace(task, com_margin=smaller_margin), explain=False)
         except PupperAnalysisError:
             self._refusal_counts["too-few-in-reach"] += 1
+            return None
+        if (np.abs(stand.qpos[7:] - robot.home[7:])[self._is_hinge] > _MAX_HINGE_TRAVEL).any():
+            self._refusal_counts["too-few-in-one-branch"] += 1
             return None
         try:
             sagged = steady_state(robot, stand, kp=self._kp, feedforward=True)
