@@ -45,8 +45,8 @@ pixels of the plot's width. Chosen, not tuned.
 """
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 8.0, 28
-"""Approximate width of a character on a phone [CSS pixels], and the largest number of characters of the
-untranslated name (``Name``) of a bar. Chosen, not tuned."""
+"""Approximate width of a character on a phone [CSS pixels], and the largest number of characters of
+the untranslated name (``Name``) of a bar. Chosen, not tuned."""
 
 DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
 """Radius of a point [CSS pixels], and of the marked point of a series."""
