@@ -150,6 +150,8 @@ SLIPS: list[tuple[Any, ...]] = [
     ("mimic-invalid", "urdf joint FL_HFE", '<mimic', '<limit', '<mimic joint="FL_HFE"/><limit'),
     ("velocity-implausible", "urdf joint FL_HFE", '<limit', 'velocity="[^"]*"', 'velocity="1719"'),
     ("mirror-limits", "urdf joint FR_HFE", '<limit', 'velocity="[^"]*"', 'velocity="7"'),
+    ("joint-name-odd", "urdf joint lf_knee", '',
+     ("", '<joint name="FL_KFE"', '<joint name="lf_knee"')),
     ("mirror-type", "urdf joint FL_HFE", '', 'type="revolute"', 'type="fixed"'),
     ("friction-beyond-effort", "urdf joint FL_HFE", '', 'friction="[^"]*"', 'friction="18"'),
     ("gear-sign-odd", "mjcf general FL_HAA", '', '/>', ' gear="-1"/>'),

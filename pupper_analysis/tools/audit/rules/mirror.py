@@ -11,6 +11,7 @@ pair. The comparisons of CoM, inertia, shapes and contacts leave displaced pairs
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -609,6 +610,42 @@ def _has_wrong_sign(image: Array, entries: Array) -> bool:
     known = (np.abs(image[_PRODUCTS]) > smallest).all()
     wrong = int((is_opposite & ~is_equal & _PRODUCTS).sum())
     return bool(known and (is_equal | (is_opposite & _PRODUCTS)).all() and wrong % 2 == 1)
+
+
+MIN_NAMED_PAIRS = 3
+"""Smallest number of left-right pairs of links whose joints have mirrored names, per pair whose
+joints do not, so that the other names are reported. Chosen, not tuned."""
+
+
+@rule
+def joint_name_odd(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Find joints whose names do not follow the pattern of the limbs, such as ``knee`` for ``KFE``.
+
+    The links of both joints have mirrored names. Of both joints, the joint is reported whose name
+    without the words for the limb occurs less often.
+    """
+    pairs = [
+        (first, second)
+        for first, second in _list_body_pairs(robot)
+        if len(first.joints) == len(second.joints) == 1 and first.moving and second.moving
+    ]
+    mirrored = {frozenset(names) for names in find_mirror_pairs(robot.joints)}
+    odd = [
+        (first, second)
+        for first, second in pairs
+        if frozenset((first.joints[0].name, second.joints[0].name)) not in mirrored
+    ]
+    num_regular = len(pairs) - len(odd)
+    if not odd or num_regular < MIN_NAMED_PAIRS * len(odd):
+        return
+    counts = Counter(strip_sides(name) for name in robot.joints)
+    for links in odd:
+        link, other = sorted(links, key=lambda link: counts[strip_sides(link.joints[0].name)])
+        name, other_name = link.joints[0].name, other.joints[0].name
+        if not name or counts[strip_sides(name)] == counts[strip_sides(other_name)]:
+            continue
+        message = diagnose("joint-name-odd", link=other.name, other=other_name, count=num_regular)
+        yield CheckFinding("joint", name, message)
 
 
 def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Joint]]:
