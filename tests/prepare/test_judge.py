@@ -93,7 +93,7 @@ def test_audit_errors_appear_in_the_verdict(tmp_path: Path, rule: str) -> None:
     errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}
     assert errors == {rule}
     if message is None:
-        with pytest.raises(pa.PupperAnalysisError, match=r"lower limit 0\.8 is above"):
+        with pytest.raises(pa.PupperAnalysisError, match=r"lower limit 0\.8 rad above"):
             verdict_of(pa.load_robot(urdf))
         return
     verdict = verdict_of(pa.load_robot(urdf))
