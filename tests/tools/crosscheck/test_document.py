@@ -209,7 +209,8 @@ def test_differences_show_the_urdf_before_the_mjcf(tmp_path: Path) -> None:
     document = make_document(comparison)
     tables = [block for block in document.blocks if isinstance(block, Table)]
     headers = [get_english(column.name) for column in tables[0].columns]
-    effects = [row[headers.index("greatest relative effect")].value for row in tables[0].rows]
+    column = headers.index("greatest effect relative to the URDF")
+    effects = [row[column].value for row in tables[0].rows]
     assert effects == [
         100 * max(effect.relative for effect in difference.effects.values())
         for difference in comparison.differences
