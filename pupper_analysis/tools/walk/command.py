@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,12 @@ import click
 from click import get_current_context
 from click.core import ParameterSource
 
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
+from pupper_analysis.cli.next_step import complete_command, print_next_step
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
     VARIANT_OPTIONS,
@@ -27,6 +32,7 @@ from pupper_analysis.cli.stance_options import (
     parse_efforts,
     parse_motors,
 )
+from pupper_analysis.present.document import NextStep
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
@@ -186,7 +192,8 @@ def command(
         _write_first_contract(policy_path, robot, deployment)
         return
     robot.check_floating("walk-of-fixed-base")
-    loaded_policy = Policy.load(policy_path, contract, deployment)
+    with _explain_missing_key(policy_path, contract, sources):
+        loaded_policy = Policy.load(policy_path, contract, deployment)
     assigned, torque_limits = _parse_motor_limits(motors, effort, robot)
     robot, loaded_policy = replace_efforts(robot, loaded_policy, torque_limits)
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
@@ -284,11 +291,42 @@ def _parse_motor_limits(
 
 def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | None) -> None:
     """Write a template of the TOML file of a policy, and print the keys to be completed."""
-    from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.tools.walk.template import write_template
 
     path, missing = write_template(policy, robot, deployment)
     click.echo(str(diagnose("walk-template-written", file=str(path), missing=missing)))
+    print_next_step(NextStep("walk", omitted=("--init",)))
+
+
+@contextmanager
+def _explain_missing_key(
+    policy: Path, contract: Path | None, sources: Sequence[str]
+) -> Iterator[None]:
+    """Name the missing base class in an error about a key that no file states.
+
+    The new error contains the command that writes a template, unless there is a TOML file.
+    """
+    from pupper_analysis.tools.walk.template import list_missing_bases
+
+    try:
+        yield
+    except ModelError as error:
+        problem = error.cause.values.get("problem")
+        if not isinstance(problem, Diagnostic) or problem.code != "contract-lacks":
+            raise
+        template = contract or policy.with_suffix(".toml")
+        has_template = path_exists(template)
+        bases = list_missing_bases(sources)
+        incomplete = diagnose(
+            "contract-incomplete",
+            key=problem.values["key"],
+            base=bases[0] if bases else None,
+            template=str(template) if has_template else None,
+        )
+        explained = ModelError(policy, incomplete)
+        if not has_template:
+            explained.add_note(complete_command(NextStep("walk", ("--init",))))
+        raise explained from error
 
 
 def _refuse_idle_options(

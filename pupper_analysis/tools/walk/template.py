@@ -6,7 +6,10 @@ file states with their source, missing keys to be completed, and optional keys.
 
 from __future__ import annotations
 
+import ast
 import json
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +44,46 @@ _MEANINGS = {
     "phase-rate": "frequency of the gait phase [Hz], if a phase is observed",
 }
 """{key of a policy contract: comment above the key in the template}, in the order of the file."""
+
+
+def list_missing_bases(sources: Sequence[str]) -> list[str]:
+    """Return the imported base classes of Python classes whose files are not found, by name.
+
+    The file of a module is searched in the folders above the source.
+
+    Args:
+        sources: Files of deployment and trainer, or ``FILE:NAME``.
+    """
+    missing: dict[str, None] = {}
+    for source in sources:
+        path = Path(source if Path(source).suffix == ".py" else source.rpartition(":")[0])
+        if path.suffix != ".py":
+            continue
+        with suppress(OSError, SyntaxError, ValueError):
+            tree = ast.parse(path.read_bytes())
+            modules = {
+                alias.asname or alias.name: (statement.module or "", statement.level)
+                for statement in tree.body
+                if isinstance(statement, ast.ImportFrom)
+                for alias in statement.names
+            }
+            for statement in tree.body:
+                for base in statement.bases if isinstance(statement, ast.ClassDef) else ():
+                    name = base.id if isinstance(base, ast.Name) else ""
+                    if name in modules and not _finds_module(path, *modules[name]):
+                        missing[name] = None
+    return list(missing)
+
+
+def _finds_module(path: Path, module: str, level: int) -> bool:
+    """Return True if a folder above a Python file contains the file or package of a module."""
+    folders = path.resolve().parents
+    relative = Path(*module.split("."))
+    searched = folders if level == 0 else folders[level - 1 : level]
+    return any(
+        (folder / relative).with_suffix(".py").is_file() or (folder / relative).is_dir()
+        for folder in searched
+    )
 
 
 def write_template(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
@@ -176,3 +177,29 @@ def test_option_without_effect_on_a_policy_is_refused(
     policy = str(made.write_standing_policy(tmp_path / "still.json"))
     typed = tuple(policy if word == "still.json" else word for word in words)
     check_refusal(capfd, tmp_path, typed, f"{option}: the option has no effect")
+
+
+def test_missing_key_names_the_base_class_and_the_template(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The refusal asked for the configuration of the trainer, which was given, in 200 columns."""
+    policy, config = tmp_path / "policy.onnx", tmp_path / "walk_config.py"
+    policy.write_bytes(made.dense_onnx([(np.zeros((48, 12)), np.zeros(12))], "Elu"))
+    config.write_text(
+        "from legged_gym.envs.base.legged_robot_config import LeggedRobotCfg\n"
+        "class Cfg(LeggedRobotCfg):\n    class control(LeggedRobotCfg.control):\n"
+        "        stiffness = {'leg': 5.0}\n        damping = {'leg': 0.25}\n"
+        "        action_scale = 0.5\n        decimation = 4\n"
+    )
+    words = ("walk", "v3", str(config), str(policy))
+    status, _, err = run_command(capfd, *words)
+    fault, step = err.splitlines()[-2:]
+    assert status == 2
+    assert fault.startswith(f"error: {policy}: no file states ")
+    assert fault.endswith("; the file of the base class LeggedRobotCfg was not found")
+    assert step == f"  next: pupper-analysis walk v3 {config} {policy} --init"
+    status, out, _ = run_command(capfd, *words, "--init")
+    assert status == 0
+    assert out.splitlines()[-1] == f"  next: pupper-analysis walk v3 {config} {policy}"
+    _, _, err = run_command(capfd, *words)
+    assert err.splitlines()[-1].endswith(f"; complete {policy.with_suffix('.toml')}")
