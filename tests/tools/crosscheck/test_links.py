@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.multibody import TreeBody
+from pupper_analysis.present.documents.registry import make_document
 from pupper_analysis.tools.crosscheck.causes import (
     combine_bodies,
     compute_moments,
@@ -244,3 +245,26 @@ def test_effect_of_a_cause_is_that_of_all_its_differences(tmp_path: Path) -> Non
         assert cause.effects[name].relative == pytest.approx(comparison.deviations[name], abs=1e-9)
     first = comparison.differences[cause.differences[0]]
     assert first.effects["gravity"].share < 0.9
+
+
+def test_second_line_names_another_cause(tmp_path: Path) -> None:
+    """The rotors are missing in the MJCF, and two shanks have inertials of another robot."""
+    parts = add_rotors()
+    bare = remove_parts(parts, "_rotor")
+    for leg in (1, 2):
+        bare = change_part(
+            bare, f"shank{leg}", mass=0.55, com=(0.02, 0.01, -0.15),
+            inertia=(0.003, 0.004, 0.002, 0.0, 0.0, 0.0),
+        )  # fmt: skip
+    comparison = compare_files(write(tmp_path, urdf_text(parts), mjcf_text(bare)))
+    assert {cause.kind for cause in comparison.causes} == {"links", "inertial"}
+    shorts = {cause.kind: cause.diagnostic.short for cause in comparison.causes}
+    assert shorts["links"] == "the MJCF lacks 0.712 kg: 8 *_rotor"
+    first, second = comparison.causes
+    effects = [
+        max(effect.relative for effect in cause.effects.values()) for cause in (first, second)
+    ]
+    assert effects[0] > effects[1]
+    findings = make_document(comparison).findings
+    assert getattr(findings[0], "short", "") == shorts[first.kind]
+    assert getattr(findings[1], "short", "").endswith(f"; also {shorts[second.kind]}")
