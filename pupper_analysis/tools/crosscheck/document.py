@@ -74,7 +74,7 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 _MAX_PRINTED_SHARE = 1.005
 """Largest printed ratio of the effect of a single difference to the effect of all differences
-together. Larger ratios occur if differences cancel, and are omitted. Chosen, not tuned.
+together. If differences cancel, the ratio is larger, and a remark replaces it. Chosen, not tuned.
 """
 
 
@@ -98,8 +98,8 @@ def describe_effects(
             "effect",
             subject=("quantity", name),
             what=Term(name),
-            # Effects that other differences compensate have shares above 1: not printed.
             share=Quantity(effect.share, "1") if effect.share <= _MAX_PRINTED_SHARE else None,
+            cancelled=effect.share > _MAX_PRINTED_SHARE,
             relative=Quantity(effect.relative, "1") if effect.relative < MIN_FACTOR else None,
             times=effect.relative if effect.relative >= MIN_FACTOR else None,
         )

@@ -53,7 +53,10 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_count(diff: ModelDiff) -> doc.Text:
-    """Return the number of changes; or the stated mass, if all changes follow from one mass."""
+    """Return the number of changes and the first; or the mass from which all changes follow.
+
+    The first change is not named if the masses of both versions agree: line 2 then contains it.
+    """
     count = len(diff.changes)
     bodies = {change.element for change in diff.changes if change.kind in INERTIAL_KINDS}
     is_inertial = all(change.kind in INERTIAL_KINDS for change in diff.changes)
@@ -65,7 +68,13 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         )
         change = _format_percent(old, new)
         return text("mass-change", mass=mass, change=change) if change else mass
-    return text("1-change") if count == 1 else text("count-changes", count=count)
+    changes = text("1-change") if count == 1 else text("count-changes", count=count)
+    if not diff.changes or not _format_percent(*diff.mass):
+        return changes
+    first = diff.changes[0]  # line 2 contains the masses, not a change
+    subject = first.diagnostic.subject
+    name = doc.Name(first.element if subject is None else subject.name)
+    return text("changes-first", changes=changes, one=count == 1, kind=word(first.kind), name=name)
 
 
 def _select_next_command(diff: ModelDiff) -> str:

@@ -19,6 +19,7 @@ from pupper_analysis.tools.crosscheck.causes import (
     group_by_pattern,
 )
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
+from pupper_analysis.tools.crosscheck.document import describe_effects
 from tests.support.robots import (
     Part,
     Parts,
@@ -268,3 +269,17 @@ def test_second_line_names_another_cause(tmp_path: Path) -> None:
     findings = make_document(comparison).findings
     assert getattr(findings[0], "short", "") == shorts[first.kind]
     assert getattr(findings[1], "short", "").endswith(f"; also {shorts[second.kind]}")
+
+
+def test_effect_that_other_differences_cancel_has_a_remark_instead_of_a_share(
+    tmp_path: Path,
+) -> None:
+    """The mass moves from one thigh to the other: each change alone affects the total mass."""
+    parts = quadruped()
+    mass = parts["thigh0"].mass
+    moved = change_part(change_part(parts, "thigh0", mass=mass + 0.1), "thigh1", mass=mass - 0.1)
+    comparison = compare_files(write(tmp_path, urdf_text(parts), mjcf_text(moved)))
+    first = comparison.differences[0]
+    assert first.effects["mass matrix"].share > 1.005
+    message = str(describe_effects(first.effects))
+    assert "(others cancel a part)" in message

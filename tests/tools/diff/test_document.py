@@ -151,3 +151,8 @@ def test_one_edited_mass_is_the_answer_if_links_are_fixed_to_the_body(tmp_path: 
     # A second edited number of the inertials is not summarised.
     moved = text.replace('<mass value="1"/>', '<mass value="1.2"/>').replace("-0.1", "-0.2")
     assert diff_urdfs(tmp_path, text, moved).edited_masses == {}
+
+
+def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
+    diff = diff_urdfs(tmp_path, urdf_text(pendulum(), []), urdf_text(pendulum(mass=3.0), []))
+    assert get_english(diff_document(diff).findings[0]) == "1 change: mass of bob"
