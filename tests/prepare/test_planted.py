@@ -34,9 +34,13 @@ NEVER = {
 }
 """Codes of observations, which are no causes."""
 
-CONSEQUENCES = {"motors-overloaded", "foot-buried", "foot-slid", "joint-held-by-nothing"}
+CONSEQUENCES = {
+    *("motors-overloaded", "foot-buried", "foot-slid", "joint-held-by-nothing"),
+    "solver-error-moves",
+}
 """Codes of true consequences that may be reported beside the cause: overloaded motors, feet that
-sink, feet that slide without feed-forward, joints without position control."""
+sink, feet that slide without feed-forward, joints without position control, motion that MuJoCo's
+solver causes."""
 
 
 def servos(words: str) -> Edit:

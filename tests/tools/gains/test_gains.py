@@ -36,6 +36,8 @@ from pupper_analysis.tools.gains.gains import (
     name_joints,
     study_gains,
 )
+from tests.prepare.test_self_check import write_slip
+from tests.support.every_command import Truth, simulate_truth
 from tests.support.legged import quadruped_with_slides
 from tests.support.printing import printed
 from tests.support.variants import load, stand_of
@@ -447,3 +449,14 @@ def test_each_gain_is_in_its_column() -> None:
     assert [[cell.value for cell in row if isinstance(cell, Number)] for row in rows] == [
         [bound.factor, bound.simulated, bound.frequency] for bound in bounds
     ]
+
+
+@pytest.mark.slow
+def test_damping_alone_does_not_excuse_servos_that_push_away_from_the_command(
+    tmp_path: Path,
+) -> None:
+    """In bare MuJoCo the unmodified file does not stand: a servo's stiffness has the wrong sign."""
+    pair = write_slip(tmp_path, "kp of one has the wrong sign", seed=3)
+    assert simulate_truth(pair.mjcf, pair.mjcf) is not Truth.STANDS
+    robot = pa.load_robot(*pair)
+    assert not study_gains(robot, pa.solve_stand(robot), kd=4).passed
