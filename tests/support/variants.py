@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import pupper_analysis as pa
+from tests.support.repository import ROOT
 
 NAMES = tuple(pa.VARIANTS)
 """Names of all variants."""
@@ -30,3 +32,14 @@ def load(name: str, fixed_base: bool = False) -> pa.Robot:
 def stand_of(name: str) -> pa.Stand:
     """Return the nominal stand of a variant."""
     return pa.solve_stand(load(name))
+
+
+def write_without_a_mass(folder: Path) -> tuple[Path, Path]:
+    """Write the URDF of v3, and a copy in which the link leg_front_r_3 has no inertial."""
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    start = text.index("<inertial>", text.index('<link name="leg_front_r_3"'))
+    stop = text.index("</inertial>", start) + len("</inertial>")
+    stated, unstated = folder / "stated.urdf", folder / "unstated.urdf"
+    stated.write_text(text)
+    unstated.write_text(text[:start] + text[stop:])
+    return stated, unstated

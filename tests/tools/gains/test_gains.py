@@ -40,7 +40,7 @@ from tests.prepare.test_self_check import write_slip
 from tests.support.every_command import Truth, simulate_truth
 from tests.support.legged import quadruped_with_slides
 from tests.support.printing import printed
-from tests.support.variants import load, stand_of
+from tests.support.variants import load, stand_of, write_without_a_mass
 
 
 @pytest.mark.parametrize(
@@ -460,3 +460,15 @@ def test_damping_alone_does_not_excuse_servos_that_push_away_from_the_command(
     assert simulate_truth(pair.mjcf, pair.mjcf) is not Truth.STANDS
     robot = pa.load_robot(*pair)
     assert not study_gains(robot, pa.solve_stand(robot), kd=4).passed
+
+
+@pytest.mark.slow
+def test_gains_of_a_robot_with_an_assumed_mass_do_not_pass(tmp_path: Path) -> None:
+    """v3 passes with all masses stated; without, its torques are lower bounds."""
+    stated, unstated = write_without_a_mass(tmp_path)
+    for path, passes in ((stated, True), (unstated, False)):
+        gains = study_gains(pa.load_robot(path), pa.StandTask())
+        assert gains.stands_stably
+        assert gains.passed is passes
+        assert (gains.missing_masses is None) is passes
+    assert printed(gains).startswith("UNKNOWN")

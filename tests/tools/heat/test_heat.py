@@ -20,15 +20,13 @@ from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.present.document import BarPlot, LinePlot, Table, get_english
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.tools.gains.gains import study_gains
 from pupper_analysis.tools.heat.document import heat_document, heat_plots
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
 from tests.support import arm
 from tests.support.commands import answer, run_command
 from tests.support.legged import quadruped_with_slides
 from tests.support.printing import printed
-from tests.support.repository import ROOT
-from tests.support.variants import load, stand_of
+from tests.support.variants import load, stand_of, write_without_a_mass
 
 WEAK = """name = "weak"
 source = "bench"
@@ -478,25 +476,16 @@ def test_duration_of_the_battery_is_in_the_second_line_if_a_battery_is_given() -
 
 
 @pytest.mark.slow
-def test_gains_and_heat_of_a_robot_with_an_assumed_mass_do_not_pass(tmp_path: Path) -> None:
+def test_heat_of_a_robot_with_an_assumed_mass_does_not_pass(tmp_path: Path) -> None:
     """v3 passes with all masses stated; without, its torques are lower bounds."""
-    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
-    start = text.index("<inertial>", text.index('<link name="leg_front_r_3"'))
-    stop = text.index("</inertial>", start) + len("</inertial>")
-    stated, unstated = tmp_path / "stated.urdf", tmp_path / "unstated.urdf"
-    stated.write_text(text)
-    unstated.write_text(text[:start] + text[stop:])
+    stated, unstated = write_without_a_mass(tmp_path)
     motor = find_motor("t-motor-ak80-6")
     for path, passes in ((stated, True), (unstated, False)):
         robot = pa.load_robot(path)
         heat = study_heat(robot, pa.StandTask(), dict.fromkeys(robot.joint_names, motor))
-        gains = study_gains(robot, pa.StandTask())
         assert heat.passed is passes
-        assert (heat.missing_masses is None) is (gains.missing_masses is None) is passes
+        assert (heat.missing_masses is None) is passes
     assert printed(heat).startswith("UNKNOWN")
-    assert gains.stands_stably
-    assert not gains.passed
-    assert printed(gains).startswith("UNKNOWN")
 
 
 def test_each_column_of_the_table_has_its_number() -> None:
