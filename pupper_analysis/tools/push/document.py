@@ -93,7 +93,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     yield text(
         "weakest-at-directiondeg-impulse",
         direction=str(degrees),
-        **{side: degrees == angle for side, angle in _SIDES.items()},
+        side=text(_SIDES[degrees]) if degrees in _SIDES else "",
         rounded=_round_impulse_down(recovery.weakest_impulse, recovery.resolution),
         count=len(recovery.directions),
         one=len(recovery.directions) == 1,
@@ -108,8 +108,8 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     )
 
 
-_SIDES = {"front": 0, "left": 90, "back": 180, "right": 270}
-"""{name of a push direction: angle from forward, about the vertical axis [deg]}."""
+_SIDES = {0: "push-to-front", 90: "push-to-left", 180: "push-to-back", 270: "push-to-right"}
+"""{angle from forward, about the vertical axis [deg]: key of the name of this direction}."""
 
 
 def _round_impulse_down(impulse: float, resolution: float) -> str:
