@@ -165,7 +165,8 @@ A short report with a single document prints this number below the results."""
 
 _FIXED_BASE_CODES = (
     *("base-is-fixed", "base-is-welded", "page-of-fixed-base", "stands-of-fixed-base"),
-    *("heat-of-fixed-base", "no-feet", "range-of-fixed-base", "walk-of-fixed-base"),
+    *("gains-of-fixed-base", "heat-of-fixed-base", "range-of-fixed-base", "walk-of-fixed-base"),
+    "no-feet",
 )
 """Codes of errors about a robot with a fixed base, in a command about stands. `Command.invoke` adds
 the command line of a suitable command, for example `hold`, to such an error, unless the tool has

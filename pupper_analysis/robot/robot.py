@@ -749,7 +749,10 @@ class Robot(EngineModels):
             places = (source_name(Path(place.file), place.line) for place in why.sources)
             raise ModelError(next(places, self.description.urdf_source), why)
         if not self.floating:
-            problem = diagnose(code, robot=self.name, why=why, option=is_command_line())
+            option = is_command_line()
+            problem = diagnose(
+                code, robot=self.name, why=why, option=option, advised=option and why is None
+            )
             raise ConfigurationError("robot", problem)
 
     def check_bodies(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import SEVERITY_MARKS, Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -77,12 +77,13 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
     files = {file for pair in check.pairs for file in pair.files}
     single = [Path(pair.files[0]) for pair in check.pairs if len(pair.files) == 1]
     mjcfs = [file.name for file in single if file.suffix.lower() != ".urdf"]
-    is_unpaired = 0 < len(mjcfs) < len(single)
+    has_pairs = len(single) < len(check.pairs)
     return text(
         "checked-pairs-and-files",
         pairs=len(check.pairs),
         files=len(files),
-        unpaired=tuple(mjcfs) if is_unpaired else None,
+        unpaired=tuple(mjcfs) if mjcfs and has_pairs else None,
+        alone=not has_pairs and len(single) > 1,
     )
 
 
@@ -92,6 +93,10 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
         return doc.NextStep("check", ("--update-baseline",))
     folder = Path(check.config).parent
     if not check.failures:
+        new = [one for one in check.remarks if not one.known and _is_audit_rule(one)]
+        warned = [one for one in new if one.severity is Severity.WARNING]
+        if warned:
+            return _run_on_files("audit", folder, (warned[0].file,))
         pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
         if pair is None:
             pair = next((pair for pair in check.pairs if pair.floating is not None), None)

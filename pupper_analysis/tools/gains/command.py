@@ -92,6 +92,7 @@ def command(
 
     task = request.task()
     robot = request.robot(words)
+    robot.check_floating("gains-of-fixed-base")
     kp, kd = request.gains(robot)
     with shared.show_progress("finding the bounds of the gains"):
         result = study_gains(

@@ -649,5 +649,27 @@ def test_passed_check_names_the_model_that_is_paired_with_no_urdf(tmp_path: Path
     run(tmp_path, "--init")
     lines = run(tmp_path).stdout.splitlines()
     assert lines[0].startswith("PASSED")
-    assert lines[1].endswith("2 files; paired with no URDF, so not compared: scene.xml")
-    assert lines[2] == "  next: pupper-analysis stand robot.urdf"
+    assert lines[1] == "  checked: 2 files; no pair of URDF and MJCF, so nothing was compared"
+    write_parts(tmp_path, quadruped(), quadruped())
+    (tmp_path / "pupper-analysis.toml").unlink()
+    run(tmp_path, "--init")
+    lines = run(tmp_path).stdout.splitlines()
+    assert lines[1].endswith("; paired with no URDF, so not compared: scene.xml")
+
+
+def test_next_command_after_warnings_is_audit_of_the_file(tmp_path: Path) -> None:
+    """`stand` was proposed for a URDF whose missing meshes are a warning, and was refused.
+
+    The URDF of v3 without its visual meshes has no finding.
+    """
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
+    mesh = '<visual><geometry><mesh filename="none.stl"/></geometry></visual></link>'
+    file = tmp_path / "robot.urdf"
+    for written, step in ((text, "stand"), (text.replace("</link>", mesh, 1), "audit")):
+        file.write_text(written)
+        run(tmp_path, "--init")
+        lines = run(tmp_path).stdout.splitlines()
+        assert lines[0].startswith("PASSED")
+        assert lines[2] == f"  next: pupper-analysis {step} robot.urdf"
+        (tmp_path / "pupper-analysis.toml").unlink()

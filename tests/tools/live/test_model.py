@@ -456,7 +456,10 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         (["v3", "--stance", "payload.toml"], "mass: -1.0 kg is not a finite number >= 0"),
         (["v3", "--port", "99999"], "--port: port 99999 is not between 0 and 65535"),
         (["v3", "--host", "203.0.113.7"], "--host, --port: cannot serve on 203.0.113.7"),
-        (["arm.urdf"], "machine has a fixed base and cannot stand; live --mujoco has a slider"),
+        (
+            ["arm.urdf"],
+            "machine has a fixed base and cannot stand; hold computes torques, live --mujoco",
+        ),
     ],
 )
 def test_invalid_input_is_refused_in_one_line(

@@ -54,9 +54,7 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
-    assert limits == (
-        "  torques ignored, links may intersect; limits: joints (all), reach (all but yaw)"
-    )
+    assert limits == ("  no torques or collisions; limits: joints (all), reach (all but yaw)")
     assert answer.startswith("RANGE stub: height 92..192, x ")
     assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1
@@ -107,7 +105,9 @@ def test_base_that_turns_to_the_end_of_the_search_is_searched_with_link_clearanc
     document = workspace_document(result)
     assert document.next_step == NextStep("workspace", ("--self-clearance", "5mm"))
     assert "links may intersect" in get_english(document.findings[1])
-    result.start.task = pa.StandTask(self_clearance=0.005)
+    cleared = SimpleNamespace(**vars(result.start))  # other tests use the same stub
+    cleared.task = pa.StandTask(self_clearance=0.005)
+    result.start = cleared
     document = workspace_document(result)
     assert document.next_step == NextStep("best", ("margin",))
     assert "links may intersect" not in get_english(document.findings[1])
