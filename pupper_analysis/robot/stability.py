@@ -53,6 +53,15 @@ the default tolerance of 1e-8, Newton's method sometimes ends an iteration earli
 finite difference; an element of the matrix then deviates by 0.03 (measured)."""
 
 
+def has_converged_solver(model: mujoco.MjModel) -> bool:
+    """Return True if a model's solver computes contact forces as in linearised steps, or nearly.
+
+    Otherwise the modes of the linearised step (`step_derivative`) are not those of the model.
+    """
+    is_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    return bool(is_newton and model.opt.iterations >= _MIN_CONVERGED_ITERATIONS)
+
+
 def use_converged_solver(model: mujoco.MjModel) -> None:
     """Change a model's solver options, so that contact forces converge to rounding.
 
