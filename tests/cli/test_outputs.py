@@ -283,7 +283,11 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
             result = answer(*words, *force, folder=folder)
             messages = (*words, *force, result)
             assert result.returncode == 2, messages
-            assert one_line(result), messages
+            fault, *steps = result.stderr.splitlines()
+            if "the file exists" in fault and not force:  # what a run reads is not known yet
+                assert [step.split()[-1] for step in steps] in ([], ["--force"]), messages
+            else:
+                assert one_line(result), messages
             refusals = ("an input of this run", "this file is the plan", "unknown output format")
             assert not force or any(text in result.stderr for text in refusals), messages
             count += 1
