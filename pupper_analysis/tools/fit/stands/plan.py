@@ -563,7 +563,11 @@ class RandomStands:
             return diagnose(
                 "too-few-in-reach", found=self._num_found, wanted=requested, off=offset_margin
             )
-        return diagnose(code, found=self._num_found, wanted=requested)
+        if code == "too-few-within-limits":
+            return diagnose("too-few-within-limits", found=self._num_found, wanted=requested)
+        if code == "too-few-in-one-branch":
+            return diagnose("too-few-in-one-branch", found=self._num_found, wanted=requested)
+        return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
         """Draw a stand task with random height, tilt and foot positions, and maybe a swing foot."""
