@@ -508,9 +508,11 @@ def _describe_light_feet(
 
 
 def _describe_remaining_motion(code: str, nudge: Nudge) -> Diagnostic:
-    """Create the note with this code about small motion that does not decay after a nudge."""
+    """Create the note about small motion after a nudge: light-foot-bounces, solver-error-moves."""
     after, further = Quantity(nudge.duration, "s"), Quantity(BOUNCING_TIME, "s")
-    return diagnose(code, left=nudge.left, after=after, further=further)
+    if code == "light-foot-bounces":
+        return diagnose("light-foot-bounces", left=nudge.left, after=after, further=further)
+    return diagnose("solver-error-moves", left=nudge.left, after=after, further=further)
 
 
 CREEP_TIME = 10.0

@@ -595,9 +595,17 @@ def _describe_refusal(mjcf: MjcfFile) -> Diagnostic | None:
         return None
     name, missing = mjcf.path.name, mjcf.missing_files
     if missing:
-        return diagnose("mjcf-refused-by-mujoco", file=name, count=len(missing), missing=missing)
+        return diagnose(
+            "mjcf-refused-by-mujoco", file=name, count=len(missing), missing=missing, problem=None
+        )
     if mjcf.as_it_is is not None:
-        return diagnose("mjcf-refused-by-mujoco", file=name, problem=mjcf.as_it_is[0])
+        return diagnose(
+            "mjcf-refused-by-mujoco",
+            file=name,
+            count=None,
+            missing=None,
+            problem=mjcf.as_it_is[0],
+        )
     return None
 
 

@@ -90,11 +90,12 @@ def find_diagnose_calls() -> Iterator[tuple[str, str, set[str] | None]]:
     """Yield (module:line, code, names of the given values) of each call of ``diagnose``.
 
     The names are None if the call takes ``**values``. The code must be a literal or a choice of
-    literals; ``change_of`` takes it as its argument.
+    literals; ``change_of`` and ``check_floating`` take it as their argument.
     """
     for module, node in made_calls():
         made = getattr(node.func, "id", None)
-        if made == "change_of":
+        is_refusal = getattr(node.func, "attr", None) == "check_floating" and bool(node.args)
+        if made == "change_of" or is_refusal:
             for code in literals(node.args[0], f"{module}:{node.lineno}", trees()[module]):
                 yield f"{module}:{node.lineno}", code, None
         if made != "diagnose" or ast.unparse(node).startswith("diagnose(code, subject=subject"):
@@ -120,8 +121,13 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
     if isinstance(node, ast.IfExp):
         yield from literals(node.body, where, tree)
         yield from literals(node.orelse, where, tree)
-    elif isinstance(node, ast.Name):  # assigned in an earlier line
+    elif isinstance(node, ast.Name):  # assigned in an earlier line, or default of an argument
         for one in ast.walk(tree):
+            if isinstance(one, ast.FunctionDef):
+                names = [argument.arg for argument in one.args.args]
+                for name, default in zip(names[::-1], one.args.defaults[::-1], strict=False):
+                    if name == node.id and isinstance(default, ast.Constant) and default.value:
+                        yield str(default.value)
             for target, value in pair_assignment(one) if isinstance(one, ast.Assign) else ():
                 if ast.unparse(target) == node.id:
                     yield from literals(value, where, tree)

@@ -91,9 +91,11 @@ def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
     expected = -20 / slope * math.log1p(-55 * slope / heat)
     assert first["time_to_limit"] == pytest.approx(expected, rel=1e-9)
     line, second = done.stdout.splitlines()[:2]
+    limiting = f"{first['joint']} limits: {abs(first['torque']):.2f} N m, "
     after = f"{expected / 60:.3g} min" if expected >= 60 else f"{expected:.2g} s"
     assert line == f"HOT v3: a winding reaches its limit of 80 °C after {after}"
-    assert second.startswith(f"  {first['joint']} limits: {abs(first['torque']):.2f} N m, ")
+    assert re.match(r"  copper loss of all motors [\d.]+ W; the battery lasts [\d.]+ min", second)
+    assert limiting in " ".join(page.read_text().split())
     assert figure.stat().st_size > 10_000
     assert "heat" in page.read_text().lower()
 

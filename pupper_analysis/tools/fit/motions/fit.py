@@ -112,7 +112,7 @@ def fit_motion(
     for log, _ in log_fractions if kp is None or kd is None else ():
         if without_gains := [name for name in log.joints if name in added_servos]:
             raise MeasurementError(
-                log.source, diagnose("command-without-gains", joints=without_gains)
+                log.source, diagnose("command-without-gains", joints=without_gains, default_kp=None)
             )
     notes = tuple(note for log, _ in log_fractions for note in inspect_log(robot, log))
     runs = tuple(

@@ -939,7 +939,9 @@ def get_stated_stiffness(
             for name, has_command in zip(robot.joint_names, commanded, strict=True)
         )
         if count:
-            raise MeasurementError(source, diagnose("command-without-kp", count=count))
+            raise MeasurementError(
+                source, diagnose("command-without-kp", count=count, default_kp=None)
+            )
         return np.array([gains.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
     return resolve_servo_gains(robot, kp, 0.0).kp
 
