@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,8 @@ def complete_command(step: NextStep | None) -> str:
     group = root.command
     values, _, order = context.command.make_parser(context).parse_args(list(typed))
     step = _replace_step_of_weld(step, values, str(context.command.name))
+    if step.stance_found:
+        step = _add_stance_file(step, values, context.command)
     target = group.get_command(root, step.command) if isinstance(group, click.Group) else None
     if target is None:
         return ""
@@ -116,6 +119,38 @@ def _replace_step_of_weld(
     if fixed_parts and step.command in _COMMANDS_WITHOUT_WELDS:
         return NextStep("gains" if running_command == "payload" else "payload")
     return step
+
+
+def _add_stance_file(step: NextStep, values: Mapping[str, Any], running: click.Command) -> NextStep:
+    """Add the file of ``--json`` to a next step for the stance that the running command has found.
+
+    Args:
+        step: Next step, without the options of the stance.
+        values: {name of a parameter: typed value}.
+        running: Running command.
+
+    Returns:
+        Next step with ``--stance FILE``, without the typed options of the stance. If no file was
+        typed, the running command with ``--json``.
+    """
+    from pupper_analysis.cli.stance_fields import OPTION_FIELDS
+
+    file = values.get("json_path")
+    if not file or file == "-":
+        words = ("--json", f"{running.name}.json")
+        return NextStep(str(running.name), (*_list_arguments(running, values), *words))
+    typed = tuple(f"--{field.option}" for field in OPTION_FIELDS.values())
+    return replace(step, words=(*step.words, "--stance", file), omitted=(*step.omitted, *typed))
+
+
+def _list_arguments(command: click.Command, values: Mapping[str, Any]) -> list[str]:
+    """Return the typed arguments of a command that do not specify the robot."""
+    return [
+        word
+        for argument in command.params
+        if isinstance(argument, click.Argument) and argument.name not in _ROBOT_ARGUMENTS
+        for word in _split_parameter(values.get(str(argument.name)))
+    ]
 
 
 def list_typed_robot(context: click.Context) -> list[str]:
@@ -251,12 +286,7 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
     options = format_as_options(task, relaxed)
     if not options:
         return ""
-    first = [
-        word
-        for argument in context.command.params
-        if isinstance(argument, click.Argument) and argument.name not in _ROBOT_ARGUMENTS
-        for word in _split_parameter(context.params.get(str(argument.name)))
-    ]
+    first = _list_arguments(context.command, context.params)
     words = [word for option, values in options.items() for value in values
              for word in (option, value)]  # fmt: skip
     step = NextStep(str(context.command.name), (*first, *words), omitted=tuple(options))

@@ -1,12 +1,14 @@
 """Create the command-line options of a stand task: one for each field that has a help text.
 
-``--stance FILE`` reads the same options from a file, as saved by the live page.
+``--stance FILE`` reads the same options from a file, as saved by the live page, or the stance from
+results as JSON.
 """
 
 from __future__ import annotations
 
 import difflib
 import math
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -18,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.inputs import read_toml
+from pupper_analysis.base.inputs import read_text, read_toml
 from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
@@ -272,23 +274,29 @@ stance_option = click.option(
     callback=_load_defaults,
     help=(
         "TOML file with stance options, as saved by the live page; e.g. a line height = '12cm'. "
-        "Typed options have precedence."
+        "Or results as JSON, e.g. of best --json: their stance. Typed options have precedence."
     ),
 )
-"""Option ``--stance``: TOML file with default values of the stance options."""
+"""Option ``--stance``: TOML or JSON file with default values of the stance options."""
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
-    """Read the option values of a stance file (TOML).
+    """Read the option values of a stance file: options as TOML, or results as JSON with a stance.
 
     Returns:
         {parameter: value in the form of the command line}.
 
     Raises:
-        ConfigurationError: If the file cannot be read, or contains an unknown option, for example.
+        ConfigurationError: If the file cannot be read, contains an unknown option, or contains
+            results without a stance, for example.
     """
     try:
-        _, values = read_toml(path)
+        if (text := read_text(path)).lstrip().startswith("{"):  # JSON; such a file is no TOML
+            from pupper_analysis.stance.stance_file import format_stance, read_task_of_results
+
+            values = tomllib.loads(format_stance(read_task_of_results(str(path), text)))
+        else:
+            _, values = read_toml(path)
     except InputError as error:
         raise ConfigurationError(str(path), error.cause) from error
     parameters = {field.option: name for name, field in OPTION_FIELDS.items()}

@@ -495,12 +495,16 @@ class NextStep:
             ``words`` contain the files of the robot.
         omitted: Options that the user typed and the next command does not get, such as
             ``"--command"``; ``"*"`` for all options.
+        stance_found: True if the next command is for a stance that the running command has found.
+            The next command reads the stance from the file of ``--json``. If the user typed no
+            such file, the running command with ``--json`` is proposed first.
     """
 
     command: str
     words: tuple[str, ...] = ()
     robot_typed: bool = True
     omitted: tuple[str, ...] = ()
+    stance_found: bool = False
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
         return content, ""
     if isinstance(content, Mapping) and content and _is_numbers(list(content.values())):
         return content, ""
-    for table in _walk_tables(content):
+    for table in walk_tables(content):
         statics = table.get("statics")
         inner = statics if isinstance(statics, Mapping) else {}
         names = table.get("joint_names", inner.get("joint_names"))
@@ -146,7 +146,7 @@ def _find_positions(content: Any, file: str) -> tuple[_Positions, str]:
     return None, ""
 
 
-def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
+def walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
     """Yield the mapping in a JSON file and its nested mappings, top level first, without lists."""
     level = [content]
     while level:

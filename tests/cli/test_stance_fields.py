@@ -10,10 +10,11 @@ from pathlib import Path
 import click
 import pytest
 
-from pupper_analysis import Contact, Ground, Plane, StandTask
+from pupper_analysis import Contact, Ground, Plane, StandTask, Weld
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
-from pupper_analysis.tools.study.write import format_stance
+from pupper_analysis.stance.stance_file import format_stance
 from tests.support.commands import check_refusal
 
 
@@ -70,6 +71,43 @@ def test_options_with_other_units_give_the_same_task() -> None:
     for task in tasks:
         for field, value in expected.items():
             assert getattr(task, field) == pytest.approx(value, rel=1e-12), field
+
+
+def test_results_as_json_give_the_task_of_their_stand(tmp_path: Path) -> None:
+    """Reference: the task that `to_json` has written."""
+    task = StandTask(
+        height=0.11,
+        pitch=0.0123456789,
+        com=(0.01, -0.002),
+        com_margin=0.005,
+        swing={"FL": 0.02},
+        foot_offsets={"RL": (-0.01, 0.02)},
+        contacts={"FR": Contact(Plane((0.4, 0, 0), (-1, 0, 0), 0.6)), "base": Weld()},
+        posture={"*elbow*": 0.3},
+        ground=Ground(slope=0.1, heights={"RR": 0.01}),
+    )
+    file = tmp_path / "best.json"
+    stands = {"stand": {"task": task}, "nominal": {"stand": {"task": StandTask(height=1.0)}}}
+    file.write_text(to_json({"best": stands}))
+    assert parse_options("--stance", str(file)).task() == task
+    assert parse_options("--stance", str(file), "--height", "12cm").task().height == 0.12
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('{"a": 1}', "contains no stance"),
+        ('{"a": ', "not valid JSON"),
+        ('{"stand": {"task": {"height": 0.1, "feet": {"FL": [0.1, 0.1]}}}}', "'feet', for which"),
+        ('{"stand": {"task": {"height": "x"}}}', "height"),
+    ],
+)
+def test_results_without_a_readable_stance_are_refused(
+    content: str, message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "results.json"
+    file.write_text(content)
+    check_refusal(capfd, tmp_path, ["stand", "v3", "--stance", str(file)], message)
 
 
 def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:

@@ -76,28 +76,9 @@ def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.Ne
         if "--kp" in gains:
             return doc.NextStep("best", (study.best.objective.value, *gains))
         return doc.NextStep("stand")
-    if task.feet or task.com != "centre" or task.height is None:
+    if task.feet:  # no option specifies places of feet in the world
         return doc.NextStep("workspace")
-    words = ["--com", "centre", "--height", _format_lengths(task.height)]
-    if task.offset is not None:
-        words += ["--offset", _format_lengths(*task.offset)]
-    for angle in ("roll", "pitch", "yaw"):
-        degrees = math.degrees(getattr(task, angle))
-        if abs(degrees) > _MIN_PRINTED_ANGLE:
-            words += [f"--{angle}", f"{degrees:.1f}deg"]
-    for foot, displacement in task.foot_offsets.items():
-        words += ["--move", f"{foot}={_format_lengths(*displacement)}"]
-    return doc.NextStep("path", tuple(words))
-
-
-def _format_lengths(*lengths: float) -> str:
-    """Format lengths [m] as an argument of a command, in mm: ``10.0mm,-5.0mm``."""
-    return ",".join(f"{1e3 * length:z.1f}mm" for length in lengths)
-
-
-_MIN_PRINTED_ANGLE = 0.05
-"""Magnitude [deg] of roll, pitch or yaw above which the suggested command for the best stance
-contains the angle: half of the last printed digit."""
+    return doc.NextStep("path", stance_found=True)
 
 
 def _make_search_line(study: BestStudy) -> doc.Text:

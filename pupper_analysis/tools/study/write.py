@@ -7,7 +7,6 @@ study with the metrics of the written files.
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Iterator, Mapping
@@ -33,12 +32,10 @@ from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import FramePoint, split_place, with_payload
-from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.stance.stance_file import format_stance
 from pupper_analysis.stance.stand import solve_stand
-from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import DesignBuilder, measure_columns
 from pupper_analysis.tools.study.measures import SET_DOWN_HEIGHT, Design, survives_set_down
 from pupper_analysis.tools.study.store import require_library
@@ -248,32 +245,6 @@ def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str
         return loaded, []
     options = [f"--foot={name}={link}:{frame}" for name, (link, frame) in feet.items()]
     return load_robot(urdf, mjcf, feet=dict(feet)), options
-
-
-def format_stance(task: StandTask) -> str:
-    """Format a stand task as TOML text, the content of a file for ``--stance``."""
-    lines, tables = [], []
-    for name, value in task.values().items():
-        field = FIELDS[name]
-        if not field.help or value == field.default_value:
-            continue
-        if field.per:
-            tables += [
-                f"{field.option}.{json.dumps(element)} = {_format_stance_value(item)}"
-                for element, item in value.items()
-            ]
-        else:
-            lines.append(f"{field.option} = {_format_stance_value(value, field.unit)}")
-    return "".join(f"{line}\n" for line in (*lines, *tables))
-
-
-def _format_stance_value(value: Any, unit: str = "") -> str:
-    """Format a value of the stance as TOML; a single length or angle has a unit, such as "0.1m"."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_format_stance_value, value))}]"
-    if isinstance(value, str | Contact | Weld):
-        return json.dumps(str(value))
-    return json.dumps(f"{value!r}{unit}" if unit in ("m", "rad") else value)
 
 
 def _make_files(

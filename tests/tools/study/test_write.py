@@ -16,11 +16,11 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task, read_stance_file
+from pupper_analysis.stance.stance_file import format_stance
 from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.write import (
     WrittenDesign,
     _list_changed_metrics,
-    format_stance,
     write_design,
 )
 from tests.support.commands import answer
