@@ -68,7 +68,8 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with the directions, for the short answer, most directions first.
 
-    For example, ``joints (all but x)``. Names of joints and links are omitted.
+    For example, ``joints (all but x)``: the shorter of the list of directions and of the list of
+    the other directions. Names of joints and links are omitted.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -80,17 +81,11 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     for limit_name in sorted(limited, key=lambda name: -len(limited[name])):
         directions = limited[limit_name]
         others = [direction for direction in workspace.limits if direction not in directions]
-        where = text("limit-everywhere", other=text(others[0]).en if others else "").en
-        if len(others) > 1 or len(workspace.limits) < _MIN_ABBREVIATED_DIRECTIONS:
-            where = join_words(map(text, directions)).en
-        parts.append(f"{limit_name} ({where})")
+        listed = join_words(map(text, directions)).en
+        other = join_words(map(text, others)).en
+        remaining = text("limit-everywhere", other=other).en
+        parts.append(f"{limit_name} ({min(remaining, listed, key=len)})")
     return ", ".join(parts)
-
-
-_MIN_ABBREVIATED_DIRECTIONS = 4
-"""Smallest number of searched directions for which the short answer may state that a limit applies
-to all directions, or to ``all but`` a single direction. Chosen, not tuned.
-"""
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:
