@@ -87,6 +87,22 @@ def test_hold_compares_torques_with_the_continuous_torques(
 
 
 @pytest.mark.slow
+def test_best_stance_compares_torques_with_the_continuous_torques(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The peak torques of v3 are 3 N m: with 0.6 N m the utilisation is five times as large."""
+    found = []
+    for number, options in enumerate([(), ("--continuous", "0.6")]):
+        path = tmp_path / f"{number}.json"
+        status, _, err = run_command(
+            capfd, "best", "utilisation", "v3", *options, "--json", str(path)
+        )
+        assert status in (0, 1), err
+        found.append(json.loads(path.read_text())["best"]["nominal_value"])
+    assert found[1] == pytest.approx(5 * found[0], rel=1e-6)
+
+
+@pytest.mark.slow
 def test_continuous_torque_is_at_most_the_peak_torque(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

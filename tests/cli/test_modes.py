@@ -114,7 +114,7 @@ _LOAD = {"payload", "effort"}
 USED: dict[str, set[str]] = {
     "analyze": {"no_figures", "write_folder"},
     "audit": {"disabled", "list_rules", "fail_on", "fix", "confirmed"},
-    "best": _SERVO | _LOAD,
+    "best": _SERVO | _LOAD | {"continuous"},
     "check": {"config", "update_baseline", "since", "first"},
     "contract": {"pairs", "unstood", "fail_on"},
     "convert": set(),

@@ -108,6 +108,8 @@ def complete(typed: str, step: NextStep | None) -> str:
          "best margin v3 --swing FL=2cm --kp 9 --json best.json"),
         ("best margin v3 --height 1m --swing FL=2cm --kp 9 --stance s.toml --json 'a b.json'",
          NextStep("path", stance_found=True), "path v3 --kp 9 --stance 'a b.json'"),
+        ("payload v3 --continuous 2 --continuous '*_3=1'", NextStep("best", ("payload",)),
+         "best payload v3 --continuous 2 --continuous '*_3=1'"),
         ("best margin v3 --json -", NextStep("path", stance_found=True),
          "best margin v3 --json best.json"),
         ("walk v3 --policy p.json --command 0.5,0,0", NextStep("walk", ("--orders",),
