@@ -102,8 +102,11 @@ class Design:
 
     @cached_property
     def statics(self) -> GravityCompensation:
-        """Motor torques and contact forces in the stand, with minimum tangential forces."""
-        return stand_statics(self.robot, self.stand)
+        """Motor torques and contact forces in `simulated_stand`, as in the command ``stand``.
+
+        The contact forces have minimum tangential components.
+        """
+        return stand_statics(self.robot, self.simulated_stand)
 
     @cached_property
     def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:

@@ -311,9 +311,10 @@ def test_design_has_the_values_of_its_variables() -> None:
     task = pa.StandTask(roll=0.05, pitch=0.1, ground=pa.Ground(slope=0.05))
     stand = pa.solve_stand(robot, task)
     assert design.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-    torques = pa.stance.stand_statics(robot, stand).joint_torques
+    simulated = solve_stand_as_simulated(robot, stand)
+    torques = pa.stance.stand_statics(robot, simulated).joint_torques
     assert METRICS["peak_torque"].function(design) == pytest.approx(np.abs(torques).max())
-    rest = pa.steady_state(robot, solve_stand_as_simulated(robot, stand), kp=9.0)
+    rest = pa.steady_state(robot, simulated, kp=9.0)
     assert METRICS["servo_sag"].function(design) == pytest.approx(rest.servo_sag, rel=1e-9)
     assert METRICS["base_height"].function(design) == pytest.approx(rest.base_height, rel=1e-9)
 
@@ -324,8 +325,9 @@ def test_metrics_equal_the_direct_calls() -> None:
     design = DesignBuilder(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design(
         {"pitch": 0.1}
     )
-    statics = pa.stance.stand_statics(robot, stand)
-    rest = pa.steady_state(robot, solve_stand_as_simulated(robot, stand))
+    simulated = solve_stand_as_simulated(robot, stand)  # the stand of the command `stand`
+    statics = pa.stance.stand_statics(robot, simulated)
+    rest = pa.steady_state(robot, simulated)
     expected = {
         "total_mass": robot.total_mass,
         "peak_utilisation": statics.motor_utilisation.max(),
