@@ -151,6 +151,11 @@ def explain_model_fault(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> Mo
     place, kind = mjcf.place("body", name), "body"
     if mjcf.of_urdf and name in urdf.tree.links:
         place, kind = urdf.place("link", name), "link"
+    return make_massless_link_error(place, kind, name)
+
+
+def make_massless_link_error(place: Place, kind: str, name: str) -> ModelError:
+    """Create the error, with file and line, that a moving link or body has no mass."""
     where = f"{place.file.name}:{place.line}" if place.line else place.file.name
     problem = diagnose("moving-link-without-mass", subject=(kind, name), place=where)
     return make_file_error(place, problem)
@@ -184,11 +189,12 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     """Raise an error if a joint has no inertia: its acceleration would be undefined.
 
     The inertia of a joint is a diagonal element of Pinocchio's mass matrix at the start pose,
-    including rotor inertia.
+    including rotor inertia. Rotor inertia carries no weight, so the total mass is checked as well.
 
     Raises:
-        ModelError: If the inertia at a joint is zero or negative.
+        ModelError: If the inertia at a joint, or the total mass, is zero or negative.
     """
+    robot.check_total_mass(urdf.path)
     inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):
         if inertia <= 0:

@@ -765,6 +765,16 @@ class Robot(EngineModels):
         """
         self.compute_once(_check_bodies)
 
+    def check_total_mass(self, urdf: str | Path) -> None:
+        """Raise an error with the path of the URDF if the URDF's model has no mass.
+
+        Raises:
+            ModelError: If the total mass is zero, negative or not a number.
+        """
+        if not self.total_mass > 0:
+            mass = Quantity(self.total_mass, "kg")
+            raise ModelError(urdf, diagnose("robot-without-mass", mass=mass))
+
     def check_foot(self, foot: str) -> str:
         """Check that a contact point exists, and return its name unchanged.
 

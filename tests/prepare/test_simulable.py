@@ -110,3 +110,24 @@ def test_a_free_base_without_mass_is_refused_with_link_and_line(
     robot = pa.load_robot(urdf)
     with pytest.raises(pa.ModelError, match=r"robot.urdf:\d+: link 'trunk' .*no mass"):
         pa.solve_stand(robot)
+
+
+def test_a_urdf_without_inertials_is_refused_beside_a_complete_mjcf(tmp_path: Path) -> None:
+    """Rotor inertia of the MJCF keeps the mass matrix regular, and all torques would be zero."""
+    pair = legged.quadruped(tmp_path)
+    inertial = re.compile(r"<inertial>.*?</inertial>", re.DOTALL)
+    pair.urdf.write_text(inertial.sub("", pair.urdf.read_text()))
+    with pytest.raises(pa.ModelError, match="the mass of all links is 0 kg"):
+        pa.load_robot(*pair)
+
+
+def test_massless_legs_below_a_heavy_base_are_refused_with_link_and_line(tmp_path: Path) -> None:
+    """MuJoCo refuses each leg; the message does not contain a mass of the base."""
+    urdf = legged.quadruped(tmp_path).urdf
+    inertial = re.compile(r"<inertial>.*?</inertial>", re.DOTALL)
+    first, *legs = inertial.split(urdf.read_text())
+    base = inertial.search(urdf.read_text())
+    assert base is not None
+    urdf.write_text(first + base[0] + "".join(legs))
+    with pytest.raises(pa.ModelError, match=r"robot.urdf:\d+: link .*can move and has no mass"):
+        pa.load_robot(urdf)

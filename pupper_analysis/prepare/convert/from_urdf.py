@@ -55,6 +55,7 @@ from pupper_analysis.prepare.convert.repair import (
     write_repairs,
 )
 from pupper_analysis.prepare.passes import Feet
+from pupper_analysis.prepare.simulable import make_massless_link_error
 
 _ZERO_VECTOR = "0 0 0"
 """Text that replaces a missing vector (``xyz`` [m], ``rpy`` [rad]) of a URDF."""
@@ -586,7 +587,10 @@ def convert_urdf_in_memory(
     massless = {repair.link for repair in converted.repairs if not repair.mass > 0}
     if {joint.child for joint in converted.bodies.tree.moving} <= massless:
         # All torques would depend on masses that the file does not state.
-        raise ModelError(urdf.path, diagnose("robot-without-mass", mass=Quantity(0.0, "kg")))
+        if not any((link.inertia or pin.Inertia.Zero()).mass for link in urdf.tree.links.values()):
+            raise ModelError(urdf.path, diagnose("robot-without-mass", mass=Quantity(0.0, "kg")))
+        first = next(joint.child for joint in converted.bodies.tree.moving)
+        raise make_massless_link_error(urdf.place("link", first), "link", first)
     stated = {shape.get("name") for shape in urdf.root.iter("collision")}
     for geom in converted.mjcf.geoms:
         if geom.get("name") not in stated:

@@ -30,7 +30,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
@@ -515,9 +515,7 @@ def compare_files(
     )
     mount = report_base_tilt(matched, urdf_file.root, tolerances)
     robot = matched.robot
-    if not robot.total_mass > 0:
-        mass = Quantity(robot.total_mass, "kg")
-        raise ModelError(urdf_file.path, diagnose("robot-without-mass", mass=mass))
+    robot.check_total_mass(urdf_file.path)
     alignment = align_robot(robot, tolerances)
     explanation = explain_differences(
         robot,
