@@ -181,7 +181,7 @@ def draw_growth(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullLocator
 
-    from pupper_analysis.present.figures.drawing import SERIES_COLOURS
+    from pupper_analysis.present.colours import SERIES_COLOURS
 
     panels: dict[str, dict[str, list[tuple[int, float]]]] = {
         "number of variants, configurations, stands or cells": {},

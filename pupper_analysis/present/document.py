@@ -147,7 +147,7 @@ class Series:
         note: Short result beside the name in the legend; None if absent.
         marked_index: Index, in ``x`` and ``y``, of the point with the larger marker; None if no
             point is marked. Without effect if ``points`` is False.
-        reference: Whether the other lines are compared with this line.
+        reference: Whether the other lines are compared with this line, which is grey and dashed.
         shaded: Whether the series is an area, bounded by the polygon of the points, instead of a
             line. Areas are drawn below the lines.
     """
@@ -597,6 +597,15 @@ def widen_format(form: str, values: Iterable[float]) -> str:
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     needed = 1 - math.floor(math.log10(largest)) if largest > 0 else 0
     return f"{start}.{min(max(int(decimals), needed), _MAX_DECIMALS)}f"
+
+
+def format_widened(value: float, form: str) -> str:
+    """Format a number by a fixed-point format with at least two significant digits.
+
+    ``form`` is a format such as ``".2f"`` (`widen_format`): the mass of a robot of 0.00317 kg is
+    not printed as 0.00.
+    """
+    return format(value, widen_format(form, [value]))
 
 
 _MAX_DECIMALS = 9

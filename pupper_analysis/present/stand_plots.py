@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.colours import BLUE_COLOUR
 from pupper_analysis.present.document import Name, get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.plots import create_figure, draw_result, make_axes
@@ -86,8 +87,6 @@ def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes
 
     Known utilisations are beside the bars.
     """
-    from pupper_analysis.present.figures.drawing import BLUE_COLOUR
-
     axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
     torques = statics.joint_torques.tolist()
     bars = axes.barh(statics.joint_names, torques, color=BLUE_COLOUR)

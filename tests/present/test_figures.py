@@ -22,6 +22,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ig
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
+from pupper_analysis.present import colours
 from pupper_analysis.present.document import Axis, LinePlot, Name, Series, get_english
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
@@ -350,7 +351,7 @@ def test_legend_of_a_plot_is_inside_the_figure(letters: int) -> None:
     (name_of_y,) = (words for words in axes.texts if words.get_rotation() == 90)
     extent = axes.transData.inverted().transform(name_of_y.get_window_extent())
     assert abs(extent[:, 1].mean() - name_of_y.get_position()[1]) < 1.0
-    grid = [line for line in axes.lines if line.get_color() == drawing.GRID_COLOUR]
+    grid = [line for line in axes.lines if line.get_color() == colours.GRID_COLOUR]
     assert max(line.get_zorder() for line in grid) < Circle((0, 0), 1).get_zorder()  # below bars
     lines = max(line.get_zorder() for line in axes.lines if line not in points)
     assert points[0].get_zorder() > lines  # a grid line crossed a point
@@ -371,12 +372,39 @@ def test_points_differ_in_shape_and_lie_inside_the_axes() -> None:
     assert min(xs) > LEFT_MARGIN + 2 * DOT_RADIUS
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_references_are_grey_and_use_no_colour_of_a_series(count: int) -> None:
+    """Reference: order of the palette. The task of a single run had the colour of a second run."""
+    axis = Axis(Name("x"), "m", ".1f")
+    lines = [Series(Name(f"run {index}"), [0.0, 1.0], [0.0, 1.0]) for index in range(count)]
+    task = Series(Name("task"), [0.0, 1.0], [0.5, 0.5], reference=True)
+    for series in ([*lines, task], [task, *lines]):
+        (axes,) = drawing.make_plots_figure([LinePlot(Name("title"), axis, axis, series)]).axes
+        legend = axes.get_legend()
+        assert legend is not None
+        entries = zip(legend.get_texts(), legend.get_lines(), strict=True)
+        found = {text.get_text(): line.get_color() for text, line in entries}
+        runs = {f"run {index}": colours.PLOT_COLOURS[index] for index in range(count)}
+        assert found == {"task": colours.GREY_COLOUR, **runs}
+        drawn = [line.get_color() for line in axes.lines if line.get_linewidth() == 1.3]
+        assert sorted(drawn) == sorted([*colours.PLOT_COLOURS[:count], colours.GREY_COLOUR])
+
+
 def test_colours_of_a_plot_are_equal_in_figures_and_pages() -> None:
     """Reference: the variables of the style sheet. A motor was green in one, and black in one."""
     sheet = files("pupper_analysis.present.html").joinpath("templates/style.css").read_text("utf-8")
     light = sheet[: sheet.index("prefers-color-scheme")]
-    colours = [re.search(rf"--c{index}: (#\w+)", light) for index in range(NUM_SERIES_STYLES)]
-    assert [found and found[1].upper() for found in colours] == list(drawing.PLOT_COLOURS)
+    found = {name: colour.upper() for name, colour in re.findall(r"--(\w+): (#\w+)", light)}
+    series = [found[f"c{index}"] for index in range(NUM_SERIES_STYLES)]
+    assert series == list(colours.PLOT_COLOURS)
+    concepts = dict(re.findall(r"--(force|support|com): var\(--(\w+)\)", light))
+    assert {name: found[variable] for name, variable in concepts.items()} == {
+        "force": colours.FORCE_COLOUR,
+        "support": colours.SUPPORT_COLOUR,
+        "com": colours.COM_COLOUR,
+    }
+    viewer = files("pupper_analysis.present.html").joinpath("templates/view.js").read_text("utf-8")
+    assert {name for name in concepts if f'color("--{name}")' in viewer} == {*concepts}
     dashes = [re.search(rf"svg \.s{index} .*dasharray: ([\d ]+)", sheet) for index in range(1, 6)]
     for index, found in enumerate(dashes, start=1):
         assert found

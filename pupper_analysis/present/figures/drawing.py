@@ -2,7 +2,7 @@
 
 ``html.plots`` converts a plot to lines, points and words in CSS pixels. This module draws these
 elements in panels of a Matplotlib figure, so that page and PNG show the same plot. The module also
-contains colours and parts that other figures share.
+contains parts that other figures share.
 """
 
 from __future__ import annotations
@@ -24,62 +24,28 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import write_atomically
 from pupper_analysis.base.kinds import GENERATOR_NAME, PICTURE_KIND
 from pupper_analysis.base.provenance import collect_provenance
+from pupper_analysis.present.colours import (
+    BLACK_COLOUR,
+    BLUE_COLOUR,
+    GREY_COLOUR,
+    GRID_COLOUR,
+    PLOT_COLOURS,
+    RED_COLOUR,
+    SKY_BLUE_COLOUR,
+)
 from pupper_analysis.present.document import Plot, Words, get_english
-from pupper_analysis.present.html.plots import AREA_CLASS, Drawing, Mark, draw_svg
+from pupper_analysis.present.html.plots import AREA_CLASS, REFERENCE_CLASS, Drawing, Mark, draw_svg
 
 FIGURE_DPI = 180
 """Resolution of figures in PNG files [pixels per inch]. Chosen, not tuned."""
 FONT_SIZE = 8
 """Base font size of figures [pt]. Chosen, not tuned."""
 
-# Okabe and Ito's colours, which the colour-blind can tell apart.
-BLUE_COLOUR = "#0072B2"
-"""Blue of Okabe and Ito's palette for colour-blind readers."""
-ORANGE_COLOUR = "#E69F00"
-"""Orange of Okabe and Ito's palette for colour-blind readers."""
-GREEN_COLOUR = "#009E73"
-"""Green of Okabe and Ito's palette for colour-blind readers."""
-RED_COLOUR = "#D55E00"
-"""Red (vermilion) of Okabe and Ito's palette for colour-blind readers."""
-SKY_BLUE_COLOUR = "#56B4E9"
-"""Light blue of Okabe and Ito's palette for colour-blind readers."""
-BLACK_COLOUR = "#000000"
-"""Black of Okabe and Ito's palette for colour-blind readers."""
-GREY_COLOUR = "#6B7280"
-"""Grey of axes, and of lines without another colour."""
-
-# One colour per concept in all figures.
-FORCE_COLOUR = RED_COLOUR
-"""Colour of contact forces."""
-COM_COLOUR = GREEN_COLOUR
-"""Colour of the centre of mass and its projection."""
-SUPPORT_COLOUR = BLUE_COLOUR
-"""Colour of the edges of the support polygon."""
-FEEDFORWARD_COLOUR = BLUE_COLOUR
-"""Colour of a simulation with feed-forward."""
-COMMANDS_COLOUR = RED_COLOUR
-"""Colour of a simulation with position commands only."""
-
-GRID_COLOUR = "#E3E6EB"
-"""Colour of grid lines."""
-SERIES_COLOURS = (
-    BLUE_COLOUR,
-    RED_COLOUR,
-    GREEN_COLOUR,
-    ORANGE_COLOUR,
-    SKY_BLUE_COLOUR,
-    BLACK_COLOUR,
-)
-"""Colours of series, such as the lines of a plot or the legs of a robot, in plotting order."""
-
-_TITLE_PLACE = 0.006
+TITLE_PLACE = 0.006
 """Left end of the title of a figure [1], relative to the width of the figure. Chosen, not tuned."""
 
 PAGE_WIDTH = 178 / 25.4
 """Width of a figure [inch]: the text width of a printed page, 178 mm."""
-
-PLOT_COLOURS = (BLUE_COLOUR, RED_COLOUR, "#1B1F24", GREEN_COLOUR, "#B0568C", "#8A6D00")
-"""Colours of the series ``s0`` to ``s5`` of plots: those of the light theme of the HTML report."""
 
 _CLASS_COLOURS = {
     **{f"s{index}": colour for index, colour in enumerate(PLOT_COLOURS)},
@@ -87,6 +53,7 @@ _CLASS_COLOURS = {
     "other": BLACK_COLOUR,
     "limit": RED_COLOUR,
     "axis": GREY_COLOUR,
+    REFERENCE_CLASS: GREY_COLOUR,
     "grid": GRID_COLOUR,
     "empty": "0.93",
 }
@@ -96,7 +63,7 @@ _AREA_STYLE: dict[str, Any] = {"facecolor": BLUE_COLOUR, "alpha": 0.14, "lw": 0}
 """Options of Matplotlib for a shaded area."""
 
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
-           "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
+           "s5": (0, (1, 2)), "limit": (0, (3, 2)), REFERENCE_CLASS: (0, (6, 3))}  # fmt: skip
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
 _CLASS_MARKERS = {"s1": "s", "s2": "^", "s3": "D", "s4": "v", "s5": "P"}
 """{class of the HTML report's style sheet: shape of points in Matplotlib}; ``s0`` has circles."""
@@ -328,7 +295,7 @@ def make_page_figure(
     """
     figure = create(figsize=(PAGE_WIDTH, height), dpi=FIGURE_DPI, layout=layout)
     figure.suptitle(
-        title, x=_TITLE_PLACE, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False
+        title, x=TITLE_PLACE, ha="left", size=FONT_SIZE + 2, weight="bold", parse_math=False
     )
     return figure
 

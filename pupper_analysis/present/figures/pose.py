@@ -27,7 +27,8 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ig
 
 from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.models.shapes import Mesh, Shape, get_mesh, read_shape
-from pupper_analysis.present.document import get_english
+from pupper_analysis.present import colours
+from pupper_analysis.present.document import format_widened, get_english
 from pupper_analysis.present.documents.standing import ground_word
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.scene import (
@@ -324,12 +325,12 @@ _SUPPORT_FILL_COLOUR = "#CFE8F7"
 """Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
 """Options of Matplotlib for a ring without a line."""
-_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.COM_COLOUR, "mew": 2.2, "ms": 8}
+_COM_STYLE: dict[str, Any] = {**_RING_STYLE, "color": colours.COM_COLOUR, "mew": 2.2, "ms": 8}
 """Options of Matplotlib for the mark of the centre of mass."""
-_SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": drawing.BLACK_COLOUR, "mew": 1.6}
+_SWING_STYLE: dict[str, Any] = {**_RING_STYLE, "color": colours.BLACK_COLOUR, "mew": 1.6}
 """Options of Matplotlib for the mark of a swing foot."""
 _COM_PROJECTION_STYLE: dict[str, Any] = {
-    "color": drawing.COM_COLOUR,
+    "color": colours.COM_COLOUR,
     "marker": "x",
     "ls": "",
     "mew": 2.2,
@@ -397,10 +398,11 @@ def make_pose_figure(
     title = textwrap.wrap(_make_title(robot, stand, subject), _TITLE_LETTERS)
     height = 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure("\n".join(title), height, create=create)
-    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
+    mass = format_widened(robot.total_mass, ".2f")
+    text = f"{stand.task}; mass {mass} kg; minimum tangential contact forces"
     rows = _wrap_caption(text)
     top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
-    caption = figure.text(0.012, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
+    caption = figure.text(drawing.TITLE_PLACE, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
                           parse_math=False)  # fmt: skip
     bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
@@ -415,17 +417,17 @@ def make_pose_figure(
         axes.set_axis_off()
         _draw_scale(axes, seen)
     base_label = "base" if lines.has_visuals else "base (collision shapes)"
-    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK_COLOUR, "ms": 4}
+    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": colours.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
         *_make_link_handles(lines, {**leg, "ms": 3}),
-        Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
+        Line2D([], [], color=colours.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label=base_label),
         Line2D(
             [],
             [],
-            color=drawing.FORCE_COLOUR,
+            color=colours.FORCE_COLOUR,
             marker=r"$\uparrow$",
             ls="",
             ms=9,
@@ -435,7 +437,7 @@ def make_pose_figure(
         Line2D([], [], **_COM_PROJECTION_STYLE, label="projection of the CoM"),
         Patch(
             facecolor=_SUPPORT_FILL_COLOUR,
-            edgecolor=drawing.SUPPORT_COLOUR,
+            edgecolor=colours.SUPPORT_COLOUR,
             hatch="//",
             label="support polygon",
         ),
@@ -469,12 +471,12 @@ def make_skeleton_figure(
         for segment in segments:
             axes.plot(*(projection @ segment.T) * 1e3, color=_NEAR_COLOUR, lw=3, zorder=2)
             axes.plot(*(projection @ segment[1]) * 1e3, "o", color="white",
-                      mec=drawing.BLACK_COLOUR, mew=0.8, ms=5, zorder=3)  # fmt: skip
+                      mec=colours.BLACK_COLOUR, mew=0.8, ms=5, zorder=3)  # fmt: skip
         drawing.title_panel(axes, side)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("right in the view (mm)" if place < 0.5 else "-y (mm)")
         axes.set_ylabel("up in the view (mm)" if place < 0.5 else "x (mm)")
-    joint: dict[str, Any] = {**_RING_STYLE, "mec": drawing.BLACK_COLOUR, "mew": 0.8, "ms": 5}
+    joint: dict[str, Any] = {**_RING_STYLE, "mec": colours.BLACK_COLOUR, "mew": 0.8, "ms": 5}
     handles: list[Artist] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, label="link"),
         Line2D([], [], **joint, label="joint, or frame of the last body"),
@@ -550,14 +552,14 @@ def _draw_stand(
             draw_silhouette(axes, silhouette, fc=fill, ec=edge, alpha=0.4, lw=0.8, zorder=order)
     support: dict[str, Any] = {
         "fc": _SUPPORT_FILL_COLOUR,
-        "ec": drawing.SUPPORT_COLOUR,
+        "ec": colours.SUPPORT_COLOUR,
         "hatch": "//",
         "zorder": 1,
     }
     axes.add_patch(Polygon(seen.polygon @ projection.T, alpha=0.7, lw=1.2, **support))
     for segment in lines.links:
         line(segment, color=_FAR_COLOUR, lw=2, zorder=3)
-        line(segment[1], "o", color="white", mec=drawing.BLACK_COLOUR, mew=0.6, ms=3, zorder=3)
+        line(segment[1], "o", color="white", mec=colours.BLACK_COLOUR, mew=0.6, ms=3, zorder=3)
     hips = np.array([leg[0] for leg in lines.legs.values()])
     # Feet with several contact points have smaller marks.
     small = 1.0 if len(seen.contacts) >= len(seen.contact_positions) else 0.45
@@ -567,18 +569,18 @@ def _draw_stand(
         order = 4 if near else 2
         colour = _NEAR_COLOUR if near else _FAR_COLOUR
         line(leg, color=colour, lw=4, solid_capstyle="round", zorder=order)
-        line(leg[:-1], "o", color="white", mec=drawing.BLACK_COLOUR, mew=0.8, ms=4, zorder=order)
+        line(leg[:-1], "o", color="white", mec=colours.BLACK_COLOUR, mew=0.8, ms=4, zorder=order)
         mark = (
             _SWING_STYLE
             if foot in stand.task.swing
-            else {"color": drawing.BLACK_COLOUR, "marker": "o"}
+            else {"color": colours.BLACK_COLOUR, "marker": "o"}
         )
         line(leg[-1], **mark, ms=7 * small, zorder=order)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE_COLOUR, lw=2.2, zorder=3)
     line(
         np.array([seen.com, seen.com_projection]),
-        color=drawing.COM_COLOUR,
+        color=colours.COM_COLOUR,
         ls="--",
         lw=1.2,
         zorder=6,
@@ -612,13 +614,13 @@ def _mark_front(axes: Axes, projection: Array, forward: Array) -> None:
     axes.add_patch(
         FancyArrowPatch(
             *ends, arrowstyle="-|>", mutation_scale=9, lw=1.4, shrinkA=0, shrinkB=0,
-            color=drawing.GREY_COLOUR, transform=figure.dpi_scale_trans + corner,
+            color=colours.GREY_COLOUR, transform=figure.dpi_scale_trans + corner,
         )
     )  # fmt: skip
     axes.annotate("front", (_FRONT_ARROW_PLACE, 0), xycoords="axes fraction",
                   xytext=(_FRONT_ARROW_LENGTH + 4, middle[1]), textcoords="offset points",
                   ha="left", va="center", size=drawing.FONT_SIZE,
-                  color=drawing.GREY_COLOUR)  # fmt: skip
+                  color=colours.GREY_COLOUR)  # fmt: skip
 
 
 _FRONT_ARROW_LENGTH, _FRONT_ARROW_PLACE = 16.0, 0.68
@@ -669,7 +671,7 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     scale = _MAX_ARROW_RATIO * _measure_support(seen) / largest if largest else 0.0
     arrow = {
         "arrowstyle": "-|>",
-        "color": drawing.FORCE_COLOUR,
+        "color": colours.FORCE_COLOUR,
         "lw": 1.8,
         "shrinkA": 0,
         "shrinkB": 0,

@@ -7,6 +7,7 @@ text for each position.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,8 +58,9 @@ Further series use the same styles again, from the first.
 """
 
 
-AREA_CLASS = "area"
-"""Class of the style sheet of a shaded area."""
+AREA_CLASS, REFERENCE_CLASS = "area", "reference"
+"""Classes of the style sheet of a shaded area, and of a line with which other lines are compared.
+"""
 
 DOT_OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
     "s1": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
@@ -183,6 +185,7 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
         *draw_grid(columns, rows, wide, tall),
         *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
     ]
+    styles = select_styles(series)
     drawn_series = sorted(
         enumerate(zip(series, lines, marked, strict=True)), key=lambda item: not item[1][0].shaded
     )
@@ -190,7 +193,8 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
         labels = [
             f"{format_axis_value(x, across)}, {format_axis_value(y, up)}" for across, up in line
         ]
-        marks += draw_series(place(line), labels, replace(one, marked_index=mark), index)
+        style = styles[index]
+        marks += draw_series(place(line), labels, replace(one, marked_index=mark), style)
     return Drawing(
         plot.title,
         PLOT_WIDTH,
@@ -332,16 +336,32 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     return tuple(
         (
             one.name if one.note is None else text("name-note", name=one.name, note=one.note),
-            _select_legend_class(one, f"s{index % NUM_SERIES_STYLES}"),
+            _select_legend_class(one, style),
         )
-        for index, one in enumerate(series)
+        for one, style in zip(series, select_styles(series), strict=True)
     )
+
+
+def select_styles(series: Sequence[Series]) -> list[str]:
+    """Return a class of the style sheet for each series.
+
+    Lines have ``s0``, ``s1`` ... in their order. References, such as the requested height, have
+    `REFERENCE_CLASS`, so that the first line has the first colour in each plot. Areas have
+    `AREA_CLASS`.
+    """
+    numbers = itertools.count()
+    return [
+        AREA_CLASS
+        if one.shaded
+        else REFERENCE_CLASS
+        if one.reference
+        else f"s{next(numbers) % NUM_SERIES_STYLES}"
+        for one in series
+    ]
 
 
 def _select_legend_class(series: Series, style: str) -> str:
     """Return the class of a legend entry: an area, a point without a line, or a line."""
-    if series.shaded:
-        return AREA_CLASS
     return f"dot {style}" if series.points and np.size(series.x) == 1 else style
 
 
@@ -413,19 +433,18 @@ def draw_axes(
     ]
 
 
-def draw_series(places: Array, labels: Sequence[str], series: Series, index: int) -> list[Mark]:
+def draw_series(places: Array, labels: Sequence[str], series: Series, style: str) -> list[Mark]:
     """Create the SVG marks of a series: a polyline, and dots if ``Series.points`` is true.
 
     Args:
         places: Points, shape (n, 2) [CSS pixels]; y points down.
         labels: Text of each point, shown at the mouse pointer.
         series: Series; ``marked_index`` refers to ``places``.
-        index: Index of the series, which selects the style.
+        style: Class of the style sheet (`select_styles`).
     """
     rounded = np.round(places, 1).tolist()
     if series.shaded:
-        return [{"tag": "polygon", "class": AREA_CLASS, "points": rounded}]
-    style = f"s{index % NUM_SERIES_STYLES}"
+        return [{"tag": "polygon", "class": style, "points": rounded}]
     marks: list[Mark] = [
         {
             "tag": "polyline",

@@ -30,6 +30,7 @@ from pupper_analysis.base.units import (
     find_common_units,
 )
 from pupper_analysis.models.sides import find_mirror_pairs
+from pupper_analysis.present import colours
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.robot.stability import HOLD_DURATION
 
@@ -98,7 +99,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_yticks(range(len(rows)), [name for name, _ in rows], parse_math=False)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlabel("torque (% of the limit)", size=drawing.FONT_SIZE)
-        axes.grid(axis="x", color=drawing.GRID_COLOUR)
+        axes.grid(axis="x", color=colours.GRID_COLOUR)
         limit = f"{_format_range(limits[limited])} {find_common_units(units).effort}"
         title = f"{analysis.name}: limit {limit}"
         if len(title) > _TITLE_LETTERS and len(panels) > 1:
@@ -137,11 +138,11 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         task = float(analysis.stand.qpos[2])
         axes.axhline(0.0, **_TASK_STYLE)
         for run, name, style in (
-            (analysis.verification, "with feed-forward", {"color": drawing.FEEDFORWARD_COLOUR}),
+            (analysis.verification, "with feed-forward", {"color": colours.FEEDFORWARD_COLOUR}),
             (
                 analysis.sagging,
                 "position commands only",
-                {"color": drawing.COMMANDS_COLOUR, "ls": (0, (6, 2))},
+                {"color": colours.COMMANDS_COLOUR, "ls": (0, (6, 2))},
             ),
         ):
             losses = 1e3 * (task - np.asarray(run.height, float))
@@ -155,7 +156,7 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
                 axes.axvline(run.nudge.time, ymax=1 / (1 + _LEGEND_SHARE), **_NUDGE_STYLE)
         axes.set_xlabel("time (s)", size=drawing.FONT_SIZE)
         axes.set_ylabel("height lost (mm)", size=drawing.FONT_SIZE)
-        axes.grid(color=drawing.GRID_COLOUR)
+        axes.grid(color=colours.GRID_COLOUR)
         axes.legend(fontsize=drawing.FONT_SIZE - 1, frameon=False, loc="upper right")
         # Losses grow downwards, as the base does. The legend is above the curves.
         least, largest = sorted(axes.get_ylim())
@@ -171,10 +172,10 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 _LEGEND_SHARE = 0.35
 """Height of the strip for the legend above the task in a panel of the height figure, relative to
 the largest shown loss [1]. Chosen, not tuned."""
-_TASK_STYLE: dict[str, Any] = {"color": drawing.GREEN_COLOUR, "alpha": 0.35, "lw": 5.0, "zorder": 1}
+_TASK_STYLE: dict[str, Any] = {"color": colours.GREEN_COLOUR, "alpha": 0.35, "lw": 5.0, "zorder": 1}
 """Options of Matplotlib for the height of the task: a wide band below the curves, which do not hide
 it."""
-_NUDGE_STYLE: dict[str, Any] = {"color": drawing.GREY_COLOUR, "ls": ":", "lw": 1.0, "zorder": 1.5}
+_NUDGE_STYLE: dict[str, Any] = {"color": colours.GREY_COLOUR, "ls": ":", "lw": 1.0, "zorder": 1.5}
 """Options of Matplotlib for the line at the time of the nudge."""
 
 
@@ -198,8 +199,8 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
                     (analysis.verification.kp, analysis.verification.kd))  # fmt: skip
         _mark_own_gains(axes, analysis.sweep, *own)
         drawing.title_panel(axes, analysis.name)
-    colours = ScalarMappable(scale, _COLOUR_MAP)
-    bar = figure.colorbar(colours, ax=[axes for _, axes in panels], shrink=0.6, extend="min")
+    mapping = ScalarMappable(scale, _COLOUR_MAP)
+    bar = figure.colorbar(mapping, ax=[axes for _, axes in panels], shrink=0.6, extend="min")
     bar.set_label(
         f"standard deviation of the base height (mm),\ncut off at {MIN_SHOWN_DEVIATION:g} mm",
         size=drawing.FONT_SIZE,
@@ -208,7 +209,7 @@ def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     handles = [
         Patch(facecolor="0.8", label="falls"),
         Patch(facecolor="white", edgecolor="0.3", hatch="////", label=_RESTLESS_LABEL),
-        Patch(facecolor="none", edgecolor=drawing.RED_COLOUR, lw=2, label="the model's own gains"),
+        Patch(facecolor="none", edgecolor=colours.RED_COLOUR, lw=2, label="the model's own gains"),
     ]
     _save_with_legend(figure, handles, path)
 
@@ -325,7 +326,7 @@ _LIMB_MARKERS = ("o", "s", "^", "D", "v", "P")
 
 def _get_limb_style(limb: int) -> dict[str, Any]:
     """Return colour and marker of the limb with index ``limb``; both repeat after the last one."""
-    colour = drawing.SERIES_COLOURS[limb % len(drawing.SERIES_COLOURS)]
+    colour = colours.SERIES_COLOURS[limb % len(colours.SERIES_COLOURS)]
     return {"color": colour, "marker": _LIMB_MARKERS[limb % len(_LIMB_MARKERS)]}
 
 
@@ -340,7 +341,7 @@ def _label_limbs(
     names: defaultdict[int, defaultdict[str, list[str]]]
     names = defaultdict(lambda: defaultdict(list))
     for robot, group in zip(robots, groups, strict=True):
-        if len(group.limbs) <= len(drawing.SERIES_COLOURS):
+        if len(group.limbs) <= len(colours.SERIES_COLOURS):
             for limb, name in enumerate(group.limbs):
                 names[limb][name].append(robot)
     for limb, owners in sorted(names.items()):
@@ -391,7 +392,7 @@ def _mark_first_contact(axes: Axes, run: StandVerification, losses: Array) -> No
     time = min(contacts)[0]
     links = [link for at, link in contacts if at == time]
     loss = float(np.interp(time, run.time, losses))
-    axes.plot(time, loss, "o", color=drawing.BLACK_COLOUR, mfc="none", mew=1.2, ms=7)
+    axes.plot(time, loss, "o", color=colours.BLACK_COLOUR, mfc="none", mew=1.2, ms=7)
     lines = [*links[:2], f"and {len(links) - 2} more"] if len(links) > 2 else links
     axes.annotate("\n".join([*lines, f"touch the ground at {time:.2f} s"]), (time, loss),
                   xytext=(-4, 34), textcoords="offset points", ha="center", va="bottom",
@@ -429,12 +430,12 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
     word "falls".
     """
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
-    colours = ScalarMappable(scale, _COLOUR_MAP)
+    mapping = ScalarMappable(scale, _COLOUR_MAP)
     for row, column in np.ndindex(deviation.shape):
         value = float(deviation[row, column])
         falls = not np.isfinite(value)
         shown = max(value, MIN_SHOWN_DEVIATION)
-        face = "0.8" if falls else colours.cmap(float(scale(shown)))
+        face = "0.8" if falls else mapping.cmap(float(scale(shown)))
         corner = (column - 0.5, row - 0.5)
         axes.add_patch(Rectangle(corner, 1, 1, facecolor=face, edgecolor="white", lw=0.8))
         bright = falls or float(scale(shown)) > _MIN_BRIGHT_FRACTION
@@ -470,7 +471,7 @@ def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
     for row in np.flatnonzero(rows):
         for column in np.flatnonzero(columns):
             # The white line is visible on dark cells, the red line on light cells.
-            for colour, width in (("white", 4), (drawing.RED_COLOUR, 2)):
+            for colour, width in (("white", 4), (colours.RED_COLOUR, 2)):
                 axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False,
                                          edgecolor=colour, lw=width, zorder=3))  # fmt: skip
 

@@ -23,6 +23,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.colours import SERIES_COLOURS
 from pupper_analysis.present.document import get_english, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
@@ -460,8 +461,6 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
 @draw_result.register(Comparison)
 def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
     """Plot the largest relative deviation of each quantity between models and between engines."""
-    from pupper_analysis.present.figures.drawing import SERIES_COLOURS
-
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
     sides = [

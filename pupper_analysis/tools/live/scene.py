@@ -18,6 +18,13 @@ import numpy as np
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.models.shapes import Mesh, Shape
+from pupper_analysis.present.colours import (
+    COM_COLOUR,
+    FORCE_COLOUR,
+    ORANGE_COLOUR,
+    SUPPORT_COLOUR,
+    split_colour,
+)
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import (
     DrawnForce,
@@ -133,19 +140,14 @@ def triangulate_shape(shape: Shape) -> Mesh:
 GHOST_COLOUR: Colour = (110, 130, 150)
 """Colour of the transparent figure in the nearest reachable stance."""
 
-TWIN_COLOUR: Colour = (226, 120, 30)
-"""Colour of the second figure, which shows a simulated motion."""
-
-FORCE_COLOUR: Colour = (0, 128, 96)
-"""Colour of the arrows of contact forces."""
-
-INSIDE_COLOUR: Colour = (30, 140, 70)
-"""Colour of the CoM if the CoM margin is not negative, and of the polygon if the stance is also in
-balance.
-"""
+TWIN_COLOUR: Colour = split_colour(ORANGE_COLOUR)
+"""Colour of the second figure, which shows a simulated motion. Not the colour of forces."""
 
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
-"""Colour of the CoM if the CoM margin is negative, and of a polygon without `INSIDE_COLOUR`."""
+"""Colour of the CoM if the CoM margin is negative, and of a support polygon in which the stance is
+not in balance. Otherwise, CoM, polygon and forces have the colours of all figures
+(``present/colours``).
+"""
 
 LOAD_COLOUR: Colour = (90, 60, 140)
 """Colour of the payload."""
@@ -391,7 +393,7 @@ class Scene:
             box.wxyz, box.position = step.quaternion, step.centre - rise * normal
 
     def _draw_support(self, described: StandingScene, *, held: bool) -> None:
-        """Draw the support polygon, green if the stand is held, otherwise red."""
+        """Draw the support polygon: blue, or red (`OUTSIDE_COLOUR`) unless the stand is held."""
         points = described.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         count = _NUM_POLYGON_CORNERS * math.ceil(len(points) / _NUM_POLYGON_CORNERS)
         padded = np.concatenate([points, np.tile(points[-1], (count - len(points), 1))])
@@ -401,21 +403,21 @@ class Scene:
             "add_mesh_simple",
             padded,
             np.array(fan),
-            color=INSIDE_COLOUR,
+            color=split_colour(SUPPORT_COLOUR),
             opacity=0.25,
             side="double",
             cast_shadow=False,
             receive_shadow=False,
         )
         area.vertices = padded
-        area.color = INSIDE_COLOUR if held else OUTSIDE_COLOUR
+        area.color = split_colour(SUPPORT_COLOUR) if held else OUTSIDE_COLOUR
 
     def _draw_com(self, described: StandingScene) -> None:
         """Draw the CoM, its projection on the support plane and a line between.
 
         The colour shows the sign of the CoM margin.
         """
-        colour = INSIDE_COLOUR if described.com_inside else OUTSIDE_COLOUR
+        colour = split_colour(COM_COLOUR) if described.com_inside else OUTSIDE_COLOUR
         for name, place, size in (
             ("com", described.com, 0.075),
             ("beneath", described.com_projection, 0.05),
@@ -475,7 +477,7 @@ class Scene:
             "forces",
             "add_arrows",
             arrows,
-            FORCE_COLOUR,
+            split_colour(FORCE_COLOUR),
             shaft_radius=0.025 * self._size,
             head_radius=0.06 * self._size,
             head_length=0.11 * self._size,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.colours import BLACK_COLOUR, SKY_BLUE_COLOUR
 from pupper_analysis.present.document import get_english, join_words, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
@@ -185,13 +186,7 @@ def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Ax
 
     Lengths [mm] and angles [deg] have a panel each.
     """
-    from pupper_analysis.present.figures.drawing import (
-        BLACK_COLOUR,
-        FONT_SIZE,
-        SKY_BLUE_COLOUR,
-        make_page_figure,
-        title_panel,
-    )
+    from pupper_analysis.present.figures.drawing import FONT_SIZE, make_page_figure, title_panel
 
     groups = [
         (

@@ -14,7 +14,12 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.scene import DrawnForce
 from pupper_analysis.tools.live.model import PageSolver
-from pupper_analysis.tools.live.scene import Scene, make_body_meshes, make_force_arrows
+from pupper_analysis.tools.live.scene import (
+    OUTSIDE_COLOUR,
+    Scene,
+    make_body_meshes,
+    make_force_arrows,
+)
 from pupper_analysis.tools.live.state import State
 from tests.prepare.convert.test_meshes import claim_vertices, nest_nodes
 from tests.support.engines import evaluate_mujoco
@@ -30,7 +35,7 @@ class Drawn:
 
     def __getattr__(self, _: str) -> Callable[..., Any]:
         def add(name: str, *arguments: object, **options: object) -> Any:
-            return self.nodes.setdefault(name, SimpleNamespace())
+            return self.nodes.setdefault(name, SimpleNamespace(arguments=arguments))
 
         return add
 
@@ -48,6 +53,21 @@ def test_payload_is_drawn_at_its_position_on_a_tilted_base() -> None:
     base = found.robot.mj_model.body(found.robot.mj_base).id
     place = data.xpos[base] + data.xmat[base].reshape(3, 3) @ (0.06, 0.04, 0.09)
     np.testing.assert_allclose(drawn.nodes["/load"].position, place, atol=1e-6)
+
+
+def test_forces_polygon_and_com_have_the_colours_of_the_figures() -> None:
+    """Reference: colours of Okabe and Ito in the figure of a pose; red if the CoM is outside."""
+    model = PageSolver(load("v3"))
+    drawn, answer = Drawn(), model.solve_state(State())
+    Scene(drawn).show(answer)
+    assert drawn.nodes["/support"].color == (0, 114, 178) == tuple(bytes.fromhex("0072B2"))
+    assert drawn.nodes["/com"].color == (0, 158, 115)
+    assert drawn.nodes["/forces"].arguments[1] == (213, 94, 0)
+    outside = model.solve_state(State("offset", offset=(40.0, 20.0), swing={"FL": 20.0}))
+    assert outside.stand is not None
+    assert outside.statics is None
+    Scene(drawn).show(outside)
+    assert drawn.nodes["/support"].color == drawn.nodes["/com"].color == OUTSIDE_COLOUR
 
 
 def test_small_files_with_large_meshes_are_not_drawn(tmp_path: Path) -> None:

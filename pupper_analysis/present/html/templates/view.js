@@ -161,7 +161,7 @@
       const long = 0.28 * this.data.size;
       this.axes = this.data.joints.map((joint, index) => {
         const material = new THREE.MeshBasicMaterial({
-          color: color("--c0"), transparent: true, opacity: 0.55, depthTest: false });
+          color: color("--joint"), transparent: true, opacity: 0.55, depthTest: false });
         const shape = new THREE.CylinderGeometry(0.006 * this.data.size, 0.006 * this.data.size, long);
         const mesh = new THREE.Mesh(shape, material);
         mesh.renderOrder = 2;
@@ -179,7 +179,7 @@
         if (!body.mass) return;
         const radius = 0.09 * this.data.size * Math.cbrt(body.mass / total);
         const material = new THREE.MeshBasicMaterial({
-          color: color("--c4"), transparent: true, opacity: 0.7, depthTest: false });
+          color: color("--ink"), transparent: true, opacity: 0.7, depthTest: false });
         const mesh = new THREE.Mesh(new THREE.SphereGeometry(radius, 16, 12), material);
         mesh.renderOrder = 3;
         mesh.position.set(...body.com);
@@ -196,7 +196,7 @@
         if (!long) return;
         const head = 0.05 * size;
         const group = new THREE.Group();
-        const material = new THREE.MeshBasicMaterial({ color: color("--c3"), depthTest: false });
+        const material = new THREE.MeshBasicMaterial({ color: color("--force"), depthTest: false });
         const radius = 0.009 * size;
         const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, long), material);
         shaft.position.y = long / 2;
@@ -233,22 +233,22 @@
       const ring = polygon.map(([x, y, z]) => new THREE.Vector3(x, y, z + 0.001 * size));
       if (ring.length > 1) {
         const line = new THREE.BufferGeometry().setFromPoints([...ring, ring[0]]);
-        this.put("support", new THREE.Line(line, new THREE.LineBasicMaterial({ color: color("--c1") })));
+        this.put("support", new THREE.Line(line, new THREE.LineBasicMaterial({ color: color("--support") })));
         const fan = new THREE.BufferGeometry().setFromPoints(ring);
         const faces = [];
         for (let index = 2; index < ring.length; index++) faces.push(0, index - 1, index);
         fan.setIndex(faces);
         this.put("support", new THREE.Mesh(fan, new THREE.MeshBasicMaterial({
-          color: color("--c1"), transparent: true, opacity: 0.25, side: THREE.DoubleSide })));
+          color: color("--support"), transparent: true, opacity: 0.25, side: THREE.DoubleSide })));
       }
       if (!com) return;
       const drop = new THREE.BufferGeometry().setFromPoints(
         [vector(com), vector(below)]);
-      const dashed = new THREE.Line(drop, new THREE.LineBasicMaterial({ color: color("--ink"), depthTest: false }));
+      const dashed = new THREE.Line(drop, new THREE.LineBasicMaterial({ color: color("--com"), depthTest: false }));
       dashed.renderOrder = 4;
       this.put("support", dashed);
       const ball = new THREE.Mesh(new THREE.SphereGeometry(0.03 * size, 20, 14),
-        new THREE.MeshBasicMaterial({ color: color("--ink"), depthTest: false }));
+        new THREE.MeshBasicMaterial({ color: color("--com"), depthTest: false }));
       ball.renderOrder = 5;
       ball.position.set(...com);
       this.put("support", ball, null, 0, "com");
@@ -311,7 +311,7 @@
       this.lit = index;
       if (this.renderer)
         this.axes.forEach((mesh, number) => {
-          mesh.material.color.copy(color(number === index ? "--c1" : "--c0"));
+          mesh.material.color.copy(color(number === index ? "--lit" : "--joint"));
           mesh.material.opacity = number === index ? 1 : 0.55;
           mesh.scale.set(number === index ? 1.7 : 1, number === index ? 1.4 : 1,
             number === index ? 1.7 : 1);
