@@ -7,7 +7,7 @@ a copper loss, and the loss the temperature of the winding (``models/motors/ther
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,8 +31,15 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, resolve_stance, stand_statics
 from pupper_analysis.stance.task import StandTask
 
-_NUM_TIMES = 121
-"""Number of times of the curves of temperature. Chosen, not tuned."""
+_MAX_NUM_TIMES, _NUM_EQUAL_STEPS = 121, 24
+"""Largest number of times of the curves of temperature, and number of equal time steps of which
+those with a large chord error are halved. Chosen, not tuned.
+"""
+
+_MAX_CHORD_ERROR = 1e-3
+"""Largest distance between a curve and its straight segments, in the middle of a time step, divided
+by the range of the curve [1]; less than the width of a drawn line. Chosen, not tuned.
+"""
 
 _OVERHEATING_DURATION = 2.0
 """Duration of the curves, divided by the time in which the first motor reaches its temperature
@@ -253,8 +260,14 @@ def study_heat(
     loss = sum(losses) if len(losses) == len(heats) else None
     voltages = {motors[name].supply_voltage for name in assigned}
     voltage = voltages.pop() if len(voltages) == 1 else None
-    times = _choose_times(heats, [motors[name] for name in assigned], ambient)
-    curves = [_compute_curve(heat, motors[heat.joint], times, ambient) for heat in heats]
+    duration = _choose_duration(heats, [motors[name] for name in assigned], ambient)
+
+    def compute_curves(times: Array) -> Array:
+        """Return the temperatures of all windings at ``times`` [s], shape (n, motors) [degC]."""
+        curves = [_compute_curve(heat, motors[heat.joint], times, ambient) for heat in heats]
+        return np.stack(curves, axis=1)
+
+    times = _refine_times(duration, compute_curves)
     return HeatStudy(
         name=robot.name,
         stand=held,
@@ -268,7 +281,7 @@ def study_heat(
         if battery_energy is None or loss is None
         else (battery_energy / loss if loss else math.inf),
         times=times,
-        temperatures=np.stack(curves, axis=1),
+        temperatures=compute_curves(times),
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
     )
 
@@ -375,19 +388,46 @@ def _compute_cold_loss(
     return None if current is None or ohms is None else current**2 * ohms
 
 
-def _choose_times(
-    heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
-) -> Array:
-    """Return the times of the temperature curves [s], shape (n,), from 0 to an end time.
+def _refine_times(duration: float, compute_curves: Callable[[Array], Array]) -> Array:
+    """Return times from 0 to ``duration`` [s], shape (n,), denser where a curve bends.
 
-    If a motor reaches its temperature limit, the end time is `_OVERHEATING_DURATION` times the
+    Equal steps are halved, those with the largest chord errors first, until each chord error is at
+    most `_MAX_CHORD_ERROR`, or the number of times is `_MAX_NUM_TIMES`. A winding with a small heat
+    capacity warms up within seconds, and the housing within an hour.
+
+    Args:
+        duration: Last time [s].
+        compute_curves: Function that returns temperatures, shape (n, motors), at times (n,) [s].
+            NaN is a curve that is not drawn.
+    """
+    times = np.linspace(0.0, duration, _NUM_EQUAL_STEPS + 1)
+    while duration > 0 and len(times) < _MAX_NUM_TIMES:
+        curves, middles = compute_curves(times), (times[:-1] + times[1:]) / 2
+        bends = np.abs(compute_curves(middles) - (curves[:-1] + curves[1:]) / 2)
+        ranges = np.ptp(curves, axis=0)
+        errors = np.where(ranges > 0, bends / np.where(ranges > 0, ranges, 1.0), 0.0)
+        largest = np.nan_to_num(errors).max(axis=1)
+        order = np.argsort(-largest)[: _MAX_NUM_TIMES - len(times)]
+        halved = order[largest[order] > max(_MAX_CHORD_ERROR, largest.max() / 2)]
+        if not len(halved):
+            break
+        times = np.union1d(times, middles[halved])
+    return times
+
+
+def _choose_duration(
+    heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
+) -> float:
+    """Return the duration of the temperature curves [s].
+
+    If a motor reaches its temperature limit, the duration is `_OVERHEATING_DURATION` times the
     first such time. Otherwise, it is the longest time in which a winding settles.
     """
     longest = 0.0
     hot = [heat.time_to_limit for heat in heats if heat.time_to_limit is not None]
     first = min(hot, default=math.inf)
     if 0 < first < math.inf:
-        return np.linspace(0.0, min(_OVERHEATING_DURATION * first, _MAX_DURATION), _NUM_TIMES)
+        return min(_OVERHEATING_DURATION * first, _MAX_DURATION)
     for heat, motor in zip(heats, motors, strict=True):
         if heat.steady_temperature is None or not heat.current:
             continue
@@ -400,7 +440,7 @@ def _choose_times(
         else:
             time = float(network.capacities.sum() * network.resistances.sum())
         longest = max(longest, time)
-    return np.linspace(0.0, min(longest, _MAX_DURATION), _NUM_TIMES)
+    return min(longest, _MAX_DURATION)
 
 
 def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float | None) -> Array:

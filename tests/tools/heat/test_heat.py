@@ -13,15 +13,17 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.stance_options import parse_continuous_torques
 from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.models.motors.thermal import ThermalNetwork
 from pupper_analysis.present.document import BarPlot, LinePlot, Table, get_english
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document, heat_plots
-from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
+from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, _refine_times, study_heat
 from tests.support import arm
 from tests.support.commands import answer, run_command
 from tests.support.legged import quadruped_with_slides
@@ -404,6 +406,30 @@ def test_curves_last_twice_the_time_to_the_first_limit() -> None:
     assert study.times[-1] == pytest.approx(2 * study.first.time_to_limit)
     at_limit = np.interp(study.first.time_to_limit, study.times, study.temperatures.max(axis=1))
     assert at_limit == pytest.approx(30.0, abs=0.1)
+
+
+@pytest.mark.parametrize("limited", [False, True])
+def test_straight_segments_follow_curves_that_rise_fast_at_first(limited: bool) -> None:
+    """Reference: closed form of two nodes, whose time constants are 2 s and an hour.
+
+    With 121 equal steps of 90 s, the first segment was 40 % of the range off.
+    """
+    network = ThermalNetwork(
+        np.array([1.0, 2.0]), np.array([2.0, 1500.0]), 20.0, 3.0, 1.0, 0.0, 20.0
+    )
+    duration = 4.0 if limited else 3 * 3600.0
+
+    def compute_curves(times: Array) -> Array:
+        unknown = np.full((len(times), 1), np.nan)
+        return np.hstack([network.compute_temperatures(times)[:, :1], unknown])
+
+    times = _refine_times(duration, compute_curves)
+    assert 25 <= len(times) <= 121
+    assert (times[0], times[-1]) == (0.0, duration)
+    exact_times = np.append(0.0, np.geomspace(1e-3, duration, 5000))
+    exact = compute_curves(exact_times)[:, 0]
+    drawn = np.interp(exact_times, times, compute_curves(times)[:, 0])
+    assert np.abs(drawn - exact).max() < 2e-3 * np.ptp(exact)
 
 
 @pytest.mark.slow
