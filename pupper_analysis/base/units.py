@@ -202,3 +202,29 @@ def units_of(kind: type) -> dict[str, str]:
         for name, unit in stated.items()
         if unit not in {DIMENSIONLESS_UNIT, VARYING_UNIT}
     }
+
+
+_ROUNDING_TOLERANCE = 1e-12
+"""Relative distance below an integer within which `floor_within_rounding` returns this integer.
+Chosen: above rounding errors of a few operations, below every displayed digit.
+"""
+
+
+def floor_within_rounding(number: float) -> int:
+    """Round a number that is not negative down to an integer, with a tolerance for rounding errors.
+
+    Products such as 100 * 0.57 are a rounding error below 57.
+    """
+    return math.floor(number * (1 + _ROUNDING_TOLERANCE))
+
+
+def round_down(limit: float, digits: int) -> float:
+    """Round a limit that is not negative down to significant digits.
+
+    A user may enter the printed limit, for example a largest payload. 0, infinity and NaN are
+    returned unchanged.
+    """
+    if not limit or not math.isfinite(limit):
+        return limit
+    decimals = digits - 1 - math.floor(math.log10(limit) + _ROUNDING_TOLERANCE)
+    return float(f"{floor_within_rounding(limit * 10.0**decimals)}e{-decimals}")

@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.units import round_down
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import is_slide
@@ -232,8 +233,8 @@ def suggest_standing_gains(
         kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m].
     """
     required = ServoRequirement.of_stand(robot, stand.qpos, torques, parts=parts)
-    kp = np.array([_round_to_two_digits(value) for value in required.stiffness(sag)])
-    return kp, np.array([_round_to_two_digits(value) for value in damping * _DAMPING_TIME * kp])
+    kp = np.array([round_down(value, 2) for value in required.stiffness(sag)])
+    return kp, np.array([round_down(value, 2) for value in damping * _DAMPING_TIME * kp])
 
 
 def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> GainArrays:
@@ -283,12 +284,6 @@ def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
     with np.errstate(divide="ignore"):
         joint_inertia: Array = 1 / np.diag(inverse)[first:]
     return joint_inertia
-
-
-def _round_to_two_digits(value: float) -> float:
-    """Round a positive ``value`` down to two significant digits, with a tolerance for rounding."""
-    digits = 1 - math.floor(math.log10(value))
-    return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 
 
 def round_to_three_digits(value: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace as Stub
 
@@ -12,6 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import round_down
 from pupper_analysis.present.document import (
     Axis,
     Column,
@@ -187,5 +189,18 @@ def _joint_error_rows(*runs: Stub) -> list[str]:
 def test_largest_payload_is_rounded_down(mass: float, shown: str) -> None:
     """Reference: decimal digits; 100 * 0.57 is 56.99999999999999."""
     assert loads.mass_text(mass) == Name(shown)
-    assert loads.round_mass_down(0.57) == pytest.approx(0.57)
-    assert loads.round_mass_down(0.579) == pytest.approx(0.57)
+    assert round_down(0.57, 2) == 0.57
+    assert round_down(0.579, 2) == 0.57
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1.0, 1e5])
+@pytest.mark.parametrize("digits", [2, 3, 4])
+def test_limits_are_rounded_down_to_significant_digits(scale: float, digits: int) -> None:
+    """Reference: Python's exact decimal arithmetic; 0 and infinity have no digits."""
+    random = np.random.default_rng(7)
+    for limit in scale * 10 ** random.uniform(-1, 1, 40):
+        exact = Decimal(float(limit))
+        step = Decimal(1).scaleb(exact.adjusted() + 1 - digits)
+        assert round_down(limit, digits) == float(exact // step * step)
+    assert round_down(0.0, digits) == 0.0
+    assert round_down(np.inf, digits) == np.inf

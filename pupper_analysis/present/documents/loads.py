@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics.templates import format_number
-from pupper_analysis.base.units import READ_IN
+from pupper_analysis.base.units import READ_IN, floor_within_rounding, round_down
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
@@ -74,23 +74,8 @@ def mass_text(mass: float) -> doc.Words:
     if math.isinf(mass):
         return text("no-limit")
     if 0 < mass < 0.1:
-        return doc.Name(f"{format_number(round_mass_down(mass), '.2g')} kg")
-    return doc.Name(f"{_floor(100 * mass) / 100:.2f} kg")
-
-
-def round_mass_down(mass: float) -> float:
-    """Round a payload mass [kg] down to two significant digits; the mass must be positive."""
-    step = 10.0 ** (math.floor(math.log10(mass)) - 1)
-    return _floor(mass / step) * step
-
-
-def _floor(number: float) -> int:
-    """Round a positive number down, with a tolerance for rounding errors.
-
-    A number below an integer by at most a fraction 1e-12 gives this integer. Products such as 100 *
-    0.57 are a rounding error below 57.
-    """
-    return math.floor(number * (1 + 1e-12))
+        return doc.Name(f"{format_number(round_down(mass, 2), '.2g')} kg")
+    return doc.Name(f"{floor_within_rounding(100 * mass) / 100:.2f} kg")
 
 
 def proof_text(verification: StandVerification) -> doc.Text:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.base.units import round_down
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
@@ -22,7 +23,6 @@ from pupper_analysis.present.documents.loads import (
     get_display_scales,
     limit_cell,
     origins_text,
-    round_mass_down,
     torque_plot,
     torque_table,
     utilisation_cell,
@@ -113,7 +113,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
         return doc.NextStep("hold", omitted=("--payload",))
     if not math.isfinite(payload) or payload <= MIN_FURTHER_SHARE * hold.carried:
         return doc.NextStep("audit")
-    carried = hold.carried + round_mass_down(payload)
+    carried = hold.carried + round_down(payload, 2)
     return doc.NextStep("hold", ("--payload", f"{carried:.6g}kg"))
 
 
@@ -283,8 +283,13 @@ def _make_limit_table(
 
 
 def _make_limit_cell(value: float) -> doc.Cell:
-    """Create a table cell with a limit, such as a payload [kg]; a word if the limit is unknown."""
-    return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
+    """Create a table cell with a limit, such as a payload [kg], rounded down to four digits.
+
+    The cell contains a word if the limit is unknown.
+    """
+    if math.isnan(value):
+        return text("limit-unknown")
+    return replace(doc.number_cell(round_down(value, 4), ".4g"), value=value)
 
 
 def _describe_payload_simulation(hold: Hold) -> Iterator[doc.Text]:
@@ -458,7 +463,7 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
         yield text(
             "servos-too-soft-for-payload",
             tool=doc.Name(hold.tool.name),
-            mass=f"{hold.payload.servos:.3g}",
+            mass=_format_limit(hold.payload.servos),
             joint=hold.payload.servo,
         ).with_mark("warn")
     if hold.payload_trial is not None and not hold.payload_trial.passed:
@@ -486,5 +491,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Return a limit with up to three significant digits; "" if the limit is not finite."""
-    return format_number(limit, ".3g") if math.isfinite(limit) else ""
+    """Return a limit, rounded down to three significant digits; "" if the limit is not finite."""
+    return format_number(round_down(limit, 3), ".3g") if math.isfinite(limit) else ""

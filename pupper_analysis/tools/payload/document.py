@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.base.units import round_down
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
-from pupper_analysis.present.documents.loads import mass_text, round_mass_down, view_block
+from pupper_analysis.present.documents.loads import mass_text, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -87,7 +88,7 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
     mass = VERIFIED_FRACTION * limit.upper_bound
     if step.command == "best" or not 0 < mass < math.inf:
         return step
-    payload = limit.carried + round_mass_down(mass)
+    payload = limit.carried + round_down(mass, 2)
     return replace(step, words=(*step.words, "--payload", f"{payload:.6g}kg"))
 
 

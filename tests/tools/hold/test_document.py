@@ -9,6 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.units import round_down
 from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text, get_english
 from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.tools.hold.document import (
@@ -115,7 +116,14 @@ def test_masses_are_not_rounded_up_to_a_payload_that_does_not_hold() -> None:
     assert step is not None
     assert step.words == ("--payload", "0.072kg")
     strong = replace(held, payload=replace(held.payload, worst_posture_mass=999.7))
-    assert "payload limit at tip: 1000 kg" in " ".join(map(str, hold_document(strong).findings))
+    assert "payload limit at tip: 999 kg" in " ".join(map(str, hold_document(strong).findings))
+    limits = replace(held.payload, mass=1.29999, servos=1299.7, worst_posture_mass=0.0123456)
+    (table,) = [
+        block
+        for block in hold_document(replace(held, payload=limits)).blocks
+        if isinstance(block, Table) and "Payload at the tool" in str(block.title)
+    ]
+    assert [getattr(row[1], "text", "") for row in table.rows] == ["1.299", "1299", "0.01234"]
 
 
 def test_torques_from_1000_are_printed_as_integers() -> None:
@@ -216,9 +224,9 @@ def test_finding_states_each_limit_of_the_tool() -> None:
     (line,) = [line for line in document.details if "The motors hold" in str(line)]
     payload = held.payload
     for value in (payload.mass, payload.worst_posture_mass, held.force.weakest):
-        assert f"{value:.3g} " in get_english(line)
-    assert f"hold {payload.mass:.3g} kg" in get_english(line)
-    assert f"withstand {held.force.weakest:.3g} N" in get_english(line)
+        assert f"{round_down(value, 3):.3g} " in get_english(line)
+    assert f"hold {round_down(payload.mass, 3):.3g} kg" in get_english(line)
+    assert f"withstand {round_down(held.force.weakest, 3):.3g} N" in get_english(line)
     (table,) = [
         block
         for block in document.blocks
