@@ -9,11 +9,12 @@ threads, which depends little on other processes. ``--figure`` draws docs/images
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,12 @@ SIZES = {
     BODIES: (10, 100, 500, 1500),
 }
 """{kind: numbers of moving links}."""
+
+TABLE = Path(__file__).resolve().parents[1] / "docs/data/size-measured.csv"
+"""CSV file of the measurements of the committed figure."""
+
+_COLUMNS = ("kind", "links", "seconds", "gigabytes")
+"""Columns of the CSV file: kind of robot, number of moving links, time [s], peak memory [GB]."""
 
 _MEASURE = """
 import json, resource, sys, time
@@ -132,7 +139,7 @@ def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    from pupper_analysis.present.figures.drawing import GREY_COLOUR, SERIES_COLOURS
+    from pupper_analysis.present.colours import GREY_COLOUR, SERIES_COLOURS
 
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     styles = list(zip(SERIES_COLOURS, "os^D", ("-", "--", ":", "-"), strict=False))
@@ -172,15 +179,36 @@ def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=130)
 
 
+def write_sizes(table: Iterable[dict[str, Any]], path: Path) -> None:
+    """Write measurements as CSV, with two decimals."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for row in table:
+            writer.writerow({**row, **{name: f"{row[name]:.2f}" for name in _COLUMNS[2:]}})
+
+
+def read_sizes(path: Path) -> list[dict[str, Any]]:
+    """Read measurements from CSV."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return [
+            {"kind": row["kind"], **{name: float(row[name]) for name in _COLUMNS[1:]}}
+            for row in csv.DictReader(file)
+        ]
+
+
 def main() -> None:
-    """Measure all sizes, and draw the figure."""
+    """Measure all sizes, or draw the figure from the stored measurements."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--measure", action="store_true", help="measure, and store the table")
     parser.add_argument("--most", type=int, default=2000, help="links of the largest robot")
+    parser.add_argument("--table", type=Path, default=TABLE, help="CSV file of the measurements")
     parser.add_argument("--figure", type=Path, help="draw to this file")
     arguments = parser.parse_args()
-    table = list(measure_sizes(arguments.most))
+    if arguments.measure:
+        write_sizes(measure_sizes(arguments.most), arguments.table)
     if arguments.figure:
-        draw_sizes(table, arguments.figure)
+        draw_sizes(read_sizes(arguments.table), arguments.figure)
 
 
 if __name__ == "__main__":
