@@ -7,6 +7,7 @@ results, the plots of the document are drawn. Matplotlib is imported at the firs
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Sequence
 from functools import singledispatch
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -77,6 +78,16 @@ def make_figure_title(document: Document) -> Name:
     """
     verdict = "" if document.verdict is None else f"{get_english(document.verdict)} "
     return Name(f"{verdict}{get_english(document.title)}: {get_english(document.kind)}")
+
+
+def make_joint_title(documents: Sequence[Document]) -> Name:
+    """Return the title of a figure with several results of the same kind, or with a single result.
+
+    For example: ``WITHSTANDS v3, FAILS v3-heavy: Pushes``.
+    """
+    titles = [get_english(make_figure_title(document)) for document in documents]
+    ending = f": {get_english(documents[0].kind)}"
+    return Name(", ".join(title.removesuffix(ending) for title in titles) + ending)
 
 
 def make_axes(title: str, height: float) -> Axes:

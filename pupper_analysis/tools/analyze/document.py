@@ -177,7 +177,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     torque = abs(float(statics.joint_torques[most]))
     yield text(
         "mass-kg-peak-torque-torque",
-        mass=f"{analysis.total_mass:.3f}",
+        mass=doc.format_widened(analysis.total_mass, ".3f"),
         ground=ground_word(analysis.stand.depths.values()),
         torque=format(torque, doc.widen_format(".3f", [torque])),
         unit=statics.torque_units[most],
@@ -225,7 +225,7 @@ def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[
                 nq=analysis.nq,
                 nv=analysis.nv,
                 nu=analysis.nu,
-                mass=f"{analysis.total_mass:.3f}",
+                mass=doc.format_widened(analysis.total_mass, ".3f"),
                 com=doc.vector_cell(1e3 * analysis.center_of_mass, "+.1f"),
             ),
             text(

@@ -30,6 +30,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, add_geom, compile_spec
 from pupper_analysis.models.shapes import get_mesh, read_shape
+from pupper_analysis.present.document import format_widened
 from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     Skeleton,
@@ -450,7 +451,7 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
     x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL_HEIGHT + 0.02) * tile.width
     thigh, calf = measure_leg_lengths(robot)
     legs = "" if thigh is None or calf is None else f"legs {1e3 * (thigh + calf):.0f} mm, "
-    numbers = f"{legs}mass {robot.total_mass:.2f} kg"
+    numbers = f"{legs}mass {format_widened(robot.total_mass, '.2f')} kg"
     below = y + 2.0 * size * _PICTURE_DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
     canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)

@@ -65,7 +65,11 @@ def live_stance_document(
 def _make_robot_title(answer: Answer) -> doc.Name:
     """Return the title of a document: name and mass [kg] of the robot; empty without a robot."""
     robot = answer.robot
-    return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
+    return (
+        NO_TITLE
+        if robot is None
+        else doc.Name(f"{robot.name}, {doc.format_widened(robot.total_mass, '.3f')} kg")
+    )
 
 
 def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:

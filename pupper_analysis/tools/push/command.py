@@ -26,10 +26,9 @@ from pupper_analysis.cli.stance_options import (
 )
 @click.option(
     "--resolution",
-    default=0.02,
-    show_default=True,
+    type=float,
     metavar="NS",
-    help="Resolution of the impulses (N s); e.g. 0.1.",
+    help="Resolution of the impulses (N s); e.g. 0.1. Default: 0.02, or less for a small robot.",
 )
 @MOTOR_OPTION
 @robot_and_task
@@ -40,7 +39,7 @@ def command(
     request: RobotAndTask,
     words: tuple[str, ...],
     directions: int,
-    resolution: float,
+    resolution: float | None,
     motors: tuple[str, ...],
     figure: Path | None,
     json_path: Path | None,
@@ -87,9 +86,14 @@ def command(
         results.items(), request.style, robots=robots, everything=request.everything
     )
     if figure is not None:
+        from pupper_analysis.present.plots import make_joint_title
+        from pupper_analysis.tools.push.document import push_document
         from pupper_analysis.tools.push.figures import push_figure
 
-        push_figure({name: result.recovery for name, result in results.items()}, figure)
+        title = make_joint_title([push_document(result) for result in results.values()])
+        push_figure(
+            {name: result.recovery for name, result in results.items()}, figure, title=title
+        )
         shared.confirm_written(figure)
     shared.write_page(report_path, results, robots)
     shared.finish_command(

@@ -75,7 +75,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     """Yield texts of the weakest push, such as direction [degrees] and impulse [N s]."""
     recovery = pushed.recovery
     if recovery.failures_without_push:
-        yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
+        yield text("of-mass-kg", mass=doc.format_widened(recovery.mass, ".2f"))
         return
     if pushed.peak_torques is not None:
         names, peaks = pushed.joint_names, pushed.peak_torques
@@ -83,7 +83,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         hardest = max(unlimited, key=lambda joint: float(peaks[joint]))
         yield text(
             "push-unknown",
-            impulse=f"{recovery.weakest_impulse:.2f}",
+            impulse=doc.format_widened(recovery.weakest_impulse, ".2f"),
             direction=f"{math.degrees(recovery.weakest_direction):.0f}",
             torque=f"{float(peaks[hardest]):.3g} {pushed.torque_units[hardest]}",
             hardest=doc.Name(names[hardest]),
@@ -97,14 +97,14 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         rounded=_round_impulse_down(recovery.weakest_impulse, recovery.resolution),
         count=len(recovery.directions),
         one=len(recovery.directions) == 1,
-        impulse=f"{recovery.weakest_impulse:.2f}",
-        speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
-        mass=f"{recovery.mass:.2f}",
+        impulse=doc.format_widened(recovery.weakest_impulse, ".2f"),
+        speed=doc.format_widened(recovery.weakest_impulse / recovery.mass, ".2f"),
+        mass=doc.format_widened(recovery.mass, ".2f"),
     )
     yield text(
         "push-limited",
         failure=doc.diagnostic_text(recovery.weakest_failure),
-        tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
+        tipping=doc.format_widened(float(min(recovery.tipping_estimate)), ".2f"),
     )
 
 
@@ -143,12 +143,14 @@ is infinite at the no-load speed. Chosen, not tuned.
 def _make_push_table(pushed: PushedStance) -> doc.Table:
     """Create the table of the largest pushes, a direction per row."""
     recovery = pushed.recovery
+    impulses = [*recovery.impulses, *recovery.tipping_estimate]
+    form = doc.widen_format(".2f", impulses)
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.number_cell(math.degrees(angle), ".0f"),
-            doc.number_cell(recovery.impulses[index], ".2f"),
+            doc.number_cell(recovery.impulses[index], form),
             doc.number_cell(recovery.velocity_steps[index], ".3f"),
-            doc.number_cell(recovery.tipping_estimate[index], ".2f"),
+            doc.number_cell(recovery.tipping_estimate[index], form),
             doc.diagnostic_text(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
@@ -189,12 +191,14 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
             doc.Name(name),
             recovery.directions,
             recovery.impulses,
-            note=doc.Name(f"{recovery.weakest_impulse:.2f} N s"),
+            note=doc.Name(f"{doc.format_widened(recovery.weakest_impulse, '.2f')} N s"),
             marked_index=int(np.argmin(np.abs(recovery.directions - recovery.weakest_direction))),
         )
         for name, recovery in pushed.items()
     ]
     tipping = pushed[rigid]
+    impulses = [value for recovery in pushed.values() for value in recovery.impulses]
+    impulses += tipping.tipping_estimate.tolist()
     if np.isfinite(tipping.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
         series.append(
@@ -203,7 +207,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     return doc.LinePlot(
         text("largest-push-that-the-stand-survives", duration=f"{1e3 * PULSE_DURATION:g}"),
         doc.Axis(text("direction"), "°", ".0f"),
-        doc.Axis(text("impulse"), "N s", ".2f", low=0.0),
+        doc.Axis(text("impulse"), "N s", doc.widen_format(".2f", impulses), low=0.0),
         series,
         text("impulse-in-weakest-direction"),
     )

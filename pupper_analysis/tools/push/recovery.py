@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
-from pupper_analysis.base.units import EFFORT_UNIT
+from pupper_analysis.base.units import EFFORT_UNIT, round_down
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.models.motors.energy import MotorEnergy, compute_motor_energy
 from pupper_analysis.models.motors.motor import Motor
@@ -127,7 +127,7 @@ def study_pushes(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     directions: int = 12,
-    resolution: float = 0.02,
+    resolution: float | None = None,
     motors: Mapping[str, Mapping[str, Motor]] | None = None,
 ) -> dict[str, PushedStance]:
     """Find the largest pushes from which robots in a stance recover.
@@ -138,7 +138,7 @@ def study_pushes(
         kp: Servo stiffness [N m/rad, N/m], a scalar or (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], a scalar or (nu,); the model's own by default.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
-        resolution: Resolution of the impulses [N s].
+        resolution: Resolution of the impulses [N s]; by default, as in `push_recovery`.
         motors: {name of the robot: {joint: motor}}. The torques of the weakest push are compared
             with the torque-speed regions of ``motors``. The simulation limits torques by the effort
             limits of the robots only.
@@ -173,7 +173,7 @@ def _study_robot(
     kp: ArrayLike | None,
     kd: ArrayLike | None,
     directions: int,
-    resolution: float,
+    resolution: float | None,
 ) -> PushedStance:
     """Find the largest pushes from which one robot recovers, and the verdict without a push.
 
@@ -341,6 +341,25 @@ class PushRecovery(PushSettings, Tabular):
 MIN_RESOLUTION = 1e-6
 """Smallest valid resolution of an impulse [N s]. Chosen, not tuned."""
 
+DEFAULT_RESOLUTION = 0.02
+"""Largest default resolution of the impulses [N s]. Chosen, not tuned."""
+_RESOLUTION_RATIO = 0.05
+"""Largest default resolution of the impulses, divided by the smallest tipping estimate [1]: with
+0.02 N s, all limits of a robot of 3 g were 0. Chosen, not tuned.
+"""
+
+
+def _choose_resolution(estimate: Array) -> float:
+    """Choose the resolution of the impulses [N s] from the tipping estimates, shape (n,) [N s].
+
+    The resolution is `DEFAULT_RESOLUTION`, or `_RESOLUTION_RATIO` times the smallest estimate,
+    rounded down to one digit, if this is less.
+    """
+    smallest = float(np.min(estimate, initial=np.inf))
+    if not 0 < _RESOLUTION_RATIO * smallest < DEFAULT_RESOLUTION:
+        return DEFAULT_RESOLUTION
+    return max(round_down(_RESOLUTION_RATIO * smallest, 1), MIN_RESOLUTION)
+
 
 @check_arguments
 def push_recovery(
@@ -353,7 +372,7 @@ def push_recovery(
     kd: ArrayLike | None = None,
     feedforward: bool = True,
     integrator: str | None = None,
-    resolution: float = 0.02,
+    resolution: float | None = None,
     verification: StandVerification | None = None,
 ) -> PushRecovery:
     """Find the largest horizontal push, in each direction, from which a stand recovers.
@@ -396,7 +415,8 @@ def push_recovery(
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own by default.
-        resolution: Resolution of the impulses [N s].
+        resolution: Resolution of the impulses [N s]; by default `DEFAULT_RESOLUTION`, or less for
+            a small robot (`_choose_resolution`).
         verification: Result of ``verify_stand`` with the same gains, feed-forward and integrator;
             computed by default.
 
@@ -418,7 +438,7 @@ def push_recovery(
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)
         raise ConfigurationError("directions", problem)
-    if not MIN_RESOLUTION <= resolution <= MAX_IMPULSE:
+    if resolution is not None and not MIN_RESOLUTION <= resolution <= MAX_IMPULSE:
         high = Quantity(MAX_IMPULSE, "N s")
         problem = diagnose("not-between", given=f"{resolution} N s", low=MIN_RESOLUTION, high=high)
         raise ConfigurationError("resolution", problem)
@@ -436,6 +456,8 @@ def push_recovery(
     )
     config = Configuration(robot, stand.qpos)
     estimate = tipping_impulses(config, bench.find_push_point(), bench.axes, stand.stance_feet)
+    if resolution is None:
+        resolution = _choose_resolution(estimate)
     impulses, bisected, failures = _find_push_limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(

@@ -54,7 +54,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
     """Create the report of how a robot was loaded: preparation passes and their changes."""
     robot = text(
         "robot-free" if loading.floating else "robot-held",
-        mass=f"{loading.mass:.3f}",
+        mass=doc.format_widened(loading.mass, ".3f"),
         joints=len(loading.joints),
         feet=", ".join(loading.feet),
     )

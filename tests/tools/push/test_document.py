@@ -120,7 +120,7 @@ def test_push_figure_is_written_with_white_edges(tmp_path: Path) -> None:
 def test_push_figure_of_no_robot_or_too_many_robots_is_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match="no robot"):
         push_figure({}, tmp_path / "push.png")
-    with pytest.raises(pa.ConfigurationError, match="at most 5 robots"):
+    with pytest.raises(pa.ConfigurationError, match="at most 6 robots"):
         push_figure({str(number): pushes(0.0) for number in range(8)}, tmp_path / "push.png")
     (tmp_path / "file").touch()
     with pytest.raises(pa.OutputError):
