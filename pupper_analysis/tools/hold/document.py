@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arguments import find_name_patterns
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import round_down
@@ -48,6 +49,11 @@ MIN_FURTHER_SHARE = 0.1
 """Further payload, divided by the present payload [1], above which a further payload is proposed. A
 smaller further payload may be the amount that the last proposal lost by rounding. Chosen, not
 tuned."""
+
+
+EXAMPLE_EFFORT_RATIO = 2.0
+"""Example of a motor limit that the next command contains, divided by the largest torque in the
+worst postures [1]. Chosen, not tuned: the motors hold these postures and a payload."""
 
 
 @build_document.register(Hold)
@@ -99,7 +105,10 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 
 
 def _select_next_step(hold: Hold) -> doc.NextStep:
-    """Return the command to suggest next, for example `hold` with the largest payload."""
+    """Return the command to suggest next, for example `hold` with the largest payload.
+
+    If no payload is left to propose, it is `gains`.
+    """
     payload = hold.payload.worst_posture_mass
     if _is_payload_refuted(hold):
         payload = hold.mass_by_commands_alone
@@ -111,10 +120,35 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
         return select_step_after_failure(hold.verdict, step)
     if overloaded:
         return doc.NextStep("hold", omitted=("--payload",))
+    if math.isnan(payload) and (efforts := _format_example_efforts(hold)):
+        return doc.NextStep("hold", efforts)
     if not math.isfinite(payload) or payload <= MIN_FURTHER_SHARE * hold.carried:
-        return doc.NextStep("audit")
+        return doc.NextStep("gains", ("--contact", "base=weld"), omitted=("--payload",))
     carried = hold.carried + round_down(payload, 2)
     return doc.NextStep("hold", ("--payload", f"{carried:.6g}kg"))
+
+
+def _format_example_efforts(hold: Hold) -> tuple[str, ...]:
+    """Return options ``--effort`` with an example for the motors without a stated limit.
+
+    The example is `EXAMPLE_EFFORT_RATIO` times the largest torque [N m, N] of these motors in the
+    worst postures, with two digits. Empty if the torques are zero.
+    """
+    names = hold.worst.joint_names
+    words: list[str] = []
+    for unit in dict.fromkeys(hold.statics.torque_units):
+        joints = [
+            name
+            for name, own_unit in zip(names, hold.statics.torque_units, strict=True)
+            if name in hold.payload.unknown and own_unit == unit
+        ]
+        torques = [abs(hold.worst.joint_torques[names.index(name)]) for name in joints]
+        torque = max(torques, default=0.0)
+        if torque > 0:
+            example = format_number(EXAMPLE_EFFORT_RATIO * float(torque), ".2g")
+            for pattern in find_name_patterns(joints, names):
+                words += ("--effort", f"{pattern}={example}")
+    return tuple(words)
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
@@ -137,6 +171,9 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
     """Return the text of the payload limit over all postures found."""
     payload, joint = hold.payload.worst_posture_mass, hold.payload.worst_posture_joint
     alone = hold.mass_by_commands_alone
+    if math.isnan(payload) and (efforts := _format_example_efforts(hold)):
+        tool, example = doc.Name(hold.tool.name), ", ".join(efforts[1::2])
+        return text("worst-payload-unknown", tool=tool, example=example)
     return text(
         "worst-posture-payload",
         tool=doc.Name(hold.tool.name),

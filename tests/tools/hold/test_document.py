@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -136,11 +137,33 @@ def test_torques_from_1000_are_printed_as_integers() -> None:
     assert "1.23e+03" not in texts
 
 
+_GAINS_STEP = NextStep("gains", ("--contact", "base=weld"), omitted=("--payload",))
+"""Next step of a posture without a further payload."""
+
+
+def test_unknown_motor_limits_lead_to_a_command_with_example_limits() -> None:
+    """hold proposed audit, and audit hold: neither stated a limit. Reference: twice the torque."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    payload = replace(held.payload, worst_posture_mass=math.nan, unknown=("elbow",))
+    document = hold_document(replace(held, payload=payload))
+    torque = abs(held.worst.joint_torques[held.worst.joint_names.index("elbow")])
+    assert document.next_step is not None
+    assert document.next_step.command == "hold"
+    option, value = document.next_step.words
+    assert option == "--effort"
+    pattern, _, effort = value.partition("=")
+    assert pattern == "elbow"
+    assert float(effort) == pytest.approx(2 * torque, rel=0.05)
+    line = document.findings[1]
+    assert isinstance(line, Text)
+    assert line.short.endswith(f": replace {value} by the motor limits")
+
+
 def test_next_step_after_a_loaded_posture_does_not_propose_the_same_payload_again() -> None:
     """The rest that rounding left is not proposed; an overload leads to the largest payload."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     loaded = replace(held, carried=10.0, payload=replace(held.payload, worst_posture_mass=0.5))
-    assert hold_document(loaded).next_step == NextStep("audit")
+    assert hold_document(loaded).next_step == _GAINS_STEP
     shares = np.full(len(held.worst.utilisation), 1.01)
     overloaded = replace(loaded, worst=replace(held.worst, utilisation=shares))
     assert hold_document(overloaded).next_step == NextStep("hold", omitted=("--payload",))
@@ -182,8 +205,8 @@ def test_payload_that_the_simulation_refutes_is_not_proposed() -> None:
     shaking = replace(held.payload_trial, passed=False, failures=(why,))
     for alone, step in (
         (0.254, NextStep("hold", ("--payload", "0.25kg"))),
-        (np.nan, NextStep("audit")),
-        (0.0, NextStep("audit")),
+        (np.nan, _GAINS_STEP),
+        (0.0, _GAINS_STEP),
     ):
         document = hold_document(replace(held, payload_trial=shaking, mass_by_commands_alone=alone))
         assert document.next_step == step
