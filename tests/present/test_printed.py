@@ -85,7 +85,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
     text = " ".join(print_words(stance_document(failing)))
     assert text.startswith(
         "FAILS stub: FAILS in MuJoCo: it sank "
-        "largest motor load 0.22 N m = 95 % of the limit (knee) "
+        "largest motor load 0.22 N m = 95.2 % of the limit (knee) "
         "without feed-forward, no sag is predicted: why"
     )
     assert "base on rigid" in text

@@ -49,14 +49,9 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
-def format_share(share: float, form: str) -> str:
-    """Format a motor utilisation [1] in percent, with at least two significant digits.
-
-    ``form`` is a fixed-point format such as ``".1f"``. The text is "" if ``share`` is not finite.
-    """
-    return (
-        format(100 * share, doc.widen_format(form, [100 * share])) if math.isfinite(share) else ""
-    )
+def format_share(share: float) -> str:
+    """Format a motor utilisation [1] in percent with three digits; "" if it is not finite."""
+    return format_number(100 * share, ".3g") if math.isfinite(share) else ""
 
 
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:

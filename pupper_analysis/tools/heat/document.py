@@ -39,7 +39,7 @@ motor lack the limit. Chosen, not tuned.
 @build_document.register(HeatStudy)
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the motor temperatures of a stance, for ``build_document``."""
-    first = _describe_first_motor(study.first)
+    first = _describe_first_motor(study.first, _format_ambient(study))
     exceeds_limits = bool(study.weak or study.overheats)
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
@@ -106,6 +106,7 @@ def _describe_temperature_without_limit(study: HeatStudy) -> Iterable[doc.Words]
         joint=doc.Name(first.joint),
         torque=f"{abs(first.torque):.2f}",
         loss="" if first.loss is None else f"{first.loss:.3g}",
+        ambient=_format_ambient(study),
         example=f"{_EXAMPLE_LIMIT:g}",
     )
 
@@ -116,8 +117,17 @@ def _format_minutes(seconds: float) -> str:
     return f"{minutes:.0f}" if minutes >= 100 else f"{minutes:.3g}"
 
 
-def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
-    """Describe the result of a motor, such as the time to the limit, and the motor itself."""
+def _format_ambient(study: HeatStudy) -> str:
+    """Return the temperature [degC] of the air at the first motor; "" if no curve is known."""
+    ambient = float(study.temperatures[0, study.motors.index(study.first)])
+    return f"{ambient:.3g}" if math.isfinite(ambient) else ""
+
+
+def _describe_first_motor(motor: MotorHeat, ambient: str) -> tuple[doc.Words, ...]:
+    """Describe the result of a motor, such as the time to the limit, and the motor itself.
+
+    ``ambient`` is the temperature of the air [degC], or "".
+    """
     time, final = motor.time_to_limit, motor.steady_temperature
     torque = f"{abs(motor.torque):.2f}"
     if motor.too_weak and motor.largest_torque is not None:
@@ -145,6 +155,7 @@ def _describe_first_motor(motor: MotorHeat) -> tuple[doc.Words, ...]:
         joint=doc.Name(motor.joint),
         torque=torque,
         loss="" if motor.loss is None else f"{motor.loss:.3g}",
+        ambient=ambient,
     )
     return result, cause
 

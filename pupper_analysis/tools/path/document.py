@@ -37,7 +37,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             height=f"{1e3 * tracking.height_error:.1f}",
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
-            share=format_share(used, ".0f"),
+            share=format_share(used),
             zero="0" if math.isinf(used) else "",
             unknown="unknown" if math.isnan(used) else "",
             joint=doc.Name(path.peak_joint),
@@ -92,7 +92,7 @@ def _describe_limit(path: StancePath) -> doc.Words | None:
         return None
     return text(
         "path-load-in-short",
-        share=format_share(path.peak_utilisation, ".0f"),
+        share=format_share(path.peak_utilisation),
         joint=doc.Name(path.peak_joint),
         time=f"{path.peak_time:.2f}",
     )

@@ -278,7 +278,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
         "load-of-motors",
         torque=format(torque, doc.widen_format(".2f", [torque])),
         unit=statics.torque_units[peak],
-        share=format_share(share, ".0f"),
+        share=format_share(share),
         zero="0" if math.isinf(share) else "",
         unknown="unknown" if math.isnan(share) else "",
         joint=doc.Name(statics.joint_names[peak]),

@@ -115,10 +115,8 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
     assert "A at 12 V" in second
     lacking = answer("heat", "v3", "--motor", "mit-mini-cheetah").stdout
     first, second, *_ = lacking.splitlines()
-    assert first.startswith(
-        "UNKNOWN v3: the winding settles at 25.2 °C; no limit known for MIT Mini"
-    )
-    assert second.startswith("  leg_back_r_3: 0.47 N m, 0.172 W in the winding; add --limit DEGC")
+    assert first.startswith("UNKNOWN v3: winding settles at 25.2 °C; no limit known for MIT Mini")
+    assert second.startswith("  leg_back_r_3: 0.47 N m, 0.172 W, air at 25 °C; add --limit DEGC")
     assert "next: pupper-analysis heat v3 --motor mit-mini-cheetah --limit 100" in lacking
     few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
     assert few.returncode == 1

@@ -306,5 +306,5 @@ def test_first_line_states_torque_and_utilisation_of_the_worst_posture() -> None
     worst = held.worst
     index = int(np.nanargmax(worst.utilisation))
     torque, share = abs(worst.joint_torques[index]), 100 * worst.utilisation[index]
-    assert line.short.startswith(f"worst posture: {torque:.3g} ")
+    assert line.short.startswith(f"worst posture {torque:.3g} ")
     assert line.short.endswith(f" = {share:.3g} % of the limit ({worst.joint_names[index]})")
