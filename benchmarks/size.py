@@ -34,7 +34,7 @@ SIZES = {
 }
 """{kind: numbers of moving links}."""
 
-TABLE = Path(__file__).resolve().parents[1] / "docs/data/size-measured.csv"
+TABLE = Path(__file__).resolve().parents[1] / "docs/data/crosscheck-size.csv"
 """CSV file of the measurements of the committed figure."""
 
 _COLUMNS = ("kind", "links", "seconds", "gigabytes")
