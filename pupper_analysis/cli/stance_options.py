@@ -692,14 +692,19 @@ def draw_requested_stand(
     stand: Stand,
     statics: GravityCompensation,
     path: Path | None,
+    result: Result,
     subject: str | None = None,
 ) -> None:
     """Draw a stand to the file of ``--figure``, and print the path; without a path, do nothing.
 
-    ``subject`` replaces the part of the title after the name of the robot.
+    The title contains the verdict of ``result``. ``subject`` replaces the part of the title after
+    the name of the robot.
     """
     if path is not None:
+        from pupper_analysis.present.documents.registry import make_document
         from pupper_analysis.present.figures.pose import DEFAULT_SUBJECT, write_pose_figure
 
-        write_pose_figure(robot, stand, statics, path, subject=subject or DEFAULT_SUBJECT)
+        verdict = make_document(result).verdict
+        subject = subject or DEFAULT_SUBJECT
+        write_pose_figure(robot, stand, statics, path, subject=subject, verdict=verdict)
         shared.confirm_written(path)

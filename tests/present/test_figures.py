@@ -197,6 +197,8 @@ def test_title_of_a_pose_states_what_was_computed() -> None:
         assert title == f"v3: stance and static contact forces {ground}"
     title = make_pose_figure(robot, stand, statics, subject="best stance").get_suptitle()
     assert title == "v3: best stance on rigid ground"
+    title = make_pose_figure(robot, stand, statics, verdict=Name("FAILS")).get_suptitle()
+    assert title == "FAILS v3: stance and static contact forces on rigid ground"
 
 
 @pytest.mark.parametrize(
@@ -207,6 +209,7 @@ def test_title_of_a_pose_states_what_was_computed() -> None:
         (["foot", "foot_left"], ["foot", "foot_left"]),
         (["a_x", "x_a"], ["a_x", "x_a"]),
         (["foot"], ["foot"]),
+        (["leg__x", "leg_y"], ["x", "y"]),
     ],
 )
 def test_short_names_omit_common_parts_if_they_remain_distinct(

@@ -43,7 +43,7 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.documents import registry, sources
 from pupper_analysis.present.documents.loads import mass_text, torque_plot
 from pupper_analysis.present.html import plots, write
-from pupper_analysis.present.html.write import serialise_scene
+from pupper_analysis.present.html.write import compute_extent, serialise_scene
 from pupper_analysis.present.scene import collect_visible_shapes, describe_scene
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.arm import arm
@@ -405,6 +405,8 @@ def test_view_contains_forces_masses_com_and_support_polygon() -> None:
     assert load_sum == pytest.approx(9.81 * robot.total_mass, rel=1e-4)
     assert sum(body["mass"] for body in drawn["bodies"]) == pytest.approx(robot.total_mass)
     assert drawn["com"] == pytest.approx(analysis().statics.center_of_mass, abs=1e-5)
+    without_statics = drawn_of(StandScene(robot, stand_of("v3"), None))
+    assert without_statics["com"] == drawn["com"]
     assert drawn["joints"][1]["torque"] == pytest.approx(-0.2)
     assert drawn["joints"][1]["motion"] == "roll"
     polygon = np.array(drawn["polygon"])
@@ -450,6 +452,23 @@ def test_coarse_sphere_is_a_sphere() -> None:
     assert len(coarse.faces) < 0.6 * len(triangles)
     assert np.abs(np.linalg.norm(coarse.vertices, axis=1) - 1).max() < 0.03
     assert volume(coarse.vertices, coarse.faces) == pytest.approx(4 / 3 * np.pi, rel=0.05)
+
+
+def test_extent_of_a_view_is_the_box_of_shapes_and_not_of_their_bounding_spheres() -> None:
+    """Reference: corners by hand: a plate of 600 x 40 x 20 mm, turned by 90 deg about z.
+
+    With bounding spheres, the box was 600 mm high, and the robot small in the view.
+    """
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body name="a" pos="0 0 1" euler="0 0 90">'
+        '<geom type="box" size=".3 .02 .01" pos=".1 0 0" mass="1"/></body></worldbody></mujoco>'
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    low, high = compute_extent(model, data)
+    np.testing.assert_allclose(low, (-0.02, -0.2, 0.99), atol=1e-9)
+    np.testing.assert_allclose(high, (0.02, 0.4, 1.01), atol=1e-9)
 
 
 def test_coarse_mesh_without_extent_is_a_point() -> None:

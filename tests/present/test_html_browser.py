@@ -25,6 +25,22 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader")
 
 
+def test_long_names_of_first_columns_do_not_cover_numbers_on_a_phone(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Reference: boxes of the words and of the cell. A name of 40 characters covered a column."""
+    name = "prototype_two_carbon_fibre_leg_front_r_3"
+    columns = (Column(Name("joint"), left=True), Column(Name("torque"), "N m"))
+    table = Table(Name("torques"), columns, ((Name(name), number_cell(1.0, ".3f")),))
+    pa.report.write_report(table, tmp_path / "report.html")
+    one = Opened(browser, tmp_path / "report.html", viewport={"width": 375, "height": 812})
+    cell = one.page.locator("tbody th").first
+    words = cell.locator(".name").bounding_box()
+    box = cell.bounding_box()
+    assert words["x"] + words["width"] <= box["x"] + box["width"]
+    one.close()
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     # Here, not at module level, so that each test is collected and reported as skipped.

@@ -73,6 +73,8 @@ _GRID_ZORDER = 0.5
 """Order in which Matplotlib draws a grid line: before bars, which have 1."""
 _LINE_ZORDER = 2.0
 """Order in which Matplotlib draws other lines; the default of Matplotlib."""
+_TICK_CLASSES = ("other", "limit")
+"""Classes of the HTML report's style sheet of the ticks beside a bar, which are upright."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
 """{class of the HTML report's style sheet: line width of a mark [pt]}. Other classes have the
 default width.
@@ -277,7 +279,10 @@ def _make_handle(name: str, kind: str) -> Artist:
         return Line2D([], [], ls="", label=name, **_make_dot(kind.split()[-1]))
     if kind == AREA_CLASS:
         return Patch(**_AREA_STYLE, label=name)
-    if kind in _CLASS_DASHES or kind == "s0" or kind == "other":
+    if kind in _TICK_CLASSES:  # upright, as drawn
+        colour, width = _CLASS_COLOURS[kind], _CLASS_WIDTHS[kind]
+        return Line2D([], [], ls="", label=name, marker="|", color=colour, mew=width, ms=9)
+    if kind in _CLASS_DASHES or kind == "s0":
         return Line2D([], [], label=name, **_make_line_style(kind, 1.3))
     return Patch(color=_CLASS_COLOURS.get(kind, kind), label=name)
 
@@ -316,7 +321,8 @@ def shorten_names(names: Sequence[str]) -> list[str]:
     """
     parts = [name.split("_") for name in names]
     short = [
-        "_".join(part for part in own if not all(part in other for other in parts)) for own in parts
+        "_".join(part for part in own if part and not all(part in other for other in parts))
+        for own in parts
     ]
     return short if all(short) and len({*short}) == len(names) else list(names)
 

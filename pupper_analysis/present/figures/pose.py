@@ -28,7 +28,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ig
 from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.models.shapes import Mesh, Shape, get_mesh, read_shape
 from pupper_analysis.present import colours
-from pupper_analysis.present.document import format_widened, get_english
+from pupper_analysis.present.document import Words, format_widened, get_english
 from pupper_analysis.present.documents.standing import ground_word
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.scene import (
@@ -346,24 +346,28 @@ def write_pose_figure(
     path: str | Path,
     *,
     subject: str = DEFAULT_SUBJECT,
+    verdict: Words | None = None,
 ) -> None:
     """Draw links, contact forces, centre of mass and support polygon of a stand as PNG.
 
     The left panel is an oblique view, the right panel a view from above. ``subject`` is the part of
-    the title after the name of the robot.
+    the title after the name of the robot, ``verdict`` the part before, such as FAILS.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
         OutputError: If the file cannot be written, or is an existing file of another kind.
     """
-    drawing.save_figure(make_pose_figure(robot, stand, statics, subject=subject), path)
+    drawing.save_figure(
+        make_pose_figure(robot, stand, statics, subject=subject, verdict=verdict), path
+    )
 
 
-def _make_title(robot: Robot, stand: Stand, subject: str) -> str:
-    """Return the title of the figure: robot, subject, ground, violated clearances and margins."""
+def _make_title(robot: Robot, stand: Stand, subject: str, verdict: Words | None) -> str:
+    """Return the title of the figure: verdict, robot, subject, ground, violated clearances and margins."""
     violations = "; ".join(map(str, stand.blocked))
     ground = f" {get_english(ground_word(stand.depths.values()))}" if stand.stance_feet else ""
-    return f"{robot.name}: {subject}{ground}{violations and f'; {violations}'}"
+    judged = "" if verdict is None else f"{get_english(verdict)} "
+    return f"{judged}{robot.name}: {subject}{ground}{violations and f'; {violations}'}"
 
 
 def _wrap_caption(caption: str) -> list[str]:
@@ -385,25 +389,28 @@ def make_pose_figure(
     create: Callable[..., Figure] = Figure,
     *,
     subject: str = DEFAULT_SUBJECT,
+    verdict: Words | None = None,
 ) -> Figure:
     """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
-    ``subject`` is the part of the title after the name of the robot. ``create`` returns an empty
-    figure, as ``pyplot.figure`` does.
+    ``subject`` is the part of the title after the name of the robot, ``verdict`` the part before.
+    ``create`` returns an empty figure, as ``pyplot.figure`` does.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    title = textwrap.wrap(_make_title(robot, stand, subject), _TITLE_LETTERS)
+    title = textwrap.wrap(_make_title(robot, stand, subject, verdict), _TITLE_LETTERS)
     height = 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure("\n".join(title), height, create=create)
     mass = format_widened(robot.total_mass, ".2f")
     text = f"{stand.task}; mass {mass} kg; minimum tangential contact forces"
     rows = _wrap_caption(text)
     top = 0.925 - _TITLE_ROW_HEIGHT * (len(title) - 1)
-    caption = figure.text(drawing.TITLE_PLACE, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
-                          parse_math=False)  # fmt: skip
+    caption = figure.text(
+        drawing.TITLE_PLACE, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
+        parse_math=False,
+    )  # fmt: skip
     bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
         axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, bottom - 0.18))

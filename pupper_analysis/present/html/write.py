@@ -123,7 +123,7 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
         ],
         "ground": round_values(seen.ground_centre),
         "normal": round_values(seen.ground_normal),
-        "com": None if statics is None else round_values(seen.com),
+        "com": round_values(seen.com),
         "below": round_values(seen.com_projection),
         "layers": ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"],
         "size": float(np.ptp(seen.contact_positions, axis=0).max() + stand.qpos[2]),
@@ -229,14 +229,16 @@ def round_values(values: ArrayLike) -> list[Any]:
 def compute_extent(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     """Compute the axis-aligned box around the visible geoms and body frames of a model.
 
-    The box contains the bounding spheres of the geoms and the origins of the frames. The kinematics
-    of ``data`` must be evaluated.
+    The box contains the boxes of the geoms (``geom_aabb``) and the origins of the frames. The
+    kinematics of ``data`` must be evaluated.
 
     Returns:
         Lower and upper bounds, shape (3,) [m], in the world frame.
     """
     own = select_visible_geoms(model)
-    middle, reach = data.geom_xpos[own], model.geom_rbound[own, None]
+    boxes, rotations = model.geom_aabb[own], data.geom_xmat[own].reshape(-1, 3, 3)
+    middle = data.geom_xpos[own] + np.einsum("nij,nj->ni", rotations, boxes[:, :3])
+    reach = np.einsum("nij,nj->ni", np.abs(rotations), boxes[:, 3:])
     frames = data.xpos[1:]
     ends = np.concatenate([middle - reach, middle + reach, frames])
     return ends.min(axis=0), ends.max(axis=0)

@@ -197,6 +197,7 @@ def _compare_variants(
 
 def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     """Write the figures of the analyses into a folder, and print the folder."""
+    from pupper_analysis.present.documents.registry import make_document
     from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants
@@ -206,7 +207,8 @@ def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) 
         for number, (robot, analysis) in enumerate(zip(robots, analyses, strict=True)):
             report_progress("figures", number, count)
             path = folder / f"pose_{analysis.name}.png"
-            write_pose_figure(robot, analysis.stand, analysis.statics, path)
+            verdict = make_document(analysis).verdict
+            write_pose_figure(robot, analysis.stand, analysis.statics, path, verdict=verdict)
         for number, (name, draw) in enumerate(FIGURES.items(), start=len(robots)):
             report_progress("figures", number, count)
             draw(analyses, folder / name)

@@ -71,6 +71,6 @@ def command(
         result = replace(result, best=replace(result.best, payload=payload))
     request.show(result, robot)
     subject = f"best stance for {objective}, and static contact forces"
-    draw_requested_stand(robot, result.stance.stand, result.stance.statics, figure, subject)
+    draw_requested_stand(robot, result.stance.stand, result.stance.statics, figure, result, subject)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import floor_within_rounding
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, text
 from pupper_analysis.present.documents.loads import view_block
@@ -83,7 +84,7 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         hardest = max(unlimited, key=lambda joint: float(peaks[joint]))
         yield text(
             "push-unknown",
-            impulse=doc.format_widened(recovery.weakest_impulse, ".2f"),
+            impulse=_format_weakest_impulse(recovery),
             direction=f"{math.degrees(recovery.weakest_direction):.0f}",
             torque=f"{float(peaks[hardest]):.3g} {pushed.torque_units[hardest]}",
             hardest=doc.Name(names[hardest]),
@@ -94,10 +95,10 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         "weakest-at-directiondeg-impulse",
         direction=str(degrees),
         side=text(_SIDES[degrees]) if degrees in _SIDES else "",
-        rounded=_round_impulse_down(recovery.weakest_impulse, recovery.resolution),
+        rounded=_format_weakest_impulse(recovery),
         count=len(recovery.directions),
         one=len(recovery.directions) == 1,
-        impulse=doc.format_widened(recovery.weakest_impulse, ".2f"),
+        impulse=_format_weakest_impulse(recovery),
         speed=doc.format_widened(recovery.weakest_impulse / recovery.mass, ".2f"),
         mass=doc.format_widened(recovery.mass, ".2f"),
     )
@@ -112,10 +113,14 @@ _SIDES = {0: "push-to-front", 90: "push-to-left", 180: "push-to-back", 270: "pus
 """{angle from forward, about the vertical axis [deg]: key of the name of this direction}."""
 
 
-def _round_impulse_down(impulse: float, resolution: float) -> str:
-    """Return an impulse [N s] with as many decimals as its resolution [N s] has, rounded down."""
-    decimals = max(0, -math.floor(math.log10(resolution)))
-    return f"{math.floor(impulse * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
+def _format_weakest_impulse(recovery: PushRecovery) -> str:
+    """Return the weakest impulse [N s], rounded down to the decimals of the resolution.
+
+    A push with the printed impulse does not exceed the largest survived push.
+    """
+    decimals = max(0, -math.floor(math.log10(recovery.resolution)))
+    shown = floor_within_rounding(recovery.weakest_impulse * 10**decimals) / 10**decimals
+    return f"{shown:.{decimals}f}"
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
@@ -191,7 +196,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
             doc.Name(name),
             recovery.directions,
             recovery.impulses,
-            note=doc.Name(f"{doc.format_widened(recovery.weakest_impulse, '.2f')} N s"),
+            note=doc.Name(f"{_format_weakest_impulse(recovery)} N s"),
             marked_index=int(np.argmin(np.abs(recovery.directions - recovery.weakest_direction))),
         )
         for name, recovery in pushed.items()

@@ -115,7 +115,7 @@ def command(
     if csv is not None:
         result.to_csv(csv)
         shared.confirm_written(csv)
-    draw_requested_stand(robot, result.stand, result.statics, figure)
+    draw_requested_stand(robot, result.stand, result.statics, figure, result)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
 

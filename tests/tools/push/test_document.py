@@ -11,9 +11,10 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import NextStep, Table, get_english, text
+from pupper_analysis.present.document import Document, Name, NextStep, Table, get_english, text
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.html.plots import BOTTOM_MARGIN, draw_svg
+from pupper_analysis.present.plots import make_joint_title
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.robot.as_published import Cause, Published
@@ -115,6 +116,20 @@ def test_push_figure_is_written_with_white_edges(tmp_path: Path) -> None:
     for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
         assert (edge[:, :3] == 1.0).all()  # nothing is cut off
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_push_figure_is_titled_and_its_legend_rounds_limits_down() -> None:
+    """Reference: a limit of 0.4384 N s, found to within 0.0004 N s, of a robot of 0.0032 kg."""
+    recovery = pushes(0.0)
+    recovery.weakest_impulse, recovery.resolution = 0.43849, 4e-4
+    plot = push_plot({"tiny": recovery}, "tiny")
+    assert str(plot.series[0].note) == str(Name("0.4384 N s"))
+    documents = [
+        Document(Name("Pushes"), Name(name), (), verdict=Name(verdict))
+        for name, verdict in (("a", "FAILS"), ("b", "WITHSTANDS"))
+    ]
+    assert make_joint_title(documents[:1]) == Name("FAILS a: Pushes")
+    assert make_joint_title(documents) == Name("FAILS a, WITHSTANDS b: Pushes")
 
 
 def test_push_figure_of_no_robot_or_too_many_robots_is_refused(tmp_path: Path) -> None:

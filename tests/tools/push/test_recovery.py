@@ -185,6 +185,19 @@ class Bench:
         return [None if self.survives(*pair) else f"{pair[1]:.3f}" for pair in pairs]
 
 
+@pytest.mark.parametrize(
+    ("smallest", "resolution"),
+    [(2.4, 0.02), (0.4, 0.02), (0.399, 0.01), (8.3e-4, 4e-5), (np.inf, 0.02), (1e-9, 1e-6)],
+)
+def test_default_resolution_suits_small_robots(smallest: float, resolution: float) -> None:
+    """Reference: 5 % of the smallest tipping estimate, in one digit, from 1e-6 to 0.02 N s.
+
+    A robot of 3 g tips at 8.3e-4 N s: with 0.02 N s, each limit was 0.
+    """
+    estimate = np.array([3.0, smallest, np.inf])
+    assert push._choose_resolution(estimate) == resolution
+
+
 def test_smaller_push_that_fails_is_found() -> None:
     """Direction 1 does not survive pushes between 2 and 4 N s, but larger ones again up to 9."""
 
