@@ -84,7 +84,7 @@ def command(
       pupper-analysis audit --list-rules
       pupper-analysis audit robot.urdf.xacro --xacro --xacro-arg camera=true
 
-    Exit status: 0 no finding as severe as --fail-on, 1 there is such a finding, 2 bad input.
+    Exit status: 0 all findings are less severe than --fail-on, 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats

@@ -38,11 +38,12 @@ def command(
 ) -> None:
     """Search for the best stance: the pose of the base and the position of each foot are free.
 
-    OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
-    polygon) or payload (largest, at --payload-at). The search starts from the given stance (as for
-    `stand`) and keeps its ground, swing feet and margins. The search takes some seconds, for a
-    payload up to minutes. The result is then printed and simulated as by `stand`. With
-    --continuous, the motors are limited to torques that they exert permanently, as for `payload`.
+    OBJECTIVE is utilisation (smallest peak of torque / limit), margin (largest distance of the CoM
+    from the edge of the support polygon) or payload (largest mass at --payload-at). The
+    search starts from the given stance (as for `stand`) and keeps its ground, swing feet and
+    margins. The search takes some seconds, for a payload up to minutes. The result is then
+    printed and simulated as by `stand`. With --continuous, the motors are limited to torques
+    that they exert permanently, as for `payload`.
 
     \b
     Examples:
@@ -52,7 +53,7 @@ def command(
         --self-clearance 4mm
 
     Exit status: 0 the stance (and its payload) holds, 1 the stance fails in simulation,
-    2 the stance itself is out of reach or not holdable, or bad input.
+    2 the given stance is out of reach or has no equilibrium, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.robot.build import with_efforts
     from pupper_analysis.tools.best.best import study_best

@@ -17,7 +17,7 @@ from pupper_analysis.cli.modes import refuse_unused
 @click.argument("folder", type=click.Path(path_type=Path), required=False)
 @shared.file_option(
     "--config",
-    help="Configuration file. By default pupper-analysis.toml in FOLDER or one above it.",
+    help="Configuration file. By default pupper-analysis.toml in FOLDER or in a folder above it.",
 )
 @click.option(
     "--update-baseline",
@@ -50,13 +50,13 @@ def command(
 ) -> None:
     """Cross-check and audit all models that pupper-analysis.toml lists, e.g. in a repository's CI.
 
-    FOLDER contains the file, or is below its folder; by default the current folder.
+    The file is in FOLDER or in a folder above it; by default FOLDER is the current folder. Paths in
+    the file are relative to the folder of the file.
 
-    Findings that the baseline lists with the same value pass, so an existing robot can be guarded
-    from today on: only a difference or finding that is new or has changed fails. Paths are relative
-    to the file. With --since, what an MJCF alone states (contacts, options, keyframes, servos) is
-    compared with an older revision, and a robot that falls now fails. docs/how-to/check.md has an
-    example, the GitHub Action and the pre-commit hook.
+    The baseline lists accepted findings with their values. Only a finding that is new or has
+    another value fails. With --since, each MJCF is compared with an older revision: contacts,
+    options, keyframes and servos. A change that makes the robot fall fails. docs/how-to/check.md
+    contains an example, the GitHub Action and the pre-commit hook.
 
     \b
     A minimal pupper-analysis.toml:
@@ -66,7 +66,7 @@ def command(
       mjcf = "mjcf/go1.xml"
 
     \b
-    Many models, by patterns; * stands for the same in both:
+    Many models, by patterns; * represents the same text in both patterns:
       [[pair]]
       name = "robots"
       urdf = "urdf/*.urdf"
@@ -82,8 +82,8 @@ def command(
       pupper-analysis check --config robots/pupper-analysis.toml --format github
       pupper-analysis check --format sarif --json check.json
 
-    Exit status: 0 no new finding is as severe as fail-on, 1 there is one or a model cannot be
-    read, 2 bad input.
+    Exit status: 0 all new findings are less severe than fail-on, 1 otherwise, or if a model cannot
+    be read, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.tools.check import document as report

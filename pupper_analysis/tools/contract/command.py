@@ -66,9 +66,9 @@ def command(
         policy.json -v
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
-    Exit status: 0 no disagreement as severe as --fail-on, 1 there is one, 2 bad input. Also 1 if a
-    source, a quantity or a joint name was not compared, or if there was nothing to compare, except
-    with --fail-on error.
+    Exit status: 0 all differences are less severe than --fail-on, 1 otherwise, 2 bad input.
+    Also 1 if a source, a quantity or a joint name was not compared, or if there was nothing to
+    compare, except with --fail-on error.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
     from pupper_analysis.present.document import NextStep

@@ -66,12 +66,12 @@ def command(
 
     Both models are compared in both engines, and body by body. Each difference is shown with the
     lines in both files and the effect on the dynamics, the most important difference first. The
-    list is checked for completeness. The placement of link frames does not count. Joints are
+    list is checked for completeness. Other positions of link frames are no differences. Joints are
     matched by --map, by name, by name without prefixes and suffixes, and finally by structure
     (which is then printed).
 
-    SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
-    free base, differ, so that the same joint angles are another pose. The exit status is then 1.
+    SAME ROBOT, DIFFERENT CONVENTIONS: only the zero angles of joints or the frame of a free base
+    differ. Equal joint angles then mean different poses, so the exit status is 1.
 
     \b
     Examples:

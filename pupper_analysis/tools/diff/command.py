@@ -39,9 +39,9 @@ def command(
     """Show the changes of the robot between OLD and NEW: two URDFs, or two MJCFs.
 
     The change in total mass comes first. Each changed number is shown with the lines in both files
-    and the effect on the dynamics, then the largest change of a torque that holds the links in the
-    air, with a held base (-v: all joints).
-    Moved text and other ways to write the same numbers are not changes. OLD or NEW may be
+    and the effect on the dynamics. The largest change of a gravity torque follows, for a base that
+    is held in the air (-v: all joints). Changes of the text without a change of numbers are
+    ignored. OLD or NEW may be
     REVISION:PATH, a file in git's history, or the name of a variant.
 
     \b

@@ -68,8 +68,8 @@ def command(
     """Predict the temperature of the motors of a stance, and the battery current.
 
     The torque of each joint at rest determines the motor current, the copper loss, and the
-    temperature of the winding over time. Robot and stance are given as for `stand`. Numbers that
-    the data of a motor do not state are named, not guessed.
+    temperature of the winding over time. Robot and stance are given as for `stand`. If the
+    data of a motor lack a number, the output names the number; no value is assumed.
 
     \b
     Examples:

@@ -67,16 +67,17 @@ def command(
 ) -> None:
     """Hold a posture with the base fixed: motor torques, sag, and simulation of the posture.
 
-    For arms, hands, and any robot that is bolted down. Gravity torques are computed by Pinocchio
-    from the URDF and by MuJoCo from the MJCF, and compared with the motors' limits; the sag of the
-    position servos is predicted at each joint and at the tool; then MuJoCo simulates 12 s with
-    feed-forward and 12 s without, and nudges the robot. Also: the worst posture of each motor that
-    a search finds; the largest payload at the tool, here and in the worst posture found; and the
-    largest force at the tool that the motors withstand, each way.
+    For arms, hands, and any robot that is bolted down. Pinocchio computes gravity torques from the
+    URDF, and MuJoCo from the MJCF. They are compared with the motors' limits. The sag of the
+    position servos is predicted at each joint and at the tool. MuJoCo then simulates 12 s with
+    feed-forward and 12 s without, and nudges the robot.
 
-    Joints not named by --joints have the position in a keyframe of the MJCF, or else the middle of
-    their range (0 without limits). Missing servos are added, which a note reports, unless --as-is
-    is given.
+    Three further results: the worst posture of each motor, by a search; the largest payload at the
+    tool, in this posture and in the worst posture; and the largest force at the tool that the
+    motors withstand, in each direction.
+
+    Joints without --joints have the position of the keyframe, or are in the middle of their range
+    (0 without limits). Missing servos are added, with a note, unless --as-is is given.
 
     \b
     Examples:

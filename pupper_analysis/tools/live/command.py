@@ -144,8 +144,9 @@ def command(
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
 
-    Exit status: 0 done, with --drop the robot stands, 1 with --drop the robot does not stand, or
-    its files contradict the result or lack masses, 130 ended by Ctrl-C, 2 bad input.
+    Exit status: 0 done (with --drop: the robot stands), 1 with --drop: the robot does not stand,
+    its unmodified file may behave differently, or a mass is unknown, 130 ended by Ctrl-C, 2 bad
+    input.
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")

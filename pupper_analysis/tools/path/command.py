@@ -60,7 +60,7 @@ def command(
         --motor steadywin-gim4305-10
 
     Exit status: 0 the robot follows the path, 1 the verdict does not pass (for example, the robot
-    does not follow), 2 out of reach, not holdable or bad input.
+    does not follow), 2 out of reach, no equilibrium or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.path.tracking import study_path
 

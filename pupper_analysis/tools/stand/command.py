@@ -72,7 +72,7 @@ def command(
     length without unit that is probably in mm is refused.
 
     A stance that is out of reach is refused, and the message states the possible values. A stance
-    that is reached but cannot be held (the robot slides or tips) is reported as such. In
+    within reach but without equilibrium (the robot slides or tips) is refused, too. In
     simulation the legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
     ground.
 
@@ -94,7 +94,7 @@ def command(
         --foot RL=RL_foot --foot RR=RR_foot --kp 20 --kd 0.5 --kp '*calf*=30'
 
     Exit status: 0 the stance holds, 1 the verdict does not pass (for example, the stance fails in
-    simulation), 2 out of reach, not holdable or bad input.
+    simulation), 2 out of reach, no equilibrium or bad input.
     """  # noqa: D301 - click reads the \b
     if explain:
         refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})

@@ -131,7 +131,7 @@ def command(
       pupper-analysis study legs.toml -o legs/ --dask tcp://host:8786
 
     Exit status: 0 all designs were evaluated, 1 no design has a value of a metric, or the files of
-    a written design give other numbers, 2 bad input, 130 interrupted.
+    a written design give other metrics, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.published import is_published_name
     from pupper_analysis.present.document import NextStep

@@ -22,8 +22,8 @@ def command(
 ) -> None:
     """Find the range in which the base can rise, shift, roll, pitch and yaw from a stance.
 
-    The feet stay planted. Each direction is searched separately, up to the first pose without a
-    stand; very short gaps are skipped. Robot and stance are given as for `stand`.
+    The feet stay planted. Each direction is searched separately, up to the first pose of the base
+    without a solution; very short gaps are skipped. Robot and stance are given as for `stand`.
 
     \b
     Examples:
