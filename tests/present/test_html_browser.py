@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
+from pupper_analysis.present.document import Column, Name, Table, number_cell
 from pupper_analysis.tools.analyze.document import compare_with_base, comparison_table
 from tests.present.test_html import EVIL, analysis, evil_analysis
 from tests.support.patience import PATIENCE

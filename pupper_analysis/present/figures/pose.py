@@ -363,7 +363,7 @@ def write_pose_figure(
 
 
 def _make_title(robot: Robot, stand: Stand, subject: str, verdict: Words | None) -> str:
-    """Return the title of the figure: verdict, robot, subject, ground, violated clearances and margins."""
+    """Return the title: verdict, robot, subject, ground, violated clearances and margins."""
     violations = "; ".join(map(str, stand.blocked))
     ground = f" {get_english(ground_word(stand.depths.values()))}" if stand.stance_feet else ""
     judged = "" if verdict is None else f"{get_english(verdict)} "
