@@ -296,6 +296,10 @@ OPTIONS_OF_LOADING: Final = {
 """{keyword argument of ``load_robot``: command-line option}, for errors about these options."""
 
 
+PREPARING_ROBOT: Final = "preparing the robot: feet, start pose, servos"
+"""Progress message during the preparation of a robot, including its postponed steps."""
+
+
 def load_files(files: RobotFiles, **more: Any) -> Robot:
     """Load a robot from files, and show the progress on standard error; print no notes.
 
@@ -303,7 +307,7 @@ def load_files(files: RobotFiles, **more: Any) -> Robot:
         files: Files and options of the user.
         **more: Further keyword arguments of ``load_robot``.
     """
-    with shared.show_progress("preparing the robot: feet, start pose, servos"):
+    with shared.show_progress(PREPARING_ROBOT):
         return files.load(**more)
 
 
@@ -363,6 +367,8 @@ def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
         robot: Robot.
         everything: True to print all notes, and to count none.
     """
+    with shared.show_progress(PREPARING_ROBOT):
+        robot.complete_stages()
     print_warnings(robot, everything=everything)
     if not everything:
         hide_notes(robot)

@@ -21,6 +21,7 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
+    PREPARING_ROBOT,
     VARIANT_OPTIONS,
     Command,
     RobotOptions,
@@ -246,17 +247,17 @@ class RobotAndTask:
 
         For text output, warnings about a robot from files are printed at the end of the command.
         """
-        robot = self._apply_options(
-            load_selected_robot(
-                selection, fixed_base=self.fixed_base, as_is=self.as_is, visuals=visuals
-            )
+        robot = load_selected_robot(
+            selection, fixed_base=self.fixed_base, as_is=self.as_is, visuals=visuals
         )
-        if (
-            isinstance(selection, RobotFiles) and self.style == "text"
-        ):  # Markdown output contains the notes
-            # The result is printed first; an error of the command is printed after the warnings.
-            if not self.everything:
+        # Markdown output contains the notes.
+        prints_notes = isinstance(selection, RobotFiles) and self.style == "text"
+        with shared.show_progress(PREPARING_ROBOT):  # postponed steps such as servo tuning
+            robot = self._apply_options(robot)
+            if prints_notes and not self.everything:
                 hide_notes(robot)
+        if prints_notes:
+            # The result is printed first; an error of the command is printed after the warnings.
             context = click.get_current_context()
             context.call_on_close(partial(print_warnings, robot, everything=self.everything))
         return robot

@@ -12,6 +12,7 @@ import pytest
 from pupper_analysis.base.progress import ProgressClock, observe_progress, report_progress
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import format_progress
+from pupper_analysis.robot.robot import Robot
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -113,3 +114,31 @@ def test_commands_about_files_show_progress(
     result = answer(*(word.format(**files) for word in arguments), folder=tmp_path)
     assert result.returncode in (0, 1), result.stderr
     assert len(shown) == 1
+
+
+@pytest.mark.slow
+def test_stand_shows_progress_during_postponed_preparation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The servo tuning of a URDF without servos simulates for several seconds."""
+    active: list[str] = []
+    during: list[list[str]] = []
+    complete = Robot.complete_stages
+
+    @contextmanager
+    def record(what: str) -> Iterator[None]:
+        active.append(what)
+        yield
+        active.pop()
+
+    def complete_stages(robot: Robot) -> None:
+        if "_deferred_stages" in vars(robot):
+            during.append([*active])
+        complete(robot)
+
+    monkeypatch.setattr(shared, "show_progress", record)
+    monkeypatch.setattr(Robot, "complete_stages", complete_stages)
+    shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "robot.urdf")
+    answer("stand", "robot.urdf", folder=tmp_path)
+    assert during
+    assert all(during)

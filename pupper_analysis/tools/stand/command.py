@@ -13,7 +13,7 @@ import click
 from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
-from pupper_analysis.cli.robots import RobotOptions, robot_argument
+from pupper_analysis.cli.robots import PREPARING_ROBOT, RobotOptions, robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
     draw_requested_stand,
@@ -152,9 +152,7 @@ def _explain_preparation(
             models, options = selected.models, selected.options
         else:
             models, options = (find_model(selected, "urdf"), find_model(selected, "mjcf")), {}
-        resources.enter_context(
-            shared.show_progress("preparing the robot: feet, start pose, servos")
-        )
+        resources.enter_context(shared.show_progress(PREPARING_ROBOT))
         resources.enter_context(silence_mujoco())
         load_request = LoadRequest(
             feet=parse_feet(options["feet"]) if "feet" in options else None,
