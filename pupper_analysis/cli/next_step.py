@@ -60,7 +60,8 @@ def complete_command(step: NextStep | None) -> str:
 
     Returns:
         Command line; empty without a step, or if no such line is possible, for example because the
-        next command needs more files than were typed.
+        next command needs more files than were typed. Empty as well for a repetition with ``-v`` if
+        the user typed ``-v``.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -91,7 +92,8 @@ def complete_command(step: NextStep | None) -> str:
     )
     first, last = step.words[:split], step.words[split:]
     words = [step.command, *first, *robot, *options, *last]
-    return "" if "-" in words else f"{GENERATOR_NAME} {shlex.join(words)}"
+    repeated = "-v" in last and context.params.get("everything")
+    return "" if "-" in words or repeated else f"{GENERATOR_NAME} {shlex.join(words)}"
 
 
 def _replace_step_of_weld(

@@ -36,8 +36,9 @@ from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 100
-"""Maximum width [characters] of the line of joined messages in a short answer; a first message that
-cannot be cut may be wider. Messages beyond the width are only counted. Chosen, not tuned.
+"""Maximum width [characters] of each line of messages in a short answer. A message that is too
+wide is cut at the end of a clause; a message without such an end may be wider. In the second line,
+messages beyond the width are only counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -211,7 +212,10 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     line.append(title, "bold")
     if messages:
         line.append(": ")
-        line.append_text(_style_words(messages[0], short=short))
+        first = _style_words(messages[0], short=short)
+        line.append_text(
+            _end_at_clause(first, MAX_ANSWER_WIDTH - cell_len(line.plain)) if short else first
+        )
     _print_line(out, line)
     if short:
         joined = _join_short_messages(messages[1:])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from pupper_analysis.base.diagnostics import (
@@ -146,8 +146,12 @@ def get_verdict_key(verdict: Verdict) -> str:
         return "DISAGREES"
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
-        return "HOLDS with feed-forward"
+        return _QUALIFIED_KEY
     return _VERDICT_WORDS[verdict.question][0 if verdict.passed else 1]
+
+
+_QUALIFIED_KEY = "HOLDS with feed-forward"
+"""Key of the verdict that the stand holds only with gravity compensation."""
 
 
 def _disagrees(verdict: Verdict) -> bool:
@@ -337,6 +341,8 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
             none was converted.
     """
     word = text(key)
+    if converted and key == _QUALIFIED_KEY:  # the restriction leaves no room for the long form
+        word = replace(word, short=text("HOLDS with feed-forward, in short").en)
     good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
     return (
         text("verdict-from-one-file", word=word, file=name_only_format(converted)) if good else word

@@ -64,11 +64,11 @@ def test_payload_and_hold_name_a_motor_that_cannot_exert_the_torque(
     status, out, err = run_command(capfd, "payload", "v3", "--continuous", str(path))
     assert status == 1, err
     line = out.splitlines()[0]
-    assert re.search(r"_3 must exert 0\.47\d* N m, its motor exerts 0\.4 N m \(current", line)
+    assert re.search(r"_3 needs 0\.47\d* N m, its motor exerts 0\.4 N m \(current", line)
     words = ("--continuous", str(path), "--joints", "leg_front_r_2=80deg", "--payload", "2")
     status, out, err = run_command(capfd, "hold", "v3", *words)
     assert status == 1, err
-    assert "must exert" in out.splitlines()[0]
+    assert "needs" in out.splitlines()[0]
 
 
 @pytest.mark.slow

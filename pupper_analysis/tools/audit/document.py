@@ -109,11 +109,13 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
     flawed = any(finding.severity is not Severity.NOTE for finding in audit.findings)
     if flawed and simulated and list_unique_repairs([audit]):
         return doc.NextStep("audit", ("--fix",))
-    if not audit.passed:
-        return None
+    if not audit.passed:  # to be repaired by hand: -v prints the lines and what to do
+        return doc.NextStep("audit", ("-v",))
     if not simulated and not is_published_name(audit.file):
         return None
-    return doc.NextStep("stand" if audit.floating else "hold")
+    # Without meshes, a robot may lack its feet; `hold` needs no meshes.
+    complete = not any(finding.rule == "mesh-missing" for finding in audit.findings)
+    return doc.NextStep("stand" if audit.floating and complete else "hold")
 
 
 def _pluralise_severity(severity: str, count: int) -> str:

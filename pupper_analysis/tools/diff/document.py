@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeGuard
 
 from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.base.results import shorten
@@ -74,14 +75,42 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
     first = diff.changes[0]  # line 2 contains the masses, not a change
     subject = first.diagnostic.subject
     name = doc.Name(first.element if subject is None else subject.name)
-    return text("changes-first", changes=changes, one=count == 1, kind=word(first.kind), name=name)
+    named = text("changes-first", changes=changes, one=count == 1, kind=word(first.kind), name=name)
+    if not (_is_number(first.old) and _is_number(first.new)):
+        return named
+    old_text, new_text = format_pair(first.old, first.new, ".4g")
+    change = text(
+        "change-of-value",
+        name=name,
+        kind=word(first.kind),
+        old=old_text,
+        new=f"{new_text} {first.unit}".rstrip(),
+        change=_format_percent(first.old, first.new),
+        more=count - 1 or None,
+    )
+    return replace(named, short=change.en)
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    """Return True for a finite number."""
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and math.isfinite(value)
 
 
 def _select_next_command(diff: ModelDiff) -> str:
-    """Return the command that computes the changed load of the motors, or else `audit`."""
+    """Return the command that computes the changed load of the motors, or else `audit`.
+
+    A robot whose mesh files are missing may lack its feet: `audit` states the files.
+    """
+    if any(note.code in _MISSING_MESH_CODES for note in diff.notes):
+        return "audit"
     if diff.floating and _format_percent(*diff.mass):
         return "stand"
     return "hold" if _list_changed_torques(diff) and not diff.floating else "audit"
+
+
+_MISSING_MESH_CODES = ("meshes-missing", "files-missing")
+"""Codes of the notes on missing mesh files of a URDF, and of an MJCF."""
 
 
 def _format_title(diff: ModelDiff) -> doc.Text:

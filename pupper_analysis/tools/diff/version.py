@@ -112,6 +112,10 @@ def _read_urdf_version(file: UrdfFile) -> Version:
     for joint in tree.joints.values():
         joint.remove("mimic")
     kinds = {name: joint.kind for name, joint in tree.joints.items()}
+    meshes = dict.fromkeys(mesh.get("filename", "") for mesh in file.root.iter("mesh"))
+    missing = [mesh for mesh in meshes if file.resolve_mesh(mesh) is None]
+    packages = any("://" in mesh for mesh in missing)
+    lost = [diagnose("meshes-missing", files=missing, packages=packages)] if missing else []
     _, fixed, held = fix_other_joints(root)
     base, stated = tree.base.name, read_urdf_model(file)
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
@@ -126,7 +130,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
         elements=list_collisions(stated),
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
-        notes=(*file.notes, *held),
+        notes=(*file.notes, *lost, *held),
         inertials={
             name: link.inertial for name, link in stated.links.items() if link.inertial is not None
         },

@@ -28,7 +28,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     path, tracking = there.path, there.tracking
     used = path.peak_utilisation
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
-    place = f" of the limit ({path.peak_joint}, {path.peak_time:.2f} s)"
+    place = f" of the limit ({path.peak_joint})"
     answer = (
         text(
             "path-in-short",

@@ -141,7 +141,7 @@ def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
     assert diff.mass[1] - diff.mass[0] == pytest.approx(3.0, abs=1e-12)
     lines = answer("diff", *(str(tmp_path / f"{version}.urdf") for version in ("old", "new")))
     first, second, *_ = lines.stdout.splitlines()  # short names, and both masses
-    assert first.startswith("DIFFERENT old.urdf and new.urdf: 1 change")
+    assert first.startswith("DIFFERENT old.urdf and new.urdf: base mass 6 -> 9 kg (+50 %)")
     old, new = diff.mass
     assert second.startswith(f"  total mass {old:.6g} -> {new:.6g} kg (+")
     back = diff_of(tmp_path, other, ROBOT, "urdf")
@@ -400,7 +400,7 @@ def test_a_revision_is_read_from_git(repository: Path, given: str) -> None:
     line = text[: text.index('value="6.0"')].count("\n") + 1
     result = run(repository, given, "robot.urdf")
     assert result.returncode == 1
-    assert f"DIFFERENT {given} and robot.urdf: 1 change" in result.stdout
+    assert f"DIFFERENT {given} and robot.urdf: base mass 6 -> 6.5 kg" in result.stdout
     assert f"HEAD:robots/robot.urdf:{line}   robot.urdf:{line}" in result.stdout
 
 

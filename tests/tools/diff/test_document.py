@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import FileFinding, Lines, Number, Table, get_english
+from pupper_analysis.present.document import FileFinding, Lines, Number, Table, Text, get_english
+from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.audit.document import audit_document
 from pupper_analysis.tools.diff.document import diff_document
 from tests.support.robots import change_part, pendulum, quadruped, urdf_text
 
@@ -155,4 +157,26 @@ def test_one_edited_mass_is_the_answer_if_links_are_fixed_to_the_body(tmp_path: 
 
 def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
     diff = diff_urdfs(tmp_path, urdf_text(pendulum(), []), urdf_text(pendulum(mass=3.0), []))
-    assert get_english(diff_document(diff).findings[0]) == "1 change: mass of bob"
+    line = diff_document(diff).findings[0]
+    assert get_english(line) == "1 change: mass of bob"
+    assert isinstance(line, Text)
+    old = pendulum()["bob"].mass
+    assert line.short == f"bob mass {old:.4g} -> 3 kg ({100 * (3 / old - 1):+.3g} %)"
+
+
+def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> None:
+    """`stand` may find no feet without meshes; `audit` names the files, and proposes `hold`."""
+    heavy = pendulum(mass=3.0)
+    texts = [urdf_text(pendulum(), []), urdf_text(heavy, [])]
+    shape = '<visual><geometry><mesh filename="package://lost/base.stl"/></geometry></visual>'
+    lost = [text.replace("</link>", f"{shape}</link>", 1) for text in texts]
+    for old, new in (texts, lost):
+        diff = diff_urdfs(tmp_path, old, new)
+        step = diff_document(replace(diff, floating=True)).next_step
+        assert step is not None
+        assert step.command == ("audit" if new in lost else "stand")
+    path = tmp_path / "lost.urdf"
+    path.write_text(lost[1])
+    step = audit_document(replace(audit_model(path), floating=True, passed=True)).next_step
+    assert step is not None
+    assert step.command == "hold"

@@ -34,7 +34,7 @@ def test_path_without_motion_names_the_options_of_a_goal() -> None:
     first, second, *_ = path_document(result).findings
     assert isinstance(first, Text)
     assert isinstance(second, Text)
-    assert first.short == "no motion; motor load 32.1 % of the limit (knee, 1.23 s)"
+    assert first.short == "no motion; load 32.1 % of the limit (knee)"
     options = {option for one in command.params for option in one.opts}
     assert options >= {word.strip(",") for word in second.short.split() if word.startswith("--")}
     assert options >= set(re.findall(r"--[a-z]+", second.en))
@@ -57,6 +57,6 @@ def test_short_answer_states_tracking_errors_then_the_motor_with_the_largest_loa
     error = math.degrees(result.tracking.joint_error)
     height = 1e3 * result.tracking.height_error
     first, second = printed(path_document(result), width=200, everything=False).splitlines()[:2]
-    expected = f"joint error {error:.2g} deg, height {height:.1f} mm, motor load 32.1 %"
+    expected = f"joint error {error:.2g} deg, height {height:.1f} mm, load 32.1 %"
     assert first.endswith(expected)
     assert second.startswith("  motor load 32.1 % of the limit: knee at 1.23 s")
