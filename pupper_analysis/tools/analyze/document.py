@@ -103,8 +103,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         failures=failures[:_MAX_SHOWN_FAILURES],
         findings=(
             load,
-            *(() if failures else (*report_refused_file(analysis.verdict), *warnings)),
             height,
+            *(() if failures else (*report_refused_file(analysis.verdict), *warnings)),
         ),
         details=(
             *others,
