@@ -247,6 +247,9 @@ def _join_short_messages(messages: Sequence[Words]) -> Text:
 _CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
 """Place at which a message may end: a comma, semicolon or colon before a space, or a bracket."""
 
+_PATH_PATTERN = re.compile(r"[/\\][^/\\]*\.\w+")
+"""End of a path with a folder: separator, name and suffix of a file."""
+
 _MIN_CUT_SHARE = 1 / 3
 """Smallest width of a cut message, as a share of the available width. Shorter clauses, for example
 the name of a link before a colon, state nothing. Chosen, not tuned."""
@@ -255,7 +258,7 @@ the name of a link before a colon, state nothing. Chosen, not tuned."""
 def _end_at_clause(message: Text, room: int) -> Text:
     """Cut a message that is wider than ``room`` characters at the last clause that fits; add "…".
 
-    The message is returned as is without a suitable clause.
+    The message is returned as is without a suitable clause, and if the cut would remove a path.
     """
     if cell_len(message.plain) <= room:
         return message
@@ -268,7 +271,9 @@ def _end_at_clause(message: Text, room: int) -> Text:
         if _MIN_CUT_SHARE * room <= cell_len(start) <= room - 2
         and start.count("(") == start.count(")")
     ]
-    return message[: len(fitting[-1])].append(" …") if fitting else message
+    if not fitting or _PATH_PATTERN.search(message.plain, len(fitting[-1])):
+        return message
+    return message[: len(fitting[-1])].append(" …")
 
 
 def print_table(out: Console, table: Table) -> None:

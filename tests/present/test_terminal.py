@@ -230,6 +230,13 @@ def test_message_that_is_too_wide_ends_at_a_clause() -> None:
     short = printed(document, everything=False).splitlines()
     assert short[1] == f"  {first} …; x"
     assert clauses.rstrip() in printed(document)
+    wide = Name(f"{clauses}; z")
+    document = Document(Name("audit"), Name("r"), (), findings=(wide,), brief=True)
+    assert printed(document, everything=False).splitlines() == [f"r: {first} …"]
+    # A path is never cut away.
+    path = Name(f"{first}; the file is {'folder/' * 9}a.txt")
+    document = Document(Name("audit"), Name("r"), (), findings=(path,), brief=True)
+    assert printed(document, everything=False).splitlines() == [f"r: {path.text}"]
     # The name of an element alone states nothing.
     named = Name(f"link 'base': {'mesh' * 30}")
     document = Document(Name("audit"), Name("r"), (), findings=(Name("OK"), named), brief=True)

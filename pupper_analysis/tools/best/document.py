@@ -78,7 +78,9 @@ def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.Ne
         return doc.NextStep("stand")
     if task.feet:  # no option specifies places of feet in the world
         return doc.NextStep("workspace")
-    return doc.NextStep("path", stance_found=True)
+    # `stand` proposes `gains` if kd exceeds the bound of an explicit PD controller.
+    has_other_gains = stand_step is not None and stand_step.command == "gains"
+    return doc.NextStep("gains" if has_other_gains else "path", stance_found=True)
 
 
 def _make_search_line(study: BestStudy) -> doc.Text:

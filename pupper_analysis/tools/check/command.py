@@ -150,6 +150,7 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.base.inputs import is_folder, path_exists
+    from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
     from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
@@ -159,19 +160,25 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
         raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
     path, pairs, singles = write_config(folder)
     count = len(pairs) + len(singles)
-    click.echo(f"written: {path}, with {count} {'model' if count == 1 else 'models'}")
+    paired = f"{len(pairs)} paired" if pairs else "no pair of a URDF and an MJCF"
+    click.echo(f"WRITTEN {path}: {count} {'model' if count == 1 else 'models'}, {paired}")
     place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
     groups = {"paired": pairs, "without partner": singles}
-    listed = [f"{label}: {_shorten_list(names)}" for label, names in groups.items() if names]
+    groups = {label: names for label, names in groups.items() if names}
+    width = (MAX_ANSWER_WIDTH - 2) // max(len(groups), 1) - 2
+    listed = [_shorten_list(label, names, width) for label, names in groups.items()]
     click.echo(f"  {'; '.join(listed)}")
     click.echo(f"  next: {GENERATOR_NAME} check {place}".rstrip())
 
 
-_MAX_LISTED_NAMES = 2
-"""Largest number of names in each list of the short answer of ``--init``. Chosen, not tuned."""
+def _shorten_list(label: str, names: Sequence[str], width: int) -> str:
+    """Join names with commas after a label; the names beyond ``width`` characters are counted.
 
-
-def _shorten_list(names: Sequence[str]) -> str:
-    """Join names with commas; of many, only the first and the number of further names."""
-    shown, left = names[:_MAX_LISTED_NAMES], names[_MAX_LISTED_NAMES:]
-    return ", ".join(shown) + (f" (+{len(left)})" if left else "")
+    The first name is always included.
+    """
+    for count in range(len(names), 0, -1):
+        more = f" and {len(names) - count} more" if count < len(names) else ""
+        line = f"{label}: {', '.join(names[:count])}{more}"
+        if len(line) <= width:
+            break
+    return line

@@ -41,9 +41,17 @@ def test_utilisation_is_stated_with_motor_and_torque() -> None:
     assert isinstance(line, Text)
     joint = load.rpartition("(")[2]
     torque = load.removeprefix("largest motor load ").partition(" =")[0]
-    assert line.short == f"load {torque} = 4.56 % of the limit ({joint}; 3.45 % as given"
+    assert line.short == f"load {torque} = 4.56 % of the limit ({joint}; was 3.45 %"
     assert line.en.startswith(f"largest motor load {torque} = 4.56 % of the limit ({joint},")
     assert len("HOLDS (URDF only) go2_description: ") + len(line.short) < MAX_ANSWER_WIDTH
+
+
+def test_next_step_is_gains_if_stand_proposes_gains() -> None:
+    """`stand` proposes gains if kd exceeds the bound of an explicit PD controller."""
+    study = best()
+    study.passed = True
+    for step, command in ((NextStep("payload"), "path"), (NextStep("gains"), "gains")):
+        assert _make_next_step(study, step) == NextStep(command, stance_found=True)
 
 
 def test_next_step_of_a_failing_stance_searches_again_with_the_gains_that_hold() -> None:

@@ -393,7 +393,7 @@ def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> Non
     (folder / ".hidden" / "old.urdf").write_text("<robot/>")
     shown = run(folder, "--init")
     assert shown.returncode == 0, shown.stderr
-    assert shown.stdout.splitlines()[0].endswith("with 1 model")
+    assert shown.stdout.splitlines()[0].endswith(": 1 model, 1 paired")
     assert shown.stdout.splitlines()[1] == "  paired: hopper"
     (pair,) = read_config(config).pairs
     assert (pair.name, pair.urdf, pair.mjcf) == (
@@ -615,6 +615,17 @@ def test_robot_in_memory_is_refused_in_place_of_a_configuration() -> None:
     text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
     with pytest.raises(pa.ConfigurationError, match="config: this robot in memory"):
         pa.guard.check_repository(text)
+
+
+def test_first_configuration_names_the_models_that_fit_into_the_line(tmp_path: Path) -> None:
+    names = [f"robot_number_{number}" for number in range(9)]
+    for name in names:
+        (tmp_path / f"{name}.urdf").write_text('<robot name="a"><link name="a"/></robot>')
+    first, second, third = run(tmp_path, "--init").stdout.splitlines()
+    assert first == "WRITTEN pupper-analysis.toml: 9 models, no pair of a URDF and an MJCF"
+    assert second == f"  without partner: {', '.join(names[:4])} and 5 more"
+    assert len(second) <= 100
+    assert third == "  next: pupper-analysis check"
 
 
 def test_answer_names_the_cause_once_and_the_repair(tmp_path: Path) -> None:

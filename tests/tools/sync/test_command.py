@@ -162,7 +162,7 @@ def test_next_command_takes_the_file_that_leaves_fewer_differences(tmp_path: Pat
     limit = re.sub(r' effort="[^"]*"', "", text[start:end])
     files.urdf.write_text(text[:start] + limit + text[end:])
     lines = run(tmp_path).stdout.splitlines()
-    assert lines[1].startswith("  --take mjcf leaves 0, --take urdf leaves 1; ")
+    assert lines[1].startswith("  differences left: 0 with --take mjcf, 1 with --take urdf; ")
     trial = "sync robot.urdf robot.xml --take mjcf --dry-run"
     assert lines[2] == f"  next: pupper-analysis {trial}"
     assert answer(*trial.split(), folder=tmp_path).returncode == 0
