@@ -245,8 +245,7 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
         )
         entries = list(angles.value.items())
         for pattern, node in reversed(entries) if first_wins else entries:
-            # mjlab uses the first pattern that matches the start of a name, Isaac Lab full matches.
-            whole = f"{pattern}.*" if first_wins and not pattern.endswith((".*", "$")) else pattern
+            whole = _extend_to_name_end(pattern) if first_wins else pattern
             yield node.make_statement("default angle", whole)
     for actuator in _list_actuators(robot):
         base = actuator.get("base_cfg")
@@ -258,6 +257,23 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
             if isinstance(node.value, list):  # the joint of each element is not known
                 node = replace(node, value="[...]")
             yield from node.make_statements(quantity, inner.find_first("patterns").texts)
+
+
+def _extend_to_name_end(pattern: str) -> str:
+    """Return a pattern that fully matches each name of which ``pattern`` matches the start.
+
+    mjlab uses the first pattern that matches the start of a name (``resolve_expr``); Isaac Lab
+    requires full matches. A suffix applies to all alternatives of ``pattern``; flags such as
+    ``(?i)`` stay in front.
+    """
+    flags, rest = _FLAGS_PATTERN.fullmatch(pattern).groups()  # type: ignore[union-attr]
+    if "|" in rest:
+        return f"{flags}(?:{rest}).*"
+    return pattern if rest.endswith((".*", "$")) else f"{pattern}.*"
+
+
+_FLAGS_PATTERN = re.compile(r"((?:\(\?[aiLmsux]+\))?)(.*)", re.DOTALL)
+"""Pattern of a regular expression, with two groups: global flags, and the remaining expression."""
 
 
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:

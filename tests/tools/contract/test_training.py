@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.deployment import read_deployment
 from pupper_analysis.tools.contract.facts import Request, Role
+from pupper_analysis.tools.contract.orders import matches_name
 from pupper_analysis.tools.contract.readers import python, tables
 from pupper_analysis.tools.walk.contract import convert_deployment
 from tests.support.variants import load
@@ -67,6 +69,34 @@ def test_table_and_python_file_of_mjlab_give_equal_statements(tmp_path: Path) ->
             )
         )
     assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["F[LR]|RL", "FL.*|RR", "FL|RR.*", "FL_hip$|RR", "FL_hip|RR$", "(?i)fl|rr", "FL", "FL_hip$"],
+)
+@pytest.mark.parametrize("framework", ["EntityCfg", "ArticulationCfg"])
+def test_pattern_of_default_angles_selects_the_joints_of_the_framework(
+    tmp_path: Path, framework: str, pattern: str
+) -> None:
+    """Reference: ``re.match`` in mjlab's ``resolve_expr``, ``re.fullmatch`` in Isaac Lab."""
+    path = tmp_path / "robot.py"
+    path.write_text(
+        f"from library import {framework}, ActuatorCfg\n"
+        f'START = {framework}.InitialStateCfg(joint_pos={{"{pattern}": 0.3}})\n'
+        'LEGS = ActuatorCfg(joint_names_expr=(".*",), stiffness=5.0)\n'
+        f"ROBOT = {framework}(init_state=START, actuators=(LEGS,))\n"
+    )
+    (source,) = (source for source in python.read(Request(path)) if source.name.endswith("ROBOT"))
+    patterns = [
+        statement.joint
+        for statement in source.statements
+        if statement.quantity == "default angle" and statement.value == 0.3
+    ]
+    names = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "calf")]
+    selects = re.match if framework == "EntityCfg" else re.fullmatch
+    selected = [name for name in names if any(matches_name(each, name) for each in patterns)]
+    assert selected == [name for name in names if selects(pattern, name)]
 
 
 @pytest.mark.parametrize("kind", TABLES)
