@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copyreg
 import ctypes
+import math
 import os
 import re
 import warnings
@@ -178,6 +179,22 @@ def parse_spec(path: Path) -> mujoco.MjSpec:
 
 _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 """Pattern of an ``<include>`` with its file."""
+
+
+def lower_boundmass(spec: mujoco.MjSpec) -> float:
+    """Decrease the ``boundmass`` of a spec's compiler by one rounding, in place.
+
+    A body without a mass of its own then has exactly the returned mass in the compiled model, unless
+    the compiler scales all masses (``settotalmass``).
+
+    Returns:
+        The decreased bound [kg]; 0 if the spec has no bound.
+    """
+    bound = float(spec.compiler.boundmass)
+    if bound > 0:
+        bound = math.nextafter(bound, 0.0)
+        spec.compiler.boundmass = bound
+    return max(bound, 0.0)
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
+from pupper_analysis.models.mjcf import compile_spec, lower_boundmass
 from pupper_analysis.prepare.causes import TIE_CODES
 from pupper_analysis.prepare.limits import (
     describe_loaded_passive_joints,
@@ -346,6 +347,8 @@ contain these notes, since the results depend on assumptions that replace the er
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message about links that got a mass, or whose negative mass was moved, in loading.
 
+    Bodies whose mass is the ``boundmass`` of the MJCF's compiler also got a mass.
+
     Returns:
         The message; None without such links.
     """
@@ -358,12 +361,43 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
         for note in moved
         if note.subject and isinstance(mass := note.values["mass"], Quantity) and mass.value < 0
     ]
-    if not given and not negative:
+    bounded, bound = robot.compute_once(_list_bounded_bodies)
+    if not given and not negative and not bounded:
         return None
-    both = bool(given and negative)
     return diagnose(
-        "link-masses-unknown", links=given, count=len(given), both=both, negative=negative
+        "link-masses-unknown",
+        links=given,
+        count=len(given),
+        bounded=bounded,
+        bound=bound,
+        before_bounded=bool(given and bounded),
+        both=bool((given or bounded) and negative),
+        negative=negative,
     )
+
+
+def _list_bounded_bodies(robot: Robot) -> tuple[tuple[str, ...], Quantity]:
+    """Return the moving bodies with a mass that is only the compiler's ``boundmass``, and the bound.
+
+    A body that is fixed to a body with a stated mass is omitted, and also a base that the robot
+    holds fixed.
+    """
+    spec = robot.description.mjcf.copy()
+    bound = Quantity(float(spec.compiler.boundmass), "kg")
+    smaller = lower_boundmass(spec)
+    if not smaller:
+        return (), bound
+    spec.compiler.settotalmass = -1.0
+    model = compile_spec(spec, robot.description.mjcf_source)
+    base = model.body(robot.mj_base).id
+    at_bound = model.body_mass == smaller
+    groups = {
+        int(group): at_bound[model.body_weldid == group].all()
+        for group in np.unique(model.body_weldid[model.body_dofnum > 0])
+        if model.body_rootid[group] == model.body_rootid[base]
+        and (robot.floating or group != model.body_weldid[base])
+    }
+    return tuple(model.body(group).name for group, missing in groups.items() if missing), bound
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:

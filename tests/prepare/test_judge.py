@@ -126,6 +126,36 @@ def test_negative_mass_of_a_fixed_link_is_not_a_known_mass(tmp_path: Path, momen
     assert not verdict.passed
 
 
+@pytest.mark.parametrize("stated", [False, True])
+def test_mass_that_only_the_compiler_sets_is_not_a_known_mass(
+    tmp_path: Path, *, stated: bool
+) -> None:
+    """``boundmass`` gives 1 g to shanks without inertial; MuJoCo compiles and simulates the file.
+
+    A shank that states 1 g itself has the same mass, and this mass is known.
+    """
+    mjcf = quadruped(tmp_path).mjcf
+    inertial = '<inertial pos="0 0 -0.1" mass="0.2" diaginertia="8e-4 8e-4 5e-5"/>'
+    light = inertial.replace("0.2", "0.001").replace("8e-4 8e-4 5e-5", "1e-6 1e-6 1e-6")
+    massless = light.replace("0.001", "0")
+    text = mjcf.read_text()
+    compiler = '<compiler boundmass="0.001" inertiafromgeom="false"/>'
+    text = text.replace(inertial, light if stated else massless)
+    mjcf.write_text(re.sub(r"(<mujoco[^>]*>)", rf"\1{compiler}", text, count=1))
+    masses = mujoco.MjModel.from_xml_path(str(mjcf)).body_mass
+    assert np.count_nonzero(masses == 0.001) == 4  # bare MuJoCo
+    robot = pa.load_robot(mjcf)
+    remark = describe_missing_masses(robot)
+    if stated:
+        assert remark is None
+        return
+    assert remark is not None
+    assert len(remark.values["bounded"]) == 4  # type: ignore[arg-type]
+    assert remark.values["bound"].value == 0.001  # type: ignore[union-attr]
+    rules = [finding.rule for finding in pa.audit_model(mjcf).findings]
+    assert rules.count("moving-body-without-mass") == 4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("gravity", "named"), [("0 0 -3.71", True), ("0 0 -9.81", False)])
 def test_verdict_states_a_gravity_other_than_the_earths(

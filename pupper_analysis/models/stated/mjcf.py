@@ -25,7 +25,7 @@ from pupper_analysis.models.attributes import (
 )
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import EffortStatement, null_efforts, resolve_effort_limit
-from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf import JointKind, lower_boundmass
 from pupper_analysis.models.mjcf_file import MjcfFile, name_unnamed_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import Pose, Shape, read_shape
@@ -61,6 +61,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
     spec = file.spec.copy()
     spec.compiler.fusestatic = False  # links are kept apart, as in the file
+    bound = lower_boundmass(spec)
     model = spec.compile()  # sets the ids of the elements of this spec
     names = body_names(model)
     base = _find_heaviest_root(model)
@@ -100,7 +101,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
                 )
                 for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
-            inertial=_make_inertial(model, body, explicit_inertials.get(body)),
+            inertial=_make_inertial(model, body, explicit_inertials.get(body), bound),
             shapes=(
                 *(
                     read_shape(model, geom)
@@ -261,12 +262,12 @@ def _stated_values(
 
 
 def _make_inertial(
-    model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
+    model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None, bound: float
 ) -> Inertial | None:
     """Return the inertia of a body, from ``spec_body`` if given, else from the compiled model.
 
     ``spec_body`` is the body of the spec, if its inertia is explicit. Without it, None for a mass
-    of 0.
+    of 0, and for the mass ``bound`` [kg] that `lower_boundmass` returns.
     """
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:
@@ -277,7 +278,7 @@ def _make_inertial(
             tensor = axes @ np.diag(entries) @ axes.T
         rounding = max(half_digit(repr(float(value))) for value in entries)
         return Inertial(float(spec_body.mass), np.array(spec_body.ipos), tensor, True, rounding)
-    if model.body_mass[body] == 0:
+    if model.body_mass[body] in (0.0, bound):
         return None
     return Inertial.of(inertia_of_body(model, body), stated=False)
 

@@ -116,7 +116,16 @@ def test_verdict_of_orders_depends_on_the_tracked_commands(
 
 def test_orders_of_a_robot_with_an_assumed_mass_do_not_pass() -> None:
     """The ranking is that of another robot: the torques depend on the mass."""
-    remark = diagnose("link-masses-unknown", links=["calf"], count=1, both=False, negative=[])
+    remark = diagnose(
+        "link-masses-unknown",
+        links=["calf"],
+        count=1,
+        bounded=[],
+        bound=None,
+        before_bounded=False,
+        both=False,
+        negative=[],
+    )
     orders = replace(make_orders((3, 3)), remarks=(remark,))
     assert orders.stated in orders.alike
     assert not orders.passed
