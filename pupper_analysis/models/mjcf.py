@@ -184,8 +184,8 @@ _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 def lower_boundmass(spec: mujoco.MjSpec) -> float:
     """Decrease the ``boundmass`` of a spec's compiler by one rounding, in place.
 
-    A body without a mass of its own then has exactly the returned mass in the compiled model, unless
-    the compiler scales all masses (``settotalmass``).
+    A body without a mass of its own then has exactly the returned mass in the compiled model, if
+    the compiler does not scale all masses (``settotalmass``).
 
     Returns:
         The decreased bound [kg]; 0 if the spec has no bound.

@@ -377,7 +377,7 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 
 
 def _list_bounded_bodies(robot: Robot) -> tuple[tuple[str, ...], Quantity]:
-    """Return the moving bodies with a mass that is only the compiler's ``boundmass``, and the bound.
+    """Return the moving bodies whose mass is only the compiler's ``boundmass``, and the bound.
 
     A body that is fixed to a body with a stated mass is omitted, and also a base that the robot
     holds fixed.
