@@ -118,6 +118,10 @@ _CURVE_HALF_LENGTH = 6
 """Number of points on each side of the reference stiffness in the plot of the largest stable
 damping over the stiffness. Chosen, not tuned."""
 
+_NUM_LOWER_POINTS = 3
+"""Number of points of the plot from the least stable stiffness to the other points, if the former
+is smaller. Chosen, not tuned."""
+
 
 @dataclass(frozen=True)
 class GainBound(Result):
@@ -340,7 +344,7 @@ def study_gains(
     loop = ControlledStand(held, rate, delay)
     present = np.array(held.drive.kp), np.array(held.drive.kd)
     groups = group_joints(robot, *present)
-    num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
+    num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1 + _NUM_LOWER_POINTS
     gains, stable_pair, by_inertia = _select_reference(loop, present, groups)
     stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
     failure, alone = _evaluate_present_sag(robot, settled, present[0])
@@ -365,7 +369,8 @@ def study_gains(
                 encoder_bits,
             )
         )
-    curve, dampings, least_dampings = _compute_damping_curves(gains, num_parts)
+    least = least_kp.factor or 0.0
+    curve, dampings, least_dampings = _compute_damping_curves(gains, least, num_parts)
     return GainStudy(
         name=robot.name,
         stand=settled,
@@ -476,15 +481,30 @@ def _evaluate_present_sag(
     return failure, alone
 
 
-def _compute_damping_curves(gains: _Gains, num_parts: int) -> tuple[Array, Array, Array]:
+def _choose_curve_factors(least: float) -> Array:
+    """Return the factors on kp of the damping curves, shape (n,), ascending.
+
+    The factors are around 1. If ``least``, the smallest stable factor on kp, is below these
+    factors, further factors down to ``least`` are added: the stable region has no gap.
+    """
+    powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
+    curve: Array = _CURVE_RATIO**powers
+    if 0 < least < curve[0] / _CURVE_RATIO**0.01:
+        lower = np.geomspace(least, curve[0], _NUM_LOWER_POINTS + 1)[:-1]
+        curve = np.concatenate([lower, curve])
+    return curve
+
+
+def _compute_damping_curves(
+    gains: _Gains, least: float, num_parts: int
+) -> tuple[Array, Array, Array]:
     """Compute the bounds of the stable factors on kd for each factor on kp of the curve.
 
     Returns:
         Factors on kp; largest factors on kd, which may be infinite or NaN; smallest factors on kd,
         which may be 0 or NaN; shape (n,) each.
     """
-    powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
-    curve: Array = _CURVE_RATIO**powers
+    curve = _choose_curve_factors(least)
     dampings, least_dampings = [], []
     for count, factor in enumerate(curve.tolist()):
         report_progress(_STAGE, num_parts - len(curve) + count, num_parts)

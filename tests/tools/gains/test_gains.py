@@ -31,6 +31,7 @@ from pupper_analysis.tools.gains.gains import (
     GainBound,
     GainStudy,
     JointClass,
+    _choose_curve_factors,
     _Gains,
     group_joints,
     name_joints,
@@ -174,6 +175,15 @@ def test_shaded_region_of_the_plot_is_stable_and_its_outside_is_not() -> None:
     dampings = (0.8 * kd, 1.2 * kd, 0.8 * most, 1.2 * most)
     stable = [loop.is_stable(np.full(12, kp), np.full(12, damping)) for damping in dampings]
     assert stable == [False, True, True, False]
+
+
+@pytest.mark.parametrize("least", [0.0, 0.02, 0.1, 0.125, 0.3])
+def test_curve_begins_at_the_least_stiffness_or_below(least: float) -> None:
+    """Reference: 13 factors from 1/8 to 8. A gap between least kp and curve looked unstable."""
+    factors = _choose_curve_factors(least)
+    assert (np.diff(factors) > 0).all()
+    assert factors[0] == pytest.approx(least if 0 < least < 0.125 else 0.125)
+    np.testing.assert_allclose(factors[-13:], np.geomspace(1 / 8, 8, 13))
 
 
 @pytest.mark.parametrize("least", [0.0, 2.0, 4.0, 9.0])
