@@ -42,8 +42,13 @@ def plot_result(result: Any, robot: object = None) -> tuple[Axes, ...]:
         raise ConfigurationError("robot", diagnose("plot-of-no-robot", value=given))
     import_module("pupper_analysis.present.stand_plots")  # registers its plots
 
+    from pupper_analysis.present.figures.drawing import set_fallback_fonts
+
     load_builder(type(result))
-    return draw_result(result, robot)
+    axes = draw_result(result, robot)
+    for figure in {axis.get_figure(root=True) for axis in axes} - {None}:
+        set_fallback_fonts(figure)
+    return axes
 
 
 @singledispatch

@@ -6,6 +6,7 @@ import errno
 import io
 import math
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
@@ -16,8 +17,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import shapely
+from matplotlib import font_manager
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
+from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
 import pupper_analysis as pa
@@ -440,3 +443,62 @@ def test_long_caption_of_a_pose_does_not_cover_the_panels() -> None:
     for axes in figure.axes:
         title = axes._left_title  # type: ignore[attr-defined]
         assert title.get_window_extent().y1 < caption.y0
+
+
+def test_long_names_of_feet_are_inside_the_panels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reference: bounding boxes in pixels. Long names were cut at the edge of the figure."""
+    robot, stand = load("v3"), stand_of("v3")
+    names = [f"{letter}_foot_with_a_long_name_{letter}" for letter in "abcd"]
+    monkeypatch.setattr(drawing, "shorten_names", lambda _: names)
+    figure = make_pose_figure(robot, stand, pa.stance.stand_statics(robot, stand))
+    figure.draw_without_rendering()
+    panels = [axes.get_position(original=True).transformed(figure.transFigure)
+              for axes in figure.axes]  # fmt: skip
+    for axes, panel in zip(figure.axes, panels, strict=True):
+        texts = [text for text in axes.texts if "_a_long_name_" in text.get_text()]
+        assert len(texts) == 4
+        for text in texts:
+            box = text.get_window_extent()
+            assert panel.x0 - 0.5 <= box.x0 < box.x1 <= panel.x1 + 0.5
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["abcdef", "abc"], ["…def", "abc"]),
+        (["abcdef", "xyzdef"], ["abcdef", "xyzdef"]),
+        (["abcd"], ["abcd"]),
+    ],
+)
+def test_long_names_are_cut_at_the_start_if_they_remain_distinct(
+    names: list[str], short: list[str]
+) -> None:
+    assert drawing.cut_long_names(names, 4) == short
+
+
+def test_letters_without_a_font_are_stated_in_the_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matplotlib drew boxes, and printed a warning with a path of this package for each letter.
+
+    The second case has a letter that STIX, a font of Matplotlib, contains and DejaVu does not.
+    """
+    default, stix = (
+        font_manager.get_font(font_manager.findfont(name)).get_charmap()
+        for name in ("DejaVu Sans", "STIXGeneral")
+    )
+    letter = chr(min(code for code in {*stix} - {*default} if code > 0x2000))
+    for fallbacks, word, missing in (((), "四足", True), (("STIXGeneral",), letter, False)):
+        monkeypatch.setattr(drawing, "FALLBACK_FONTS", (*fallbacks, "Noto Sans CJK SC"))
+        drawing._list_fonts.cache_clear()
+        figure = drawing.make_page_figure(word, 2.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            drawing.save_figure(figure, tmp_path / "figure.png")
+        notes = [text.get_text() for text in figure.texts if "boxes" in text.get_text()]
+        installed = any("CJK" in entry.name for entry in font_manager.fontManager.ttflist)
+        assert bool(notes) == (missing and not installed)
+        assert figure.findobj(Text)[0].get_fontfamily()[: 1 + len(fallbacks)] == [
+            "DejaVu Sans", *fallbacks
+        ]  # fmt: skip
+    drawing._list_fonts.cache_clear()

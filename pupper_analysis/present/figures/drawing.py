@@ -7,17 +7,22 @@ contains parts that other figures share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
+from matplotlib.text import Text
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -327,6 +332,76 @@ def shorten_names(names: Sequence[str]) -> list[str]:
     return short if all(short) and len({*short}) == len(names) else list(names)
 
 
+@contextmanager
+def silence_missing_letters() -> Iterator[None]:
+    """Suppress Matplotlib's warnings about letters without a font: the figure states them."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+FALLBACK_FONTS = (
+    "Noto Sans CJK SC",
+    "Noto Sans SC",
+    "Source Han Sans SC",
+    "WenQuanYi Zen Hei",
+    "WenQuanYi Micro Hei",
+    "Microsoft YaHei",
+    "SimHei",
+    "PingFang SC",
+    "Hiragino Sans GB",
+    "Arial Unicode MS",
+)
+"""Fonts with Chinese letters, in order of preference: of Linux, Windows and macOS."""
+
+MISSING_LETTERS_NOTE = "boxes: letters that no font contains; install {font}, for example"
+"""Remark in the lower left corner of a figure with letters that are not in any installed font."""
+
+
+def set_fallback_fonts(figure: Figure) -> None:
+    """Select an installed font for letters that are not in the default font, such as Chinese.
+
+    If no font contains the letters, which are then drawn as boxes, a remark is added to the figure.
+    """
+    default, *fallbacks = _list_fonts()
+    missing = False
+    for text in figure.findobj(Text):
+        letters = {ord(letter) for letter in text.get_text() if letter.isprintable()}
+        letters -= default[1]
+        if not letters:
+            continue
+        text.set_fontfamily([name for name, _ in (default, *fallbacks)])
+        missing |= any(all(letter not in codes for _, codes in fallbacks) for letter in letters)
+    if missing:
+        note = MISSING_LETTERS_NOTE.format(font=FALLBACK_FONTS[0])
+        figure.text(TITLE_PLACE, 0.002, note, size=_NOTE_SIZE, color=GREY_COLOUR)
+
+
+_NOTE_SIZE = 5.5
+"""Font size of the remark on missing letters [pt]. Chosen, not tuned."""
+
+
+@cache
+def _list_fonts() -> tuple[tuple[str, frozenset[int]], ...]:
+    """List (name, Unicode numbers) of the default font and the installed fallback fonts."""
+    installed = {entry.name for entry in font_manager.fontManager.ttflist}
+    names = ("DejaVu Sans", *(name for name in FALLBACK_FONTS if name in installed))
+    fonts = [font_manager.get_font(font_manager.findfont(name)) for name in names]
+    return tuple(
+        (name, frozenset(font.get_charmap())) for name, font in zip(names, fonts, strict=True)
+    )
+
+
+def cut_long_names(names: Sequence[str], length: int) -> list[str]:
+    """Replace the start of long names by an ellipsis, unless the short names would be equal.
+
+    ``length`` is the largest number of letters.
+    """
+    short = [name if len(name) <= length else f"…{name[1 - length :]}" for name in names]
+    return short if len({*short}) == len(short) else list(names)
+
+
+@silence_missing_letters()
 def add_legend(figure: Figure, handles: Sequence[Artist], *, outside: bool = False) -> None:
     """Add a legend with the given symbols at the lower edge of a figure, in as few rows as fit.
 
@@ -345,6 +420,7 @@ def add_legend(figure: Figure, handles: Sequence[Artist], *, outside: bool = Fal
         legend.remove()
 
 
+@silence_missing_letters()
 def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
     """Write a figure as a PNG file atomically, and create a missing folder.
 
@@ -360,6 +436,7 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     from pupper_analysis import __version__
 
     FigureCanvasAgg(figure)
+    set_fallback_fonts(figure)
     made = {
         "Software": f"{GENERATOR_NAME} {__version__}",
         "Source": "\n".join(collect_provenance().lines()),

@@ -22,6 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Patch, PathPatch, Polygon
 from matplotlib.path import Path as Path2D
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
 from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
@@ -382,6 +383,7 @@ def _wrap_caption(caption: str) -> list[str]:
     )
 
 
+@drawing.silence_missing_letters()
 def make_pose_figure(
     robot: Robot,
     stand: Stand,
@@ -462,6 +464,7 @@ def _make_link_handles(lines: Skeleton, joint: Mapping[str, Any]) -> list[Line2D
     return []
 
 
+@drawing.silence_missing_letters()
 def make_skeleton_figure(
     robot: Robot, qpos: ArrayLike, create: Callable[..., Figure] = Figure
 ) -> Figure:
@@ -647,7 +650,9 @@ def _write_feet(
     shown = {foot: [tips[point] for point in points if point in tips]
              for foot, points in feet.items()}  # fmt: skip
     shown = {foot: places for foot, places in shown.items() if places}
-    for name, places in zip(drawing.shorten_names(list(shown)), shown.values(), strict=True):
+    names = drawing.cut_long_names(drawing.shorten_names(list(shown)), _MAX_FOOT_NAME_LENGTH)
+    texts: list[Annotation] = []
+    for name, places in zip(names, shown.values(), strict=True):
         side = 1 if np.mean([place[0] for place in places]) >= centre else -1
         outermost = places[int(np.argmax([side * place[0] for place in places]))]
         text = axes.annotate(name, tuple(outermost), xytext=(7 * side, 0),
@@ -655,6 +660,37 @@ def _write_feet(
                              va="center", size=drawing.FONT_SIZE - 1, zorder=8,
                              parse_math=False)  # fmt: skip
         text.set_path_effects([withStroke(linewidth=2, foreground="white")])
+        texts.append(text)
+    _make_room_for_texts(axes, texts)
+
+
+_MAX_FOOT_NAME_LENGTH = 20
+"""Largest number of letters of the displayed name of a foot. Chosen, not tuned."""
+
+_MAX_ROOM_STEPS = 5
+"""Largest number of times that a view is reduced for the names beside it. Chosen, not tuned: each
+step halves the remaining overlap or better.
+"""
+
+
+def _make_room_for_texts(axes: Axes, texts: Sequence[Annotation]) -> None:
+    """Widen the limits of x until all texts are within the panel of the view.
+
+    The panel is the position of the axes before their aspect ratio is applied.
+    """
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    panel = axes.get_position(original=True).transformed(figure.transFigure)
+    for _ in range(_MAX_ROOM_STEPS):
+        axes.apply_aspect()
+        boxes = [text.get_window_extent() for text in texts]
+        left = max((panel.x0 - box.x0 for box in boxes), default=0.0)
+        right = max((box.x1 - panel.x1 for box in boxes), default=0.0)
+        if max(left, right) <= 0:
+            return
+        low, high = axes.get_xlim()
+        metres = (high - low) / axes.get_window_extent().width  # of a pixel
+        axes.set_xlim(low - metres * max(left, 0.0), high + metres * max(right, 0.0))
 
 
 def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> None:
