@@ -539,6 +539,7 @@ _CAUSES = (
     "weld-holds-it",
     "connect-holds-it",
     "tendon-holds-it",
+    "base-tied",
 )
 """Codes of statements that explain a bad verdict, and follow directly after its first statement.
 """

@@ -125,7 +125,9 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
     # The cause of a failure of the unmodified file is part of the verdict.
     own_soft = _has_soft_drives(stance)
-    causes = () if own_soft else (*soft, *(gains if _is_damping_excessive(stance) else ()))
+    # A file that ties the robot to the world explains a failure, unlike soft servos.
+    skipped = own_soft or _is_tied(stance)
+    causes = () if skipped else (*soft, *(gains if _is_damping_excessive(stance) else ()))
     blocks = [
         view_block(robot, stand, stance.statics, list_motions([run])),
         *load_blocks(
@@ -150,7 +152,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *_describe_peak_torque(stance),
             *_warn_of_model_mismatch(run),
             *(gains if qualified else ()),
-            *(soft if own_soft else ()),
+            *(soft if skipped else ()),
             *_list_findings(stance),
             *_describe_height(stance),
         ),
@@ -192,6 +194,11 @@ _NEXT_STEPS = {
 """{verdict code: command to run next, unless `_select_next_step` finds a more specific one}."""
 
 
+def _is_tied(stance: Stance) -> bool:
+    """Return True if the file ties the base to the world."""
+    return any(remark.code == "base-tied" for remark in stance.verdict.remarks)
+
+
 def _select_next_step(stance: Stance) -> NextStep:
     """Return the command to run next: on the cause of a failure, otherwise mostly `payload`."""
     verdict = stance.verdict
@@ -207,7 +214,9 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("stand", ("--height", f"{math.floor(1e3 * (height - run.height_loss))}mm"))
     if _has_soft_drives(stance):
         step = _stiffen_servos(stance.verification)
-    if verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
+    if verdict.code is VerdictCode.FAILS and _is_tied(stance):
+        step = NextStep("audit")
+    elif verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
         step = _stiffen_soft_servos(stance) or step
     elif _is_damping_excessive(stance):
         step = NextStep("gains")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.present.documents.loads import format_share
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
@@ -102,3 +103,20 @@ def test_too_soft_servos_are_stated_with_stiffness_and_factor() -> None:
     (line,) = [line for line in lines if line.short.startswith("ankle_*")]
     assert line.short == "ankle_* too soft (kp 30 N m/rad): stands with 16 times these gains"
     assert "(kp 30 N m/rad): with 16 times their gains" in line.en
+
+
+def test_tie_to_the_world_precedes_too_soft_servos() -> None:
+    """A <weld> lifts the robot: no stiffness changes that."""
+    tied = diagnose("base-tied", names=("weld",), line=3, falls=False)
+    verdict = judge_stance(run(-0.4, passed=False), None, SERVOS, remarks=(tied,))
+    assert verdict.code is VerdictCode.FAILS
+    soft = SoftServos("ankle_*", ("ankle_l", "ankle_r"), 30.0, 16.0)
+    document = stance_document(stance(verdict=verdict, passed=False, soft_servos=soft))
+    lines = [get_english(line) for line in document.failures + document.findings]
+    tie, servos = (
+        next(place for place, line in enumerate(lines) if part in line)
+        for part in ("ties the robot to the world", "with 16 times their gains")
+    )
+    assert tie < servos
+    assert document.next_step is not None
+    assert document.next_step.command == "audit"
