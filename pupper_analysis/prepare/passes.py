@@ -476,7 +476,12 @@ def _find_feet(draft: Draft) -> PassOutput:
         named = [note.values["files"] for note in losses]
         problem = diagnose(
             "no-feet-as-files-are-missing",
-            files=tuple(name for names in named if isinstance(names, tuple) for name in names),
+            files=tuple(
+                str(name).replace("\\", "/").rpartition("/")[2]
+                for names in named
+                if isinstance(names, tuple)
+                for name in names
+            ),
             package=next((name for note in losses if (name := note.values.get("package"))), None),
         )
         raise ModelError(draft.mjcf.path, problem) from error
