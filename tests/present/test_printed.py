@@ -32,7 +32,7 @@ from pupper_analysis.present.documents.standing import run_rows
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.present.verdict import make_published_clauses
+from pupper_analysis.present.verdict import make_published_clauses, qualify_verdict_word
 from pupper_analysis.robot.as_published import Published, PublishedRun
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.analyze import document as comparison
@@ -204,3 +204,11 @@ def test_limits_are_rounded_down_to_significant_digits(scale: float, digits: int
         assert round_down(limit, digits) == float(exact // step * step)
     assert round_down(0.0, digits) == 0.0
     assert round_down(np.inf, digits) == np.inf
+
+
+def test_restricted_verdict_has_a_short_form_that_leaves_room_for_the_answer() -> None:
+    """With the format of the only file, the long form has 48 characters."""
+    word = qualify_verdict_word("HOLDS with feed-forward", "mjcf")
+    assert word.en == "HOLDS only with gravity compensation (URDF only)"
+    assert word.short == "HOLDS only if compensated (URDF only)"
+    assert qualify_verdict_word("HOLDS with feed-forward", "").short == ""
