@@ -76,16 +76,20 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
     subject = first.diagnostic.subject
     name = doc.Name(first.element if subject is None else subject.name)
     named = text("changes-first", changes=changes, one=count == 1, kind=word(first.kind), name=name)
-    if not (_is_number(first.old) and _is_number(first.new)):
+    old, new = first.old, first.new
+    if first.kind == "mass" and len(diff.edited_masses) == 1:  # the link may be fixed to another
+        ((link, (old, new)),) = diff.edited_masses.items()
+        name = doc.Name(link)
+    if not (_is_number(old) and _is_number(new)):
         return named
-    old_text, new_text = format_pair(first.old, first.new, ".4g")
+    old_text, new_text = format_pair(old, new, ".4g")
     change = text(
         "change-of-value",
         name=name,
         kind=word(first.kind),
         old=old_text,
         new=f"{new_text} {first.unit}".rstrip(),
-        change=_format_percent(first.old, first.new),
+        change=_format_percent(old, new),
         more=count - 1 or None,
     )
     return replace(named, short=change.en)
