@@ -83,7 +83,7 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
     if not (_is_number(old) and _is_number(new)):
         return named
     old_text, new_text = format_pair(old, new, ".4g")
-    change = text(
+    edited = text(
         "change-of-value",
         name=name,
         kind=word(first.kind),
@@ -92,13 +92,12 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         change=_format_percent(old, new),
         more=count - 1 or None,
     )
-    return replace(named, short=change.en)
+    return replace(named, short=edited.en)
 
 
 def _is_number(value: object) -> TypeGuard[float]:
     """Return True for a finite number."""
-    is_real = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_real and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _select_next_command(diff: ModelDiff) -> str:
