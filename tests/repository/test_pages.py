@@ -19,6 +19,7 @@ from pupper_analysis import cli
 from tests.support import pages
 from tests.support.repository import ROOT
 from tests.support.shared_rollouts import share_rollouts
+from tests.support.variants import share_variants
 
 BLOCKS = {path.relative_to(ROOT).as_posix(): pages.blocks_of(path) for path in pages.pages()}
 BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMAND_NAMES}
@@ -28,7 +29,7 @@ BLOCKS = {name: found for name, found in BLOCKS.items() if found}
 @pytest.fixture(scope="module", autouse=True)
 def simulate_once() -> Iterator[None]:
     """Simulate each rollout once: most pages simulate the nominal stand of Pupper v3."""
-    with share_rollouts():
+    with share_rollouts(), share_variants():
         yield
 
 

@@ -33,6 +33,7 @@ from pupper_analysis.prepare.passes import make_robot
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
+from tests.support.variants import share_variants
 
 SECONDS = 5.0
 """Simulated time [s]."""
@@ -206,7 +207,7 @@ above the number of edits of which a test module runs several commands."""
 @contextmanager
 def share_robots() -> Iterator[None]:
     """Prepare a pair of files once: commands that load the same bytes with the same options get
-    the same robot. Robots are immutable.
+    the same robot. Robots are immutable. Variants are shared, too.
     """
     shared: OrderedDict[tuple[object, ...], pa.Robot] = OrderedDict()
 
@@ -221,7 +222,7 @@ def share_robots() -> Iterator[None]:
             shared.popitem(last=False)
         return shared[key]
 
-    with mock.patch.object(load, "make_robot", make_shared_robot):
+    with mock.patch.object(load, "make_robot", make_shared_robot), share_variants():
         yield
 
 

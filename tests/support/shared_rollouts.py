@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -27,6 +27,10 @@ Chosen, not tuned: a tenth of the memory of a worker of CI."""
 MIN_STEPS = 100
 """Number of steps of all runs below which a rollout is not stored. Derived: hashing the 3.5 MB of
 Pupper v3 takes as long as 50 steps."""
+
+_hashed_models: deque[tuple[bytearray, bytes]] = deque(maxlen=8)
+"""(content, hash) of the models of the last rollouts. Comparing 3.5 MB takes a tenth of the time of
+hashing them, and most rollouts have the model of an earlier one."""
 
 INPUTS = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
 """Bit mask of all inputs of a time step."""
@@ -113,6 +117,18 @@ def _get_inputs(models: list[mujoco.MjModel], workers: list[mujoco.MjData]) -> l
     return states
 
 
+def hash_model(model: mujoco.MjModel) -> bytes:
+    """Return a hash of all numbers of a model."""
+    content = bytearray(mujoco.mj_sizeModel(model))
+    mujoco.mj_saveModel(model, None, np.frombuffer(content, np.uint8))
+    for known, digest in tuple(_hashed_models):  # a copy, since other threads append
+        if known == content:
+            return digest
+    digest = hashlib.sha256(content).digest()
+    _hashed_models.append((content, digest))
+    return digest
+
+
 def hash_arguments(
     models: list[mujoco.MjModel],
     num_workers: int,
@@ -123,9 +139,7 @@ def hash_arguments(
     """Return a hash of all numbers that determine a rollout."""
     found = hashlib.sha256(f"{num_workers} {sorted(options)}".encode())
     for model in models:
-        buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-        mujoco.mj_saveModel(model, None, buffer)
-        found.update(buffer.data)
+        found.update(hash_model(model))
     for value in (initial_state, control, *(options[name] for name in sorted(options))):
         array = np.ascontiguousarray(np.nan if value is None else value)
         found.update(f"{array.shape} {array.dtype}".encode())

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import pupper_analysis as pa
+from pupper_analysis.pupper import variant_files
 from tests.support.repository import ROOT
 
 NAMES = tuple(pa.VARIANTS)
@@ -32,6 +37,26 @@ def load(name: str, fixed_base: bool = False) -> pa.Robot:
 def stand_of(name: str) -> pa.Stand:
     """Return the nominal stand of a variant."""
     return pa.solve_stand(load(name))
+
+
+@contextmanager
+def share_variants() -> Iterator[None]:
+    """Build each named variant once for all commands of this process. Robots are immutable.
+
+    A command that builds a variant again also repeats the simulation of the unmodified file.
+    """
+    load_anew, built = variant_files.load_variant, {}
+
+    def load_shared(variant: Any, *, fixed_base: Any = False) -> pa.Robot:
+        if not isinstance(variant, str):  # each design of a study is another robot
+            return load_anew(variant, fixed_base=fixed_base)
+        variant_files.describe_variant(variant)  # registers the files as inputs of the run
+        if (variant, fixed_base) not in built:
+            built[variant, fixed_base] = load_anew(variant, fixed_base=fixed_base)
+        return built[variant, fixed_base]
+
+    with mock.patch.object(variant_files, "load_variant", load_shared):
+        yield
 
 
 def write_without_a_mass(folder: Path) -> tuple[Path, Path]:
