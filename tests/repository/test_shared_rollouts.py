@@ -1,15 +1,23 @@
-"""Shared rollouts equal those of MuJoCo; the reference is ``mujoco.rollout`` without the cache."""
+"""Shared rollouts equal those of MuJoCo (reference: ``mujoco.rollout`` without the cache), and
+shared variants are those of each command.
+"""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 import pytest
 
+from pupper_analysis.pupper import variant_files
+from tests.support.commands import answer
 from tests.support.shared_rollouts import INPUTS, RolloutCache, share_rollouts
+from tests.support.variants import share_variants
 
 BALL = """<mujoco><option integrator="implicitfast"/><worldbody><geom type="plane" size="1 1 1"/>
 <body pos="0 0 0.1"><freejoint/><geom name="ball" size="0.1" mass="1"/></body></worldbody>
@@ -65,3 +73,25 @@ def test_rollout_with_another_number_is_simulated_again(name: str) -> None:
         states, _ = simulate(model, speed)
     assert (cache.simulated, cache.reused) == (2, 0)
     np.testing.assert_array_equal(states, simulate(model, speed)[0])
+
+
+def test_a_shared_variant_is_built_once_and_its_files_are_inputs_of_each_command(
+    tmp_path: Path,
+) -> None:
+    """Reference: the first command, which builds the variant."""
+    contents = []
+    with (
+        share_variants(),
+        mock.patch.object(variant_files, "build_robot", wraps=variant_files.build_robot) as build,
+    ):
+        for name in ("first.json", "second.json"):
+            done = answer("stand", "v3", "--json", str(tmp_path / name))
+            assert done.returncode == 0, done.stderr
+            contents.append(json.loads((tmp_path / name).read_text()))
+    assert build.call_count == 1
+    first, second = (
+        {Path(file).resolve(): digest for file, digest in content["provenance"]["files"].items()}
+        for content in contents
+    )
+    assert {file.name for file in first} >= {"pupper_v3.urdf", "pupper_v3.xml"}
+    assert second == first

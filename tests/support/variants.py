@@ -45,7 +45,8 @@ def share_variants() -> Iterator[None]:
 
     A command that builds a variant again also repeats the simulation of the unmodified file.
     """
-    load_anew, built = variant_files.load_variant, {}
+    load_anew = pa.load_variant  # the package stores what it imports first: not the substitute
+    built: dict[tuple[str, bool], pa.Robot] = {}
 
     def load_shared(variant: Any, *, fixed_base: Any = False) -> pa.Robot:
         if not isinstance(variant, str):  # each design of a study is another robot
