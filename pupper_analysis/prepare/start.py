@@ -243,6 +243,11 @@ _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad, m]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
+_FRICTION_SLACK = 1e-6
+"""Excess of the horizontal part of gravity over the friction, divided by the vertical part [1], up
+to which a stand is searched. Chosen above the tolerances of contact forces, 1e-9 of the weight.
+"""
+
 _MIN_CONTACT_RATE = 1e-9
 """Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint counts as
 moving a contact point. Smaller elements are rounding. Chosen, not tuned.
@@ -325,15 +330,21 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 def _can_carry_weight(robot: Robot) -> bool:
     """Return True unless contact forces cannot carry the weight at any joint positions.
 
-    For example, gravity does not point downward, or fewer than three contact points touch the
-    ground.
+    For example, gravity does not point downward, fewer than three contact points touch the ground,
+    or the horizontal part of gravity exceeds the friction: ``|g_xy| > max(mu) |g_z|``.
     """
     try:
         stance_feet = select_stance_feet(robot, StandTask())
-        friction = make_contacts(robot, stance_feet, None, None, None).friction
+        contacts = make_contacts(robot, stance_feet, None, None, None)
     except PupperAnalysisError:
         return False
-    return bool(robot.fixed_parts) or not (friction < 0).all()
+    if robot.fixed_parts:
+        return True
+    friction = float(contacts.friction.max(initial=0.0))
+    sideways, down = math.hypot(*robot.gravity[:2].tolist()), -float(robot.gravity[2])
+    # Passive forces, such as that of a spring between base and world, may carry a part.
+    is_too_slippery = sideways > (friction + _FRICTION_SLACK) * down and not robot.acts_at_rest
+    return not ((contacts.friction < 0).all() or (is_too_slippery and contacts.is_level))
 
 
 def _can_move_contacts(robot: Robot, pose: Array) -> bool:

@@ -116,6 +116,27 @@ def test_robot_without_a_stand_has_servos(tmp_path: Path) -> None:
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
 
 
+@pytest.mark.parametrize(("friction", "stands"), [(0.06, False), (0.0613, True)])
+def test_no_stand_is_searched_if_friction_cannot_carry_the_weight(
+    friction: float, stands: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: feet slide on level ground if friction < 0.6 / 9.81 = 0.06116, the ratio of the
+    horizontal and the vertical part of gravity."""
+    pair = standing(tmp_path)
+    ice = f'priority="1" friction="{friction}" type="plane"'
+    rewrite_file(pair.mjcf, ("<option ", '<option gravity="0.6 0 -9.81" '), ('type="plane"', ice))
+    solved: list[pa.Robot] = []
+    solve = start.solve_nominal_stand
+    monkeypatch.setattr(
+        start, "solve_nominal_stand", lambda robot: solved.append(robot) or solve(robot)
+    )
+    robot = pa.load_robot(*pair)
+    assert ("no-start-pose" in {note.code for note in robot.notes}) is not stands
+    solved.clear()
+    assert (start.search_start(robot, [robot.home[7:]]) is not None) is stands
+    assert bool(solved) is stands
+
+
 @pytest.mark.slow
 def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -> None:
     """Its knee is 3 mrad beyond the limit, as G1's thumb in the Menagerie; bare MuJoCo stands."""
