@@ -48,6 +48,11 @@ class ContactParameters:
         """Friction coefficient of sliding [1]; 0 for a frictionless contact (``condim`` 1)."""
         return self.friction[0] if self.condim > 1 else 0.0
 
+    @property
+    def rolling_friction(self) -> float:
+        """Coefficient of rolling friction [m], the larger of two; 0 unless ``condim`` is 6."""
+        return max(self.friction[3:]) if self.condim == 6 else 0.0
+
 
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
     """Compute MuJoCo's contact parameters for two geoms without a ``<pair>``.

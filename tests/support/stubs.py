@@ -309,6 +309,7 @@ def stance(**changes: Any) -> Any:
             height_loss=-0.00783,
             servo_sag=0.00789,
             contact_sag=0.00421,
+            rolling_feet=(),
             failures=(problem("foot FR slides"),),
         ),
         "unsettled": None,

@@ -349,6 +349,7 @@ class SagEquilibrium:
         anchors: {touching contact: pose at the first contact}. `switch_contact` changes it.
         target: Joint positions that the servos are commanded to, shape (nu,) [rad, m], set by
             `set_command`.
+        has_creep: Whether friction creeps in MuJoCo: its no-slip solver is inactive.
         crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
         yielding: {contact: compliance [m/N] of the creep step}.
     """
@@ -394,8 +395,7 @@ class SagEquilibrium:
         self._ground_frame_cache: tuple[tuple[str, ...], list[int], Array, Array]
         self._ground_frame_cache = (), [], no_frames, no_frames
         self._depth_cache: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
-        # The no-slip solver prevents creep.
-        self._has_creep = robot.mj_model.opt.noslip_iterations == 0
+        self.has_creep = robot.mj_model.opt.noslip_iterations == 0
         self.crept: dict[str, Array] = {}
         self.yielding: dict[str, float] = {}
         self.sliding_friction = {
@@ -813,7 +813,7 @@ class SagEquilibrium:
             depth: Penetration [m].
         """
         law = self.laws[foot]
-        return law.viscosity(depth) if self._has_creep and depth > -law.margin else math.inf
+        return law.viscosity(depth) if self.has_creep and depth > -law.margin else math.inf
 
 
 def _alternates(residuals: Sequence[float]) -> bool:

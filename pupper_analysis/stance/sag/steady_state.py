@@ -447,6 +447,9 @@ class SteadyState(Result):
             world axes (N); zero without contact.
         foot_creep: {touching contact point: creep speed in MuJoCo's friction} (m/s); zero for
             sliding feet.
+        rolling_feet: Touching contact points whose rolling friction MuJoCo's no-slip solver keeps:
+            the prediction ignores this friction, and the robot may stay away from the equilibrium.
+            Empty if this solver is inactive: rolling feet then creep, as sliding feet do.
         height_drift: Rate of the base height by creep (m/s). A simulated height stays within D of
             the predicted height for about D / |height_drift| seconds.
         residual: Largest absolute element of the residual of the equations (N or m).
@@ -475,6 +478,7 @@ class SteadyState(Result):
     stance_feet: tuple[str, ...]
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     foot_creep: dict[str, float] = field(metadata={"unit": "m/s"})
+    rolling_feet: tuple[str, ...]
     height_drift: float = field(metadata={"unit": "m/s"})
     residual: float = field(metadata={"unit": "N or m"})
     stiffness: float = field(metadata={"unit": "rad^2/s^2"})
@@ -752,6 +756,11 @@ def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
             foot: frame.T @ solution.force(foot) for foot, frame in system.frames.items()
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
+        rolling_feet=tuple(
+            foot
+            for foot in solution.forces
+            if not system.has_creep and robot.contacts[foot].rolling_friction > 0
+        ),
         height_drift=drift,
         residual=solution.residual,
         stiffness=stiffness,

@@ -493,6 +493,8 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
             "settles-if-let-down-slowly",
             settles=description,
         )
+    if settled.rolling_feet:
+        description = text("settles-except-rolling", settles=description)
     return description
 
 
