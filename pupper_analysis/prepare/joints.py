@@ -14,10 +14,12 @@ from pathlib import Path
 
 import mujoco
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.units import select_joint_units
 from pupper_analysis.models.attributes import known_positions
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import group_actuators_by_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -72,6 +74,10 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     Returns:
         Copy of the robot's description with the new limits, and a note that lists the limits. None
         and an empty list if no limit changes.
+
+    Raises:
+        ModelError: If the limits of a joint in both files have no position in common. The error
+            contains the joint and the limits in both files.
     """
     model, narrower = robot.mj_model, {}
     for name, low, high in zip(
@@ -83,7 +89,21 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
         mjcf_low, mjcf_high = (float(value) for value in model.jnt_range[joint])
         bounds = max(mjcf_low, float(low)), min(mjcf_high, float(high))
         known_low, known_high = known_positions(model.jnt_range[joint])
-        if bounds[0] < bounds[1] and (
+        ordered = low <= high and mjcf_low <= mjcf_high  # crossed limits have their own error
+        if ordered and bounds[0] > bounds[1] + _LIMIT_ATOL:
+            unit = select_joint_units(slides=model.jnt_type[joint] == JointKind.SLIDE).position
+            raise ModelError(
+                robot.description.urdf_source,
+                diagnose(
+                    "joint-limits-disjoint",
+                    subject=("joint", name),
+                    urdf_lower=Quantity(float(low), unit),
+                    urdf_upper=Quantity(float(high), unit),
+                    mjcf_lower=Quantity(mjcf_low, unit),
+                    mjcf_upper=Quantity(mjcf_high, unit),
+                ),
+            )
+        if bounds[0] <= bounds[1] and (
             known_low > low + _LIMIT_ATOL or known_high < high - _LIMIT_ATOL
         ):
             narrower[name] = bounds

@@ -310,7 +310,9 @@ def _may_get_servos(draft: Draft) -> bool:
 
 def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
     """Return a draft whose robot is built from ``description``; the same draft for None."""
-    return draft if description is None else replace(draft, built=build_robot(description))
+    if description is None:
+        return draft
+    return replace(draft, built=build_robot(description, fixed_base=draft.request.fixed_base))
 
 
 def _find_requested_feet(
@@ -438,7 +440,7 @@ def _limit_continuous_joints(draft: Draft) -> PassOutput:
     return _rebuild_robot(draft, limit_continuous_joints(draft.robot)), ()
 
 
-@_register_pass(Term("takes the narrower of both files' joint limits"), _has_free_base)
+@_register_pass(Term("takes the narrower of both files' joint limits"), _applies_always)
 def _narrow_limits(draft: Draft) -> PassOutput:
     """Narrow the joint limits of the URDF to the overlap with those of the MJCF, and add notes."""
     description, messages = narrow_limits(draft.robot)

@@ -194,13 +194,13 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     Raises:
         ModelError: If the inertia at a joint, or the total mass, is zero or negative.
     """
-    robot.check_total_mass(urdf.path)
     inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):
         if inertia <= 0:
             robot.check_bodies()  # reports a negative mass by itself
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
             raise make_file_error(urdf.place("joint", name), problem)
+    robot.check_total_mass(urdf.path)
 
 
 MAX_SOLVER_RESIDUAL = 0.01

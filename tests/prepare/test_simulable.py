@@ -70,6 +70,29 @@ def test_lower_limit_above_the_upper_limit_is_refused(tmp_path: Path, upper: str
         pa.solve_stand(pa.load_robot(*pair))
 
 
+@pytest.mark.parametrize("fixed_base", [False, True])
+@pytest.mark.parametrize(("urdf_range", "is_disjoint"), [("0.6 0.8", True), ("0.0 0.8", False)])
+def test_limits_without_a_common_position_are_refused(
+    tmp_path: Path, urdf_range: str, is_disjoint: bool, fixed_base: bool
+) -> None:
+    """A posture within one file's limits would violate the other file's limits."""
+    pair = legged.quadruped(tmp_path)
+    lower, upper = urdf_range.split()
+    joint = re.compile(r'(<joint name="FR_roll".*?<limit lower=")[^"]*(" upper=")[^"]*', re.DOTALL)
+    pair.urdf.write_text(joint.sub(rf"\g<1>{lower}\g<2>{upper}", pair.urdf.read_text()))
+    text, joint = pair.mjcf.read_text(), re.compile(r'(<joint name="FR_roll"[^>]*range=")[^"]*')
+    pair.mjcf.write_text(joint.sub(rf"\g<1>-0.8 0.5", text))
+    if is_disjoint:
+        with pytest.raises(pa.ModelError, match="'FR_roll'.*no position in common"):
+            pa.load_robot(*pair, fixed_base=fixed_base)
+        return
+    robot = pa.load_robot(*pair, fixed_base=fixed_base)
+    assert robot.floating is not fixed_base
+    roll = robot.joint_names.index("FR_roll")
+    assert robot.lower_limits[roll] == pytest.approx(0.0)
+    assert robot.upper_limits[roll] == pytest.approx(0.5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
