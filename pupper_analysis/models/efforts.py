@@ -487,7 +487,7 @@ def placeholder_efforts(
     found: dict[tuple[str, float], list[JointEffort]] = {}
     for one in stated:
         weighed = one.mass > 1e-3 * total and one.effort > MAX_TORQUE_PER_LINK_MASS * one.mass
-        if weighed and _is_round(one.effort):
+        if weighed and is_placeholder_number(one.effort):
             found.setdefault(("effort-beyond-links", one.effort), []).append(one)
         elif one.armature > 0 and one.effort > MAX_ROTOR_ACCELERATION * one.armature:
             found.setdefault(("effort-beyond-armature", one.effort), []).append(one)
@@ -528,7 +528,7 @@ def placeholder_efforts(
         )
 
 
-def _is_round(value: float) -> bool:
+def is_placeholder_number(value: float) -> bool:
     """Return True for 1, 2 or 5 times a power of ten from 100 on: a probable placeholder."""
     digits, _, exponent = f"{value:.6e}".partition("e")
     return float(digits) in (1.0, 2.0, 5.0) and int(exponent) >= 2

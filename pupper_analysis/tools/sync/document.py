@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from pupper_analysis.models.efforts import is_placeholder_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
@@ -125,14 +126,69 @@ def _select_next_step(
 
 
 def _find_better_side(sync: Sync) -> str:
-    """Return the file whose values leave fewer differences, ``"urdf"`` or ``"mjcf"``.
+    """Return the file whose values are proposed, ``"urdf"`` or ``"mjcf"``.
 
-    If both leave as many, the first difference decides (`_select_side`).
+    The file with fewer probable placeholders among the differing values is proposed, then the file
+    whose values leave fewer differences. If both numbers are equal, the first difference decides
+    (`_select_side`).
     """
+    counts = {side: _count_placeholders(sync.differences, side) for side in ("urdf", "mjcf")}
+    if len(set(counts.values())) > 1:
+        return min(counts, key=counts.__getitem__)
     left = sync.left_by_side
     if len(set(left.values())) > 1:
         return min(left, key=left.__getitem__)
     return _select_side(sync.differences[0])
+
+
+def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
+    """Return the number of differences whose value in a file is probably a placeholder.
+
+    A mass is also a placeholder if at least three links have it in this file, and these links have
+    more than one mass in the other file.
+    """
+    by_mass: dict[object, list[object]] = {}
+    for difference in differences:
+        if difference.kind == "mass":
+            values = difference.urdf, difference.mjcf
+            value, other = values if side == "urdf" else values[::-1]
+            by_mass.setdefault(value, []).append(other)
+    repeated = {
+        mass
+        for mass, others in by_mass.items()
+        if len(others) >= _MIN_REPEATED_MASSES and len(set(others)) > 1
+    }
+    return sum(
+        _is_placeholder(difference, side)
+        or (difference.kind == "mass" and getattr(difference, side) in repeated)
+        for difference in differences
+    )
+
+
+_MIN_REPEATED_MASSES = 3
+"""Lower bound of the number of links with one mass that counts as a placeholder. Chosen, not tuned:
+an exporter writes its default at all links."""
+
+_MIN_PLACEHOLDER_RATIO = 2.0
+"""Lower bound [1] of the ratio between a probable placeholder and the value in the other file.
+Chosen, not tuned: a smaller difference may be a correction of the value."""
+
+
+def _is_placeholder(difference: Difference, side: str) -> bool:
+    """Return True if the mass or effort limit in a file is probably a placeholder.
+
+    The value is 1, 2 or 5 times a power of ten from 100 on, and much larger than a positive value
+    in the other file that is no such number.
+    """
+    values = {"urdf": difference.urdf, "mjcf": difference.mjcf}
+    value = values.pop(side)
+    (other,) = values.values()
+    if difference.kind not in ("effort", "mass") or not (
+        isinstance(value, float | int) and isinstance(other, float | int)
+    ):
+        return False
+    larger = math.isfinite(value) and value > _MIN_PLACEHOLDER_RATIO * other > 0
+    return larger and is_placeholder_number(value) and not is_placeholder_number(other)
 
 
 def _select_side(difference: Difference) -> str:

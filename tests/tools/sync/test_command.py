@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -151,6 +152,31 @@ def test_proposed_side_states_the_value(
     if efforts[0] is None:
         file.write_text(file.read_text().replace('effort="0.0"', 'effort="1e9"'))
     assert f"next: pupper-analysis sync robot.urdf robot.xml --take {side} " in run(tmp_path).stdout
+
+
+@pytest.mark.parametrize(
+    ("pattern", "placeholder"),
+    [
+        (r'(<mass value=")1.506(")', "1000"),
+        (r'(effort=")3(")', "1000"),
+        (r'(effort=")3(")', "1e9"),
+        (r'(<mass value=")0\.\d+(")', "1"),
+        (r'(effort=")3(")', "4"),
+    ],
+)
+def test_next_command_does_not_take_a_placeholder(
+    tmp_path: Path, pattern: str, placeholder: str
+) -> None:
+    """The other file has the values of the real robot; 4 N m may be a correction."""
+    shutil.copytree(ROOT / "urdf", tmp_path / "urdf")
+    shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
+    urdf, mjcf = tmp_path / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml"
+    text, count = re.subn(pattern, rf"\g<1>{placeholder}\g<2>", urdf.read_text())
+    assert count
+    urdf.write_text(text)
+    done = answer("sync", str(urdf), str(mjcf), folder=tmp_path)
+    side = "urdf" if placeholder == "4" else "mjcf"
+    assert f"--take {side} --dry-run" in done.stdout
 
 
 def test_next_command_takes_the_file_that_leaves_fewer_differences(tmp_path: Path) -> None:
